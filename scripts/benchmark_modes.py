@@ -42,11 +42,11 @@ from weaker_relaxations import RELAXATIONS
 
 import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
-from lin_freq_ocp.methods.claims import SolverClaim
-from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
-from lin_freq_ocp.methods.modes.mixed import solve_miqp
-from lin_freq_ocp.methods.modes.path_node import compiled_is_there
-from lin_freq_ocp.methods.modes.search import SearchLimits, relaxed
+from lin_freq_ocp.methods.hybrid.claims import SolverClaim
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
+from lin_freq_ocp.methods.hybrid.search.path_node import compiled_is_there
+from lin_freq_ocp.methods.hybrid.search.search import SearchLimits, relaxed
 from lin_freq_ocp.program.real_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0
@@ -313,7 +313,7 @@ def main() -> None:
     known = CASES | LONG
     cases = {name: known[name] for name in options.case or (known if options.long else CASES)}
     if compiled_is_there():
-        from lin_freq_ocp.methods.structured.kkt.compiled import paths
+        from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
 
         paths.KERNELS.prepare()
     with benchmark_record.Record(options.write) as record, threadpool_limits(1):

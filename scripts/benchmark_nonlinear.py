@@ -20,8 +20,8 @@ from nonlinear_program import solved_by_ipopt
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.smooth.barrier import Barrier
-from lin_freq_ocp.methods.smooth.model import SmoothModel
+from lin_freq_ocp.methods.hybrid.smooth.barrier import Barrier
+from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 
 Value = TypeVar("Value")

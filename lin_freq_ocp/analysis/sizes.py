@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
+from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory

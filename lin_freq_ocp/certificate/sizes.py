@@ -23,7 +23,7 @@ from lin_freq_ocp.certificate.tolerances import (
     STATE_ROUNDING,
     ZERO_COMPONENT,
 )
-from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
+from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 

@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from lin_freq_ocp.analysis.measures import Measures
 from lin_freq_ocp.analysis.sensitivities import bin_prices
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.modes.smooth import Kink, kinks
+from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
 from lin_freq_ocp.comparison.filters import FILTERS, can_be_filtered, filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import Moves, shortest_moves, why_not_shaped
 from lin_freq_ocp.comparison.shapers import SHAPERS

@@ -15,7 +15,7 @@ from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.signals import Signal, state_bounds
 from lin_freq_ocp.base.errors import NumericalError
-from lin_freq_ocp.problem.dynamics.mode_arrays import FACET_TOLERANCE
+from lin_freq_ocp.problem.hybrid.mode_arrays import FACET_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate

@@ -31,7 +31,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number, shaped
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.common import Spectrum, control_band, sum_of_squares
-from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 

@@ -17,10 +17,10 @@ from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
-from lin_freq_ocp.problem.dynamics.switched.levels import with_levels
+from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics, as_sequence
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
+from lin_freq_ocp.problem.hybrid.levels import with_levels
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.problem_terms import bounded_bins, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet

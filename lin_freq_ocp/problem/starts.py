@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lin_freq_ocp.base.arrays import Array, Indices, brief
 from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError
-from lin_freq_ocp.problem.dynamics.affine_mode import located_at
-from lin_freq_ocp.problem.dynamics.piecewise_affine import as_sequence
+from lin_freq_ocp.problem.hybrid.affine_mode import located_at
+from lin_freq_ocp.problem.hybrid.piecewise_affine import as_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory

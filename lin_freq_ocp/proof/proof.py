@@ -10,10 +10,10 @@ import numpy as np
 from flint import ctx
 from lfo_check import Failed
 
-from lin_freq_ocp.analysis.mode_tree import ModeTree
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.certificate.bound import cost_is_never_negative, optimum_box
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.modes.reach import IntervalReach
+from lin_freq_ocp.certificate.hybrid.reach import IntervalReach
 from lin_freq_ocp.certificate.reach import Enclosure as Region
 from lin_freq_ocp.certificate.reach import stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale

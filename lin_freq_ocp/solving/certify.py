@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from lin_freq_ocp.analysis.mode_tree import ModeTree
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.analysis.peaks import peak_points
 from lin_freq_ocp.base.arrays import real_array
 from lin_freq_ocp.certificate.directions import descent_direction
-from lin_freq_ocp.certificate.modes.bound import tree_bound
+from lin_freq_ocp.certificate.hybrid.bound import tree_bound
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Rounded, decimals_of, judge
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.problem.translation import translation_of
-from lin_freq_ocp.solving.certify_modes import certify_modes
+from lin_freq_ocp.solving.hybrid.certify_modes import certify_modes
 from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE
 
 NEAR_LIMIT = 0.99  # part of its limit from which a peak of a spectrum may have a multiplier

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.level_rows import with_few_between
+from lin_freq_ocp.problem.hybrid.level_rows import with_few_between
 from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.directions import Direction, unbounded_direction

@@ -13,9 +13,9 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import AbsorbedCost, absorbed_cost
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound as TreeSearch
-from lin_freq_ocp.methods.modes.cover import CoverNode
-from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
+from lin_freq_ocp.methods.hybrid.search.cover import CoverNode
+from lin_freq_ocp.methods.hybrid.search.search import SearchLimits, SearchOutcome, SearchProgress
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_form
 from lin_freq_ocp.methods.spectral.algorithm.together import Together
 from lin_freq_ocp.methods.spectral.model.row_form import RowForm

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.program.backends.base import backend as solver_named
 from lin_freq_ocp.program.backends.base import names
-from lin_freq_ocp.certificate.modes.bound import TreeBound
+from lin_freq_ocp.certificate.hybrid.bound import TreeBound
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.base.errors import UnsupportedError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.global_bound.angles import AngleBound, Boxes
+from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound, Boxes
 from lin_freq_ocp.base.errors import UnsupportedError
 
 M = 0.9

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.checks import convex, explain, flips, frequencies, mixed, modes, sequences, structured
-from lin_freq_ocp.certificate.modes.clarke import Flip
+from lin_freq_ocp.certificate.hybrid.clarke import Flip
 from lin_freq_ocp.testing import random_mixed
 from lin_freq_ocp.testing.random_convex import random_problem
 

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.loop.window import first_state_free
-from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 
 
 def wall(horizon=10):

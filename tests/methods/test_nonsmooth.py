@@ -15,11 +15,11 @@ from helpers.checks import newton as newton_check
 from helpers.command_line import parsed, run
 from helpers.schemas import RESULT
 from lin_freq_ocp import library
-from lin_freq_ocp.certificate.modes.smooth import nearest_in_ball
+from lin_freq_ocp.certificate.hybrid.smooth import nearest_in_ball
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.nonsmooth.newton import newton, starting_point
-from lin_freq_ocp.methods.nonsmooth.sequential import local_optimum
-from lin_freq_ocp.methods.nonsmooth.system import System
+from lin_freq_ocp.methods.hybrid.nonsmooth.newton import newton, starting_point
+from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import local_optimum
+from lin_freq_ocp.methods.hybrid.nonsmooth.system import System
 
 BUCK = library.buck_converter
 FREE_END = {"terminal_state": None}

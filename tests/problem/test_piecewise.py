@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
-from lin_freq_ocp.problem.dynamics.regions import CONTINUITY_TOLERANCE
+from lin_freq_ocp.problem.hybrid.regions import CONTINUITY_TOLERANCE
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -243,7 +243,7 @@ def test_rows_that_are_equations_leave_the_bounds():
 def test_regions_that_were_checked_are_not_checked_again(monkeypatch):
     problem = problem_of(lfo.PiecewiseAffineDynamics(WEDGE), 5, state_set=lfo.Box(-3, 0.5))
     assert problem.gap is None
-    monkeypatch.setattr("lin_freq_ocp.problem.dynamics.regions.uncovered", None)
+    monkeypatch.setattr("lin_freq_ocp.problem.hybrid.regions.uncovered", None)
     assert replace(problem, horizon=7).gap is None
     with pytest.raises(TypeError):
         _ = replace(problem, state_set=lfo.Box(-3, 0.4)).gap

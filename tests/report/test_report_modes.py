@@ -21,7 +21,7 @@ from lin_freq_ocp import library
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.certificate.modes.smooth import kinks
+from lin_freq_ocp.certificate.hybrid.smooth import kinks
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_sequence
 from lin_freq_ocp.problem.description import problem_facts
@@ -35,7 +35,7 @@ from lin_freq_ocp.pages.figures.style import THEMED, THEMED_TINTS, TINTS
 from lin_freq_ocp.pages.report.page import draw, render, tiles
 from lin_freq_ocp.pages.report.proof import adjoint_caption, modes_caption, search_sentences, switching_sentences
 from lin_freq_ocp.pages.report.tables import certificate_rows, certificate_table, comparison_rows
-from lin_freq_ocp.solving import smooth as solve_smooth
+from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
 
 
 def vanishing_norm() -> OptimalControlProblem:

@@ -8,11 +8,11 @@ from scipy.linalg import solve_discrete_are
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
-from lin_freq_ocp.analysis.mode_tree import ModeNode, ModeTree
-from lin_freq_ocp.certificate.modes.bound import tree_bound
-from lin_freq_ocp.methods.modes import path_node
-from lin_freq_ocp.methods.modes.path_node import compiled_is_there
-from lin_freq_ocp.methods.modes.search import TOLERANCES, relaxed
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
+from lin_freq_ocp.certificate.hybrid.bound import tree_bound
+from lin_freq_ocp.methods.hybrid.search import path_node
+from lin_freq_ocp.methods.hybrid.search.path_node import compiled_is_there
+from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, relaxed
 from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
@@ -32,7 +32,7 @@ FIELDS = {
 def compiled(request):
     if request.param == "compiled":
         pytest.importorskip("numba", reason="the extra fast is not installed")
-        from lin_freq_ocp.methods.structured.kkt.compiled import paths
+        from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
 
         paths.KERNELS.prepare()
         compiled_is_there.cache_clear()

@@ -12,13 +12,13 @@ from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import formula_from_text, require_formula
 from lin_freq_ocp.files.locations import FileTable, FileValue
 from lin_freq_ocp.files.problem_file.codec import Record, Tables, Value, checked, nonzero
-from lin_freq_ocp.problem.dynamics.affine_mode import MODE, AffineMode
+from lin_freq_ocp.problem.hybrid.affine_mode import MODE, AffineMode
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
+from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
-from lin_freq_ocp.problem.dynamics.switched.pulse_train import PulseTrain
+from lin_freq_ocp.problem.hybrid.pulse_train import PulseTrain
 
 FORMULA_KEYS = ("f", "region", "domain")
 

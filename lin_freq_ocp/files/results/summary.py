@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.directions import Direction
-from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
+from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.files.locations import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.certificate.modes.smooth import Kink
+from lin_freq_ocp.certificate.hybrid.smooth import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.trajectories import NO_MODE

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.certificate.modes.clarke import Flip, SwitchingFacts
+from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

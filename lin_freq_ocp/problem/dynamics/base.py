@@ -18,7 +18,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, names, positive_number
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
+from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
 from lin_freq_ocp.problem.dynamics.response.response import Response
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.stage_sets import StageSets

@@ -23,8 +23,8 @@ from typing import Self
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.analysis.mode_reach import INFINITE, UNBOUNDED, ModeReach, Reach
-from lin_freq_ocp.analysis.mode_tree import ModeMultipliers
+from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, UNBOUNDED, ModeReach, Reach
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.claims import SolverClaim
+from lin_freq_ocp.methods.hybrid.claims import SolverClaim
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
+from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts
 from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.modes.weights import weighted
+from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.testing.random_kinks import random_problem
 

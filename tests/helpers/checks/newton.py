@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.nonsmooth.newton import NewtonRun, newton
+from lin_freq_ocp.methods.hybrid.nonsmooth.newton import NewtonRun, newton
 
 SAME_COST = 1e-8
 NEAR = 3.0  # kinks within so many times the noise get a selection

@@ -1,0 +1,260 @@
+"""The conditions of the maximum principle for piecewise-smooth dynamics as equations in as many unknowns.
+
+Unknowns are x, u, eta, the frequency multipliers, and a selection for every kink, shared by x and u: where two modes
+touch, the weight alpha in [0, 1] of the second; at the zero of a norm, the vector xi. For every component v with bounds
+l <= v <= h, the conditions F >= 0 at l, F <= 0 at h, and F = 0 between are, with the function of Fischer and
+Burmeister, nested as by Billups,
+
+    phi(v - l, phi(h - v, -F)) = 0,    phi(a, b) = |(a, b)| - a - b,    where F is
+
+    of x_t, u_t     the derivative of the Lagrangian without mu, nu, which then are -F
+    of alpha_t      -s(x_t, u_t), the switching function of the first mode
+    of eta_t        x_{t+1} - f_t(x_t, u_t); of frequency multipliers, the rows of the DFT
+    of xi_t         xi - P(xi + q), the projection P onto the unit ball, q the arguments of the norm
+
+Everything is in natural units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import ModeJets
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.real_rows import rows_per_component, spectrum_rows
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import natural_scaling
+
+
+@dataclass(frozen=True, eq=False)
+class SystemValue:
+    """Phi, an element of its generalised derivative, and F, all in natural units."""
+
+    phi: Array
+    slopes: Array
+    F: Array
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """The equations near a trajectory, and the numbers of their unknowns.
+
+    ``switches`` are (time, second mode, region row of the first), one for each alpha; ``norms`` are (norm, time), one
+    for each xi. Unknowns are divided by ``units``, equations multiplied by ``scales``.
+    """
+
+    problem: OptimalControlProblem
+    sequence: Indices
+    x: Indices
+    u: Indices
+    eta: Indices
+    rho_x: Indices
+    rho_u: Indices
+    switches: list[tuple[int, int, int]]
+    alpha: Indices
+    norms: list[tuple[Formula, int]]
+    xi: list[Indices]
+    units: Array
+    scales: Array
+    lower: Array
+    upper: Array
+    rows_x: Array
+    rows_u: Array
+
+    @classmethod
+    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float) -> System:
+        """Return the system near a trajectory."""
+        T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+        scaling = natural_scaling(LinearTranscription(problem.affine_at(trajectory).with_modes(sequence)))
+        in_x, in_u = scaling.columns[:n], scaling.columns[(T + 1) * n : (T + 1) * n + m]
+        rows_x = spectrum_rows(problem.state_stop, problem.state_samples, (T + 1) * n, 0).toarray()
+        rows_u = spectrum_rows(problem.control_stop, T, T * m, 0).toarray()
+        of_x = np.repeat(in_x, rows_per_component(problem.state_stop, problem.state_samples))
+        of_u = np.repeat(in_u, rows_per_component(problem.control_stop, T))
+        switches = _switches(problem, trajectory, sequence, np.append(in_x, in_u), near)
+        norms = _norms(problem, trajectory, near)
+        sizes = [(T + 1) * n, T * m, T * n, len(rows_x), len(rows_u), len(switches)]
+        sizes += [len(norm.arguments) for norm, _ in norms]
+        ends = np.cumsum(sizes)
+        numbers = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        x, u, eta, rho_x, rho_u, alpha = numbers[:6]
+        units = np.ones(ends[-1])
+        units[x], units[u], units[eta] = np.tile(in_x, T + 1), np.tile(in_u, T), np.tile(1 / (scaling.cost * in_x), T)
+        units[rho_x], units[rho_u] = 1 / (scaling.cost * of_x), 1 / (scaling.cost * of_u)
+        scales = np.ones(ends[-1])
+        signals = np.concatenate([x, u])
+        scales[signals] = scaling.cost * units[signals]
+        scales[eta], scales[rho_x], scales[rho_u] = np.tile(1 / in_x, T), 1 / of_x, 1 / of_u
+        slopes = problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+        for k, (t, _, row) in enumerate(switches):
+            slope = slopes.regions[sequence[t]].slopes[t, row] * np.append(in_x, in_u)
+            scales[alpha[k]] = 1 / max(float(np.linalg.norm(slope)), 1e-300)
+        lower, upper = np.full(ends[-1], -np.inf), np.full(ends[-1], np.inf)
+        for signal, box in ((x, problem.state_tube), (u, problem.control_tube)):
+            lower[signal], upper[signal] = box.lower.ravel(), box.upper.ravel()
+        lower[alpha], upper[alpha] = 0.0, 1.0
+        shaped = x.reshape(T + 1, n), u.reshape(T, m), eta.reshape(T, n)
+        parts = *shaped, rho_x, rho_u, switches, alpha, norms, numbers[6:]
+        return cls(problem, sequence, *parts, units, scales, lower / units, upper / units, rows_x, rows_u)
+
+    def at(self, v: Array) -> SystemValue:
+        """Return Phi and an element of its generalised derivative."""
+        F, derivative = self.equations(v * self.units)
+        F, J = F * self.scales, derivative * self.scales[:, None] * self.units
+        free, fixed = np.isinf(self.lower) & np.isinf(self.upper), self.lower == self.upper
+        phi, by_v, by_F = _bounded(v, F, self.lower, self.upper)
+        phi, by_v, by_F = np.where(free, F, phi), np.where(free, 0.0, by_v), np.where(free, 1.0, by_F)
+        phi = np.where(fixed, v - np.where(fixed, self.lower, 0.0), phi)
+        by_v, by_F = np.where(fixed, 1.0, by_v), np.where(fixed, 0.0, by_F)
+        return SystemValue(phi, np.diag(by_v) + by_F[:, None] * J, F)
+
+    def equations(self, v: Array) -> tuple[Array, Array]:
+        """Return F and its derivative, in the problem's units."""
+        problem, T = self.problem, self.problem.horizon
+        x, u, eta, alpha = v[self.x], v[self.u], v[self.eta], v[self.alpha]
+        y, at = np.hstack([x[:-1], u]), np.hstack([self.x[:-1], self.u])
+        found = problem.smooth_pieces.jets_at(y, self._selections(v))
+        times = np.arange(T)
+        values, slopes, curvatures = jets_of(found, times, self.sequence)
+        active = slopes.copy()
+        F, J = np.zeros(len(v)), np.zeros((len(v), len(v)))
+        for k, (t, second, row) in enumerate(self.switches):
+            other = jets_of(found, np.array([t]), np.array([second]))
+            region = found.regions[self.sequence[t]]
+            switch, gradient = region.values[t, row], region.slopes[t, row]
+            kink = other[1][0] - slopes[t]
+            F[self.alpha[k]] = -switch
+            J[self.alpha[k], at[t]] = -gradient
+            J[at[t], self.alpha[k]] -= kink.T @ eta[t]
+            if switch > 0:
+                values[t], active[t] = other[0][0], other[1][0]
+            slopes[t] = slopes[t] + alpha[k] * kink
+            curvatures[t] = curvatures[t] + alpha[k] * (other[2][0] - curvatures[t])
+        cost_x, cost_u = problem.quadratic.gradient(x, u)
+        F[self.x], F[self.u] = cost_x, cost_u
+        F[self.x[1:]] += eta
+        F[at] -= np.einsum("tij,ti->tj", slopes, eta)
+        F[self.eta] = x[1:] - values
+        hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, at.shape[1], at.shape[1]))
+        curved = hessians - np.einsum("ti,tijk->tjk", eta, curvatures)
+        for t in range(T):
+            J[np.ix_(at[t], at[t])] += curved[t]
+            J[np.ix_(at[t], self.eta[t])] -= slopes[t].T
+            J[np.ix_(self.eta[t], at[t])] -= active[t]
+            J[self.eta[t], self.x[t + 1]] += 1.0
+            J[self.x[t + 1], self.eta[t]] += 1.0
+        J[np.ix_(self.x[T], self.x[T])] += problem.quadratic.P
+        for rho, rows, signals in (
+            (self.rho_x, self.rows_x, self.x.ravel()),
+            (self.rho_u, self.rows_u, self.u.ravel()),
+        ):
+            F[signals] += rows.T @ v[rho]
+            F[rho] = rows @ v[signals]
+            J[np.ix_(signals, rho)] += rows.T
+            J[np.ix_(rho, signals)] += rows
+        self._add_norms(v, F, J, y, at, eta)
+        return F, J
+
+    def _selections(self, v: Array) -> Mapping[Formula, Array]:
+        selections: dict[Formula, Array] = {}
+        for (norm, t), xi in zip(self.norms, self.xi, strict=True):
+            rows = selections.setdefault(norm, np.full((self.problem.horizon, len(norm.arguments)), np.nan))
+            rows[t] = v[xi]
+        return selections
+
+    def _add_norms(self, v: Array, F: Array, J: Array, y: Array, at: Indices, eta: Array) -> None:
+        """Add the equations of the selections of norms, and their terms in the others."""
+        dynamics = self.problem.smooth_pieces
+        for (norm, t), own in zip(self.norms, self.xi, strict=True):
+            inner = jets(norm.arguments, y[t : t + 1])
+            q, slopes, xi = inner.values[0], inner.slopes[0], v[own]
+            reached = xi + q
+            length = float(np.linalg.norm(reached))
+            projection, onto = reached, np.eye(len(q))
+            if length > 1:
+                projection = reached / length
+                onto = (np.eye(len(q)) - np.outer(projection, projection)) / length
+            F[own] = xi - projection
+            J[np.ix_(own, own)] = np.eye(len(q)) - onto
+            J[np.ix_(own, at[t])] = -onto @ slopes
+            pull = dynamics.pull_of_norm(norm, y[t], int(self.sequence[t]), eta[t])
+            J[np.ix_(at[t], own)] -= pull * slopes.T
+
+
+def jets_of(found: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
+    """Return values, slopes and curvatures of the maps of some modes at some times."""
+    values, slopes, curvatures = (
+        np.stack([getattr(jet, part) for jet in found.f], axis=1)[times, modes]
+        for part in ("values", "slopes", "curvatures")
+    )
+    return values, slopes, curvatures
+
+
+def _bounded(v: Array, F: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+    """Return phi(v - l, phi(h - v, -F)) with its derivatives by v and by F."""
+    with np.errstate(invalid="ignore"):
+        inner, by_a, by_b = _fischer_burmeister(upper - v, -F)
+    inner, by_v, by_F = (
+        np.where(np.isfinite(upper), part, whole) for part, whole in ((inner, F), (-by_a, 0.0), (-by_b, 1.0))
+    )
+    with np.errstate(invalid="ignore"):
+        outer, by_a, by_b = _fischer_burmeister(v - lower, inner)
+    below = np.isfinite(lower)
+    return (
+        np.where(below, outer, inner),
+        np.where(below, by_a + by_b * by_v, by_v),
+        np.where(below, by_b * by_F, by_F),
+    )
+
+
+def _fischer_burmeister(a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """Return |(a, b)| - a - b, with an element of its generalised derivative."""
+    length = np.hypot(a, b)
+    zero = length == 0
+    safe = np.where(zero, 1.0, length)
+    diagonal = np.sqrt(0.5)
+    return length - a - b, np.where(zero, diagonal, a / safe) - 1, np.where(zero, diagonal, b / safe) - 1
+
+
+def _switches(
+    problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, units: Array, near: float
+) -> list[tuple[int, int, int]]:
+    """Return (time, second mode, row) where a row of the first mode's region is nearly zero and the second holds."""
+    T = problem.horizon
+    found = problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+    defined = found.defined()
+
+    def distances(mode: int, t: int) -> Array:
+        region = found.regions[mode]
+        sizes = np.linalg.norm(region.slopes[t] * units, axis=-1)
+        return region.values[t] / np.where(sizes > 0, sizes, 1.0)
+
+    switches: list[tuple[int, int, int]] = []
+    for t in range(T):
+        own = distances(int(sequence[t]), t)
+        others = [
+            mode
+            for mode in np.flatnonzero(defined[t])
+            if mode != sequence[t] and distances(int(mode), t).max(initial=-np.inf) <= near
+        ]
+        zero = np.flatnonzero(np.abs(own) <= near)
+        if len(others) and len(zero):
+            switches.append((t, int(others[0]), int(zero[0])))
+    return switches
+
+
+def _norms(problem: OptimalControlProblem, trajectory: Trajectory, near: float) -> list[tuple[Formula, int]]:
+    T = problem.horizon
+    y = np.hstack([trajectory.x[:T], trajectory.u])
+    found: list[tuple[Formula, int]] = []
+    for norm in problem.smooth_pieces.norms:
+        size = np.linalg.norm(jets(norm.arguments, y).values, axis=1)
+        found += [(norm, int(t)) for t in np.flatnonzero(size <= near * max(1.0, float(size.max())))]
+    return found
