@@ -1,6 +1,6 @@
 """What the public functions return: solutions, verdicts, comparisons, sweeps and explanations."""
 
-from lin_freq_ocp.analysis.sensitivities import Sensitivities
+from lin_freq_ocp.certificate.sensitivities import Sensitivities
 from lin_freq_ocp.api.compare import Comparison
 from lin_freq_ocp.api.many import Solutions
 from lin_freq_ocp.api.minimum_time import MinimumTime

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, final
 
-from lin_freq_ocp.analysis.sensitivities import Sensitivities, sensitivities
+from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.files.results.conversions import to_frame, to_time_response

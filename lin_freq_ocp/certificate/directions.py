@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import SCALE_FLOOR

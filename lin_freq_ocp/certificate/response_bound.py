@@ -5,7 +5,7 @@ With x(u) = base + Y u, multipliers mu of bounds on states and lambda of terms h
     l(u) = J(x(u), u) + <mu, x(u)> - sigma(mu) + <rho, bands> + sum (<lambda+, L> - h*(lambda+))  <=  J  if feasible
 
 is convex on the controls that the bands allow, whatever the stage Hessian is, if every bin is (``control_curvature``;
-derived in analysis/response_curvature.py, of which nothing is used). So D = l(u_0) + min over U of its tangent and of
+derived in problem/response_curvature.py, of which nothing is used). So D = l(u_0) + min over U of its tangent and of
 the curvature that all bins have. eta, the multiplier of x = Y u, takes no part: any slope in x is pulled back to the
 controls exactly.
 

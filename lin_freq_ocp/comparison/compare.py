@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-from lin_freq_ocp.analysis.measures import Measures
-from lin_freq_ocp.analysis.sensitivities import bin_prices
+from lin_freq_ocp.problem.measures import Measures
+from lin_freq_ocp.certificate.sensitivities import bin_prices
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
 from lin_freq_ocp.comparison.filters import FILTERS, can_be_filtered, filtered, has_frequency_constraint

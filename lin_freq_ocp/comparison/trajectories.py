@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.analysis import measures
-from lin_freq_ocp.analysis.measures import Measures, measure, stopband_peak
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem import measures
+from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import positive_number
 from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.base.errors import UnsupportedError

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.explanation.blocks import ENDS, Block, hard_only, kept_stopped, relaxed
 from lin_freq_ocp.problem.augmented import AddedStates, extended

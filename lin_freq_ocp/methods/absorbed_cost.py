@@ -1,6 +1,6 @@
 """Costs that are convex over a frequency response, but not at each time, as squares of further outputs.
 
-With H_k = L_k^2 >= 0, L_k Hermitian (analysis/response_curvature.py), the quadratic part of the cost is 1/2 sum w_t^2
+With H_k = L_k^2 >= 0, L_k Hermitian (problem/response_curvature.py), the quadratic part of the cost is 1/2 sum w_t^2
 of the outputs w = L u, for x = Y u + g and up to a constant:
 
     1/2 x'Q x + x'S u + 1/2 u'R u  =  1/2 w'w + (Q g)'x + (S'g)'u.
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.analysis.response_curvature import BinCurvature, bin_curvature
+from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.base.arrays import Mask, with_columns
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.augmented import wider

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.analysis.sizes import measured_modes
+from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.program.backends.blas_threads import one_blas_thread

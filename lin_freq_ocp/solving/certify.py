@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
-from lin_freq_ocp.analysis.peaks import peak_points
+from lin_freq_ocp.certificate.peaks.largest import peak_points
 from lin_freq_ocp.base.arrays import real_array
 from lin_freq_ocp.certificate.directions import descent_direction
 from lin_freq_ocp.certificate.hybrid.bound import tree_bound

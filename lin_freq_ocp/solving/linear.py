@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.conflict import proof_margin, prove_infeasible
 from lin_freq_ocp.certificate.directions import DIRECTION_TOLERANCE, unbounded_direction

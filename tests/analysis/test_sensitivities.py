@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.sensitivities import sensitivities
+from lin_freq_ocp.certificate.sensitivities import sensitivities
 
 STEP = 1e-4
 """Of order-1 data: the cost is quadratic between changes of the active bounds, central differences of it are exact."""

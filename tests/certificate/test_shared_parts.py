@@ -9,7 +9,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.analysis import measures, sizes
+from lin_freq_ocp.problem import measures
+from lin_freq_ocp.problem import sizes
 from lin_freq_ocp.problem.hybrid import mode_reach
 from lin_freq_ocp.certificate import conflict, directions, hamiltonian
 from lin_freq_ocp.certificate.hybrid.reach import IntervalReach
@@ -26,7 +27,7 @@ library = lfo.library
 
 ALLOWED = {
     "lin_freq_ocp.problem.hybrid.mode_tree": {"ModeMultipliers", "ModeTree", "PathMultipliers"},
-    "lin_freq_ocp.analysis.sizes": {"stated_sizes"},
+    "lin_freq_ocp.problem.sizes": {"stated_sizes"},
 }
 """What the judge imports of the floor that searches and scalings stand on: plain data, and one size (docs/judge.md)."""
 

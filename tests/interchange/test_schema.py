@@ -17,7 +17,7 @@ from jsonschema import Draft202012Validator
 import lin_freq_ocp as lfo
 from helpers.every_table import GOOD, PIECEWISE, changed
 from helpers.schemas import DOCS, MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, printed
-from lin_freq_ocp.analysis.measures import Measures
+from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.conflict import Conflict

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from helpers.compared_pages import case, price_axes
-from lin_freq_ocp.analysis.measures import padded_spectrum
+from lin_freq_ocp.problem.measures import padded_spectrum
 from lin_freq_ocp.api.compare import compare
 from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.base.errors import SolveError

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.stage_rows import cart
-from lin_freq_ocp.analysis.measures import measure
+from lin_freq_ocp.problem.measures import measure
 from lin_freq_ocp.files.results.summary import comparison_summary
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.pages.report.findings import finding

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.base.errors import NumericalError

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.response_curvature import require_convex_bins
+from lin_freq_ocp.problem.response_curvature import require_convex_bins
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import absorbed_cost

@@ -7,7 +7,7 @@ from math import isfinite
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.pages.explorer.slider import Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box

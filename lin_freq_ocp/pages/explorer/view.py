@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import stopped_runs
+from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.comparison.signals import Signal, controls_of, outputs_of, states_of
 from lin_freq_ocp.comparison.vibrations import ABOVE, frequencies_around, vibration

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from matplotlib.typing import LineStyleType
 
-from lin_freq_ocp.analysis.measures import ZERO_PADDING, padded_spectrum, stopped_runs
+from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.comparison.signals import Line, Signal
 from lin_freq_ocp.pages.figures.modes import shade_modes

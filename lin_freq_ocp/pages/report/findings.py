@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import stopped_runs
+from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.base.arrays import Mask
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.problem.hybrid.mode_reach import UNBOUNDED, ModeReach, Reach
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.polyhedra import minimiser

@@ -17,8 +17,8 @@ from enum import StrEnum
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.measures import one_step_residual
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem.measures import one_step_residual
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import search_scale, stated_sizes
+from lin_freq_ocp.problem.sizes import search_scale, stated_sizes
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.hybrid.nonsmooth.grid import grid_trajectories

@@ -15,7 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
-from lin_freq_ocp.analysis.sizes import search_scale
+from lin_freq_ocp.problem.sizes import search_scale
 from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.hybrid.search.cover import CoverNode, shifted_cover

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import measured_modes
+from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.methods.hybrid.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import matrix_balance
 
-from lin_freq_ocp.analysis.sizes import FAR_BEYOND, completed_sizes, given_sizes
+from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.model.coupled_rows import (
     Columns,
