@@ -26,8 +26,7 @@ from lin_freq_ocp.base.starting import leave_silently
 leave_silently()
 
 if TYPE_CHECKING:
-    from lin_freq_ocp import costs, dynamics, formulas, io, library, results, sets, solvers, spectrum
-    from lin_freq_ocp.base import errors
+    from lin_freq_ocp import costs, dynamics, errors, formulas, io, library, results, sets, solvers, spectrum
     from lin_freq_ocp.api.compare import compare
     from lin_freq_ocp.api.many import Solver, solve_many
     from lin_freq_ocp.api.minimum_time import minimum_time

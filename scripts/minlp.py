@@ -10,11 +10,11 @@ import numpy as np
 from minlp_program import SmoothProgram, smooth_program
 
 from helpers.checks.claimed import differences
-from lin_freq_ocp.program.backends.base import Solution
-from lin_freq_ocp.methods.hybrid.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.hybrid.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum, local_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.program.backends.base import Solution
 from lin_freq_ocp.program.units import COST_LEVEL
 
 # Violation of a row of order 1 that a claimed point may have: a solver's 1e-6, through a few nodes of a formula

@@ -25,9 +25,9 @@ from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import QUOTIENT
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.program import Block, Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import common_scaling
-from lin_freq_ocp.program.program import Block, Program, Scaling
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,11 +20,11 @@ from minlp_program import ModeFormulas, SmoothProgram, enclosures
 from pyscipopt import cos, exp, log, quicksum, sin, sqrt
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Solution
-from lin_freq_ocp.program.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
+from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Solution
+from lin_freq_ocp.program.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
 
 FUNCTIONS = {"exp": exp, "log": log, "sqrt": sqrt, "sin": sin, "cos": cos}
 # Of a row of order 1. A binary that is 1 up to SCIP's 1e-6 relaxes it by 1e-2 then; above, indicators do it.

@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
 from lin_freq_ocp.program.hybrid.row_template import Groups, RowTemplate, Sense

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.api.progress import counted, reporting
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import answered
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.many.many import ManyHead, ManyOutcome, References, solved_many
 from lin_freq_ocp.batch.many.repeated import Repeated
-from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.runs.many_file import ManyFile
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet

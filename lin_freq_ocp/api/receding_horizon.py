@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.base.arrays import Array, known_entries, positive_integer, real_array
+from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.loop.controller import Controller, Preview
 from lin_freq_ocp.loop.plant import plant_of
@@ -23,7 +24,6 @@ from lin_freq_ocp.loop.record import LoopRecord
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.base.atomic import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

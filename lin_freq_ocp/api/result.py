@@ -7,9 +7,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, final
 
-from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.atomic import replacing
 from lin_freq_ocp.base.errors import SolveError
+from lin_freq_ocp.base.html import html_table
+from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.files.results.conversions import to_frame, to_time_response
 from lin_freq_ocp.files.results.csv_file import save_csv
 from lin_freq_ocp.files.results.mat_file import save_mat
@@ -19,8 +21,6 @@ from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.enclosure import LONGEST_CHECK, Enclosure, require_checker
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.atomic import replacing
-from lin_freq_ocp.base.html import html_table
 
 if TYPE_CHECKING:
     from control import TimeResponseData

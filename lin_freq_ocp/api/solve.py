@@ -7,13 +7,20 @@ from dataclasses import replace
 
 from lin_freq_ocp.api.progress import reporting
 from lin_freq_ocp.api.result import Result, shown_as
-from lin_freq_ocp.base.errors import InfeasibleError, LimitError, LinFreqOCPError, NumericalError, SolveError, UnboundedError
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import (
+    InfeasibleError,
+    LimitError,
+    LinFreqOCPError,
+    NumericalError,
+    SolveError,
+    UnboundedError,
+)
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
 
 EXPLAIN_SECONDS = 5.0  # of processor time for the explanation of an infeasible problem
 

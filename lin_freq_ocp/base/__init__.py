@@ -1,1 +1,1 @@
-"""What the operating system is asked for: whole files, memory, signals."""
+"""What everything stands on: arrays, errors, statuses, text, polyhedra, whole files, memory, the clock."""

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import SCALE_FLOOR
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.trajectory import Trajectory
 

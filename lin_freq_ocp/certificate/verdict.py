@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.html import html_table
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
 from lin_freq_ocp.certificate.directions import Direction
@@ -18,16 +21,13 @@ from lin_freq_ocp.certificate.hybrid.smooth import judge_smooth
 from lin_freq_ocp.certificate.response_bound import best_bound
 from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
-from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.html import html_table
 
 FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-ends", "S-f")
 

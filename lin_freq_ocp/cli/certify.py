@@ -6,6 +6,7 @@ import click
 import numpy as np
 
 from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.cli.console import (
     NOT_PROVEN,
@@ -20,7 +21,6 @@ from lin_freq_ocp.cli.console import (
 )
 from lin_freq_ocp.cli.options import json_option, problem_argument, settings_option
 from lin_freq_ocp.cli.problems import build
-from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.files.results.solution_file import load_trajectory
 from lin_freq_ocp.files.results.summary import certificate_summary
 from lin_freq_ocp.methods.multipliers import uniqueness

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.cli.console import (
     exit_status,
     print_conflict,
@@ -19,7 +20,6 @@ from lin_freq_ocp.cli.console import (
 )
 from lin_freq_ocp.cli.options import backend_option, json_option, problem_argument, settings_option
 from lin_freq_ocp.cli.problems import build, require_folder
-from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.files.results.solution_file import load_trajectory
 from lin_freq_ocp.files.results.summary import comparison_summary, failed_comparison_summary
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import click
 
+from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.cli.console import PROVEN, progress, say, search_progress
 from lin_freq_ocp.cli.options import problem_argument, settings_option
 from lin_freq_ocp.cli.problems import ProblemFile, build, builder, is_file, parsed_settings, require_writable
 from lin_freq_ocp.pages.explorer.session import Session
 from lin_freq_ocp.pages.explorer.sliders import HORIZON, Rebuild
-from lin_freq_ocp.base.atomic import write_text
 
 
 @click.command("explore")

@@ -11,6 +11,7 @@ import click
 
 from lin_freq_ocp import __version__
 from lin_freq_ocp.api.minimum_time import MinimumTime, minimum_time
+from lin_freq_ocp.base.starting import INTERRUPTED
 from lin_freq_ocp.cli.console import (
     NO_SOLUTION,
     NOT_PROVEN,
@@ -24,7 +25,6 @@ from lin_freq_ocp.cli.options import json_option, problem_argument, solve_option
 from lin_freq_ocp.cli.problems import ProblemFile, builder, is_file, parsed_settings
 from lin_freq_ocp.files.locations import FileTable
 from lin_freq_ocp.files.results.summary import SCHEMA, result_summary
-from lin_freq_ocp.base.starting import INTERRUPTED
 
 
 @click.command("minimum-time")

@@ -11,6 +11,9 @@ import click
 
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, explained, solve
+from lin_freq_ocp.base.atomic import replacing
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.cli.console import (
     complain,
     exit_status,
@@ -24,15 +27,12 @@ from lin_freq_ocp.cli.console import (
 )
 from lin_freq_ocp.cli.options import Command, json_option, problem_argument, solve_options
 from lin_freq_ocp.cli.problems import build, require_writable
-from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.locations import FileTable
 from lin_freq_ocp.files.results.solution_file import kind_of_file, load_trajectory
 from lin_freq_ocp.files.results.summary import result_summary
 from lin_freq_ocp.files.runs.run_file import dumping_errors
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.proof.enclosure import require_checker
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.atomic import replacing
 
 HELP = {
     "save": "Write the trajectory to this .npz (with its multipliers), .csv or .mat file.",

@@ -6,10 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-from lin_freq_ocp.problem.measures import Measures
-from lin_freq_ocp.certificate.sensitivities import bin_prices
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import LimitError, ProblemError, SolveError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
+from lin_freq_ocp.certificate.sensitivities import bin_prices
 from lin_freq_ocp.comparison.filters import FILTERS, can_be_filtered, filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import Moves, shortest_moves, why_not_shaped
 from lin_freq_ocp.comparison.shapers import SHAPERS
@@ -21,12 +23,10 @@ from lin_freq_ocp.comparison.trajectories import (
     replayed,
     solution_label,
 )
-from lin_freq_ocp.base.errors import LimitError, ProblemError, SolveError
+from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
 
 PREFERRED_FILTER = "brickwall"
 SEARCH_SECONDS = 30.0  # for a comparison whose modes are searched, which by itself may take hours

@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import TermKind

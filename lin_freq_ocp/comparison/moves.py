@@ -13,21 +13,21 @@ from functools import cache
 
 import numpy as np
 
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import number
+from lin_freq_ocp.batch.minimum_time.monotone import obstacles
+from lin_freq_ocp.batch.minimum_time.search import Search, searched, stated
 from lin_freq_ocp.certificate.peaks.cells import Peak
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
-from lin_freq_ocp.batch.minimum_time.monotone import obstacles
-from lin_freq_ocp.batch.minimum_time.search import Search, searched, stated
 from lin_freq_ocp.comparison.shapers import described, impulses, shaped
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replayed
-from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.phrases import number
 
 OURS, UNSHAPED = "optimal", "unshaped"
 LONGEST = 4  # times the shortest profile: longer profiles are not tried

@@ -7,18 +7,18 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.problem import measures
-from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.signals import Signal, state_bounds
-from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.hybrid.mode_arrays import FACET_TOLERANCE
+from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.peaks.search import peaks_above
 from lin_freq_ocp.problem.terms.term import Term

@@ -1,1 +1,1 @@
-"""EXCHANGE: problems and solutions as files (TOML, npz, CSV) and as CVXPY problems."""
+"""Problems, results and runs as files, and as objects of CVXPY and python-control."""

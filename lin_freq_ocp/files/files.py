@@ -18,9 +18,9 @@ from numpy.lib.npyio import NpzFile
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.atomic import locked, reason, writing
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.locations import FileValue
-from lin_freq_ocp.base.atomic import locked, reason, writing
 
 NPY_MAGIC = b"\x93NUMPY"  # first bytes of an .npy, and of every entry of an .npz
 MOST_ENTRIES = 10_000  # files in an archive

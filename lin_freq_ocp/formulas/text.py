@@ -12,6 +12,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas.nodes import (
     FUNCTIONS,
     LONGEST_SHOWN,
@@ -25,7 +26,6 @@ from lin_freq_ocp.formulas.nodes import (
     written,
 )
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, scalar_functions
-from lin_freq_ocp.base.phrases import plural
 
 LONGEST = 100_000  # characters of one formula
 # What users give for formulas of x and u, "x_0 + u_0" among them; a function is called with signals.

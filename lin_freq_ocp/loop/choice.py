@@ -12,8 +12,8 @@ from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.problem.translation import translation_of
-from lin_freq_ocp.solving.judging import allowed_residual
 from lin_freq_ocp.solving.hybrid.smooth import no_multipliers
+from lin_freq_ocp.solving.judging import allowed_residual
 
 
 def better(problem: OptimalControlProblem, one: Trajectory, other: Trajectory, tolerance: float | None) -> Trajectory:

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
-from lin_freq_ocp.batch.many.repeated import Repeated
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.batch.many.repeated import Repeated
 from lin_freq_ocp.loop.choice import better
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.softening import checked_penalties, excess, softened
@@ -22,8 +24,6 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.kept import Change, KeptTree
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
 

@@ -9,9 +9,9 @@ from enum import StrEnum
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.base.status import Status
 
 
 class Source(StrEnum):

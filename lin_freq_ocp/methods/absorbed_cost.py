@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.base.arrays import Mask, with_columns
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.augmented import wider
@@ -24,6 +23,7 @@ from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.response.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

@@ -12,15 +12,18 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.html import html_table
+from lin_freq_ocp.base.memory import require_horizon
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.levels import with_levels
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
-from lin_freq_ocp.problem.hybrid.levels import with_levels
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.problem_terms import bounded_bins, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
@@ -31,9 +34,6 @@ from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.terms.stage_rows import StageRows, row_families
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.base.memory import require_horizon
-from lin_freq_ocp.base.html import html_table
-from lin_freq_ocp.base.phrases import plural
 
 Kind = TypeVar("Kind", bound=Dynamics)
 

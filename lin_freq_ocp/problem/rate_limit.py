@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Bound, brief, one_component, real_array
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.augmented import AddedStates, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.base.phrases import split_unit
 
 NAME = "rate limit"  # of the added rows
 

@@ -1,1 +1,1 @@
-"""TRANSCRIBE: a problem becomes a convex program with named rows, and its duals become the theorem's multipliers."""
+"""The linear program of a problem: rows and their sparse form, units, and the solvers that take it."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.base.memory import require_memory
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 BYTES_PER_ENTRY = 100.0  # of a dense row at the peak, with indices during assembly and the scaled copies for solvers
 BYTES_OF_FACTOR = 12.0  # per entry of a solver's factor: a value and an index

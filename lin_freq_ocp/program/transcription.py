@@ -29,8 +29,8 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.conic_terms import ConicTerms, conic_terms
 from lin_freq_ocp.program.dense_rows import require_dense_memory
-from lin_freq_ocp.program.real_rows import spectrum_multipliers, spectrum_rows
 from lin_freq_ocp.program.program import Block, Program
+from lin_freq_ocp.program.real_rows import spectrum_multipliers, spectrum_rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,12 +13,12 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, times_vectors
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.program.program import Block, Program, Scaling
+from lin_freq_ocp.program.transcription import LinearTranscription
 
 HESSIAN_REGULARISATION = 1e-6  # relative to the mean diagonal: directions without cost get the smallest trajectory
 ROW_REGULARISATION = 1e-10  # dependent equations (an unreachable end) get a least-squares trajectory

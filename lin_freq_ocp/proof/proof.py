@@ -10,7 +10,8 @@ import numpy as np
 from flint import ctx
 from lfo_check import Failed
 
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
+from lin_freq_ocp.base.errors import SolveError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import cost_is_never_negative, optimum_box
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.hybrid.reach import IntervalReach
@@ -18,8 +19,8 @@ from lin_freq_ocp.certificate.reach import Enclosure as Region
 from lin_freq_ocp.certificate.reach import stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE
-from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.problem.frequencies import at_frequencies
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.checked import checked
@@ -33,7 +34,6 @@ from lin_freq_ocp.proof.statement.problem import problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.base.status import Status
 
 UNCHECKED_MARGIN = (2.0**-36,)  # room to limits relative to sizes, of a point that is not tried
 UNCHECKED_SLACK = 1e-6  # by which the claim is wider than what the certificate says, relative to the cost

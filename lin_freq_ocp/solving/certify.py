@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
-from lin_freq_ocp.certificate.peaks.largest import peak_points
 from lin_freq_ocp.base.arrays import real_array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.certificate.directions import descent_direction
 from lin_freq_ocp.certificate.hybrid.bound import tree_bound
+from lin_freq_ocp.certificate.peaks.largest import peak_points
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Rounded, decimals_of, judge
-from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.problem.frequencies import at_frequencies
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

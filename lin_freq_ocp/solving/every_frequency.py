@@ -14,12 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.frequencies import at_frequencies
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.peaks.search import peaks_above
 from lin_freq_ocp.problem.terms.term import Term
@@ -27,9 +30,6 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.phrases import plural
 
 EXCESS = 1e-9  # of |V| over its limit, relative: what interior points leave on the frequencies that they know
 ROUNDS = 30  # five or six reach EXCESS: convergence is quadratic

@@ -12,16 +12,16 @@ from dataclasses import dataclass, field, replace
 from lin_freq_ocp.base.errors import UnsupportedError, suggestion
 from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.hybrid.pulse_train import PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.hybrid.modes import BranchAndBound, Enumeration, MixedInteger
+from lin_freq_ocp.solving.hybrid.pulse_train import Angles
+from lin_freq_ocp.solving.hybrid.smooth import Nonsmooth
 from lin_freq_ocp.solving.linear import Convex, LinearAuto, Spectral, Structured
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.solving.hybrid.modes import BranchAndBound, Enumeration, MixedInteger
-from lin_freq_ocp.solving.hybrid.smooth import Nonsmooth
-from lin_freq_ocp.solving.hybrid.pulse_train import Angles
 
 
 @dataclass(frozen=True)

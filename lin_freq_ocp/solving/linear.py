@@ -9,11 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.problem.sizes import stated_sizes
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.conflict import proof_margin, prove_infeasible
 from lin_freq_ocp.certificate.directions import DIRECTION_TOLERANCE, unbounded_direction
-from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.choice import structured_first
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
@@ -24,13 +25,12 @@ from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.kept import spectral_form
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
 
 PROVER = "clarabel"  # The backend that proves infeasibility and unboundedness, whichever backend met it
 

@@ -8,8 +8,8 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from lin_freq_ocp.methods.hybrid.search.search import SearchProgress
 from lin_freq_ocp.methods.hybrid.nonsmooth.local_search import SmoothProgress
+from lin_freq_ocp.methods.hybrid.search.search import SearchProgress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.solving.kept import Change, Kept, KeptTree

@@ -6,17 +6,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lin_freq_ocp.problem.hybrid.level_rows import LevelUse, level_use
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.conflict import Conflict, InfeasibilityProof
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hybrid.bound import TreeBound
 from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.problem.hybrid.level_rows import LevelUse, level_use
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.base.status import Status
 
 
 @dataclass(frozen=True)

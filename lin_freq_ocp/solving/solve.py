@@ -7,22 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.program.backends.base import backend as solver_named
-from lin_freq_ocp.program.backends.base import names
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.bound import TreeBound
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.starts import Start, start_of
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.problem.translation import Translation, translation_of
+from lin_freq_ocp.program.backends.base import backend as solver_named
+from lin_freq_ocp.program.backends.base import names
 from lin_freq_ocp.solving.every_frequency import solved_by
 from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
 from lin_freq_ocp.solving.judging import allowed_residual, with_few_fractional
 from lin_freq_ocp.solving.method import Method, Progress, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
 
 COARSE = 1e-8  # rounding of a state, relative to what it moves, that may be worth as much as the allowed gap
 

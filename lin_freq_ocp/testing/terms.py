@@ -9,10 +9,10 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.program.backends.base import Claim, backend
 from lin_freq_ocp.problem.rate_limit import NAME
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.program.backends.base import Claim, backend
 from lin_freq_ocp.program.program import Program
 
 SIZES = (0.1, 1.0, 10.0)  # of random signals, in units of the optimal ones: some within limits, some beyond

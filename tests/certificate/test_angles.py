@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound, Boxes
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound, Boxes
 
 M = 0.9
 

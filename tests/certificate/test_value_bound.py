@@ -11,19 +11,19 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp import library
+from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.grid import CostToGo, Lattice, Minima
 from lin_freq_ocp.certificate.hybrid.global_bound.stages import QuadraticForm
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.hybrid.global_bound.taylor import least_of
-from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.intervals import multiply, outward
 from lin_freq_ocp.formulas.jets import interval_jets, jets
 from lin_freq_ocp.formulas.nodes import norm, signals
 from lin_freq_ocp.methods.hybrid.nonsmooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import local_optimum
 from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
-from lin_freq_ocp.base.clock import use_clock
 
 ROUNDING = 1e-9
 

@@ -7,10 +7,10 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.comparison import moves as moves_of
 from lin_freq_ocp.comparison.moves import why_not_shaped
 from lin_freq_ocp.comparison.vibrations import vibration
-from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.pages.figures.vibration import ringing_of
 from lin_freq_ocp.pages.report.moves import moves_rows, moves_sentence
 from lin_freq_ocp.pages.report.page import draw, render

@@ -9,11 +9,11 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.command_line import run
+from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.compare import SEARCH_SECONDS, compared
 from lin_freq_ocp.files.results.summary import comparison_summary
 from lin_freq_ocp.pages.report.findings import finding
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import use_clock
 
 
 def wall():

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.explanation.blocks import ENDS, blocks, relaxed, without
+from lin_freq_ocp.problem.sizes import stated_sizes
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2

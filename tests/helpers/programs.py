@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.program.backends.base import Claim, Solution, backend
 from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
+from lin_freq_ocp.program.backends.base import Claim, Solution, backend
 from lin_freq_ocp.program.program import Program
 
 OWN = ["clarabel", "osqp"]

@@ -11,12 +11,12 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
-from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.bound import tree_bound
 from lin_freq_ocp.certificate.hybrid.reach import IntervalReach
 from lin_freq_ocp.methods.hybrid.search import search
 from lin_freq_ocp.methods.hybrid.search.search import relaxed
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 
 SEEDS = range(4)

@@ -10,12 +10,11 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.modes import brute_force, random_problem
+from lin_freq_ocp.certificate.hybrid.bound import tree_bound
+from lin_freq_ocp.methods.hybrid.search import enumeration, parts
+from lin_freq_ocp.methods.hybrid.search.search import relaxed
 from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
-from lin_freq_ocp.certificate.hybrid.bound import tree_bound
-from lin_freq_ocp.methods.hybrid.search import enumeration
-from lin_freq_ocp.methods.hybrid.search import parts
-from lin_freq_ocp.methods.hybrid.search.search import relaxed
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 library = lfo.library

@@ -19,9 +19,9 @@ from lin_freq_ocp.files.results.solution_file import save_solution
 from lin_freq_ocp.files.results.summary import certificate_summary
 from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
-from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.report.tables import certificate_rows
+from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
 
 
 def best(problem):

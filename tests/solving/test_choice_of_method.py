@@ -9,9 +9,9 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import SpectralSolver
-from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.testing.random_linear import random_linear
 from lin_freq_ocp.testing.reference import reference_problem
 

@@ -14,8 +14,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.cli import app as cli
 
 HORIZON, STEP = 30, 0.1
 SLIDE, STICK = 0, 1

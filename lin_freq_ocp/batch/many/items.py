@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
-from lin_freq_ocp.batch.many.repeated import Repeated
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LinFreqOCPError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.batch.many.repeated import Repeated
+from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
 
 ERROR = "error"  # status of what was not solved: it is no problem, or its worker died
 UNSOLVED = "unsolved"  # status of what Ctrl-C left

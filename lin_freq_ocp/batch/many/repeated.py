@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.conflict import Exclusion, exclusion
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -20,7 +21,6 @@ from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, restored_outcome, solve_translated
-from lin_freq_ocp.base.status import Status
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
 TRAVEL = 100.0  # largest moves of a state after which states are counted from where it has come to

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.batch.sweep.grid import fingerprint
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.batch.sweep.grid import fingerprint
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.certificate.bound import NUMERICAL
-from lin_freq_ocp.batch.sweep.grid import Source, problem_at, require_parameters
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.batch.sweep.grid import Source, problem_at, require_parameters
+from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
 
 
 class Verdict(StrEnum):

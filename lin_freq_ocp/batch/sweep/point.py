@@ -9,13 +9,13 @@ from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypedDict
 
-from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
-from lin_freq_ocp.batch.sweep.grid import Parameters, Source, plain_parameters, problem_at
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.batch.sweep.grid import Parameters, Source, plain_parameters, problem_at
+from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
 
 ERROR = "error"  # status of a point that was not solved: its description is bad, or its worker died
 INTERRUPTED = "interrupted"  # status of a point whose solve was stopped by Ctrl-C; no sweep keeps it

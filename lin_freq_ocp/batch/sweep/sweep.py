@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any, Protocol, get_type_hints
 
 from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.batch.sweep.grid import (
     Source,
     fingerprint,
@@ -22,7 +23,6 @@ from lin_freq_ocp.batch.sweep.grid import (
 )
 from lin_freq_ocp.batch.sweep.point import INTERRUPTED, Row, failed_point, solve_point
 from lin_freq_ocp.batch.sweep.tasks import Work, finished
-from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.solving.solve import require_options
 
 MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")  # the columns beside the parameters

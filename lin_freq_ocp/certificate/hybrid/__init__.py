@@ -1,1 +1,1 @@
-"""Conditions and bounds of problems with modes: the joint inclusion where modes meet."""
+"""The judge of dynamics with modes and kinks, and their global bounds."""

@@ -19,8 +19,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree, PathMultipliers
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.box_quadratic import box_minimiser
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
     RIGOROUS,
@@ -32,11 +33,10 @@ from lin_freq_ocp.certificate.bound import (
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.hybrid.reach import IntervalReach, Stages
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, FINITE, INFINITE, INTERVAL_ROUNDING
-from lin_freq_ocp.base.box_quadratic import box_minimiser
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.base.clock import now
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.hybrid.clarke import (
@@ -23,7 +24,6 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
 )
 from lin_freq_ocp.certificate.sizes import Floors, floors, measured_modes, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
-from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import held

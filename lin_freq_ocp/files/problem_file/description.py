@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.batch.sweep.grid import CUTOFFS
 from lin_freq_ocp.files.locations import FileTable, FileValue
 from lin_freq_ocp.files.problem_file.tables import PROBLEM
@@ -17,7 +18,6 @@ from lin_freq_ocp.files.results.summary import finite, head
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.base.phrases import split_unit
 
 SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)  # a heading of a numpydoc docstring
 ARRAY_REFERENCE = {"npz", "key"}  # keys of a table that stands for an array in another file

@@ -13,11 +13,11 @@ from lin_freq_ocp.files.problem_file.codec import Kinds, Record, Tables, Value, 
 from lin_freq_ocp.files.problem_file.dynamics import DYNAMICS, without_zeros
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
+from lin_freq_ocp.problem.hybrid.finite import FiniteSet
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
-from lin_freq_ocp.problem.hybrid.finite import FiniteSet
 from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
 from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, MagnitudeBound

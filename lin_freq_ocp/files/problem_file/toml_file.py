@@ -17,13 +17,13 @@ import tomli_w
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.atomic import write_bytes, writing
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.files.files import npz_bytes, opened_npz, read_text, require_file
 from lin_freq_ocp.files.locations import FileTable, FileValue, naming, require_keys
 from lin_freq_ocp.files.problem_file.tables import PROBLEM, problem_from_tables
 from lin_freq_ocp.problem.dynamics.response.measured import read_response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.base.atomic import write_bytes, writing
 
 ARRAYS_SUFFIX = ".problem.npz"  # of the arrays of cart.toml: cart.npz may be a solution
 MOST_BYTES = 2**22  # of a problem file: they take some 4 s to parse; larger arrays belong into an .npz

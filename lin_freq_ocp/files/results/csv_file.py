@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.files.files import read_text
 from lin_freq_ocp.files.locations import naming
 from lin_freq_ocp.files.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.base.atomic import write_text
 
 STEP, SECONDS = "t", "time [s]"  # columns that count the steps and the seconds; either may be missing
 FORMULAS = ("=", "+", "-", "@", "'")  # how a cell begins that a spreadsheet evaluates, and what keeps it from that

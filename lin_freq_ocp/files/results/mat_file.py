@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lin_freq_ocp.base.arrays import real_array
+from lin_freq_ocp.base.atomic import write_bytes
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.files import read_bytes, require_modest
 from lin_freq_ocp.files.locations import FileArray, FileValue, naming
 from lin_freq_ocp.files.results.signals import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.base.atomic import write_bytes
 
 COMPRESSED = 15  # type of a compressed element
 PIECE = 2**22  # bytes unpacked at once

@@ -11,6 +11,7 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.atomic import write_bytes
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.files import npz_bytes, opened_npz, parsed_json
 from lin_freq_ocp.files.locations import FileArray, FileTable, FileValue, naming, require_schema
@@ -18,7 +19,6 @@ from lin_freq_ocp.files.results.csv_file import read_csv, save_csv
 from lin_freq_ocp.files.results.mat_file import read_mat, save_mat
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.base.atomic import write_bytes
 
 SCHEMA = 2  # version of the layout of the .npz; earlier ones are read
 # Fields of Multipliers that are one array, with the dimensions of each.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts
@@ -20,7 +21,6 @@ from lin_freq_ocp.files.locations import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.atomic import write_text
 
 if TYPE_CHECKING:
     from lin_freq_ocp.comparison.compare import ComparisonOutcome

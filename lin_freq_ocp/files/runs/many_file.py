@@ -16,9 +16,9 @@ from types import TracebackType
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.many.items import ERROR, Item
 from lin_freq_ocp.batch.many.many import ManyHead
-from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.files import Log, parsed_json, read_text
 from lin_freq_ocp.files.locations import FileTable, require_keys
 

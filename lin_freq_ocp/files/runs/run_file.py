@@ -20,6 +20,7 @@ from tempfile import TemporaryDirectory
 from threadpoolctl import threadpool_info
 
 from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.atomic import write_bytes
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.files import DAMAGED, LARGE, parsed_json, require_file, require_modest
 from lin_freq_ocp.files.locations import FileTable, naming, require_keys, require_schema
@@ -28,7 +29,6 @@ from lin_freq_ocp.files.results.solution_file import SavedSolution, load_solutio
 from lin_freq_ocp.files.results.summary import result_summary
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.atomic import write_bytes
 
 PACKAGE = "lin-freq-ocp"
 SCHEMA = 1  # version of the layout; a file with another version is refused

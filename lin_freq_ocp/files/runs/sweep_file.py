@@ -17,14 +17,14 @@ from types import TracebackType
 from typing import get_type_hints
 
 from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.atomic import write_text
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.sweep.grid import grid_points, point_key
 from lin_freq_ocp.batch.sweep.point import ERROR, Row
 from lin_freq_ocp.batch.sweep.sweep import MEASURED, SweepHead, SweepOutcome
-from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.files import Log, parsed_json, read_bytes, read_text
 from lin_freq_ocp.files.locations import FileTable, FileValue, require_keys
 from lin_freq_ocp.files.results.csv_file import header
-from lin_freq_ocp.base.atomic import write_text
 
 SCHEMA = 1  # version of the layout; a file with another version is refused
 KIND = "lin-freq-ocp sweep"

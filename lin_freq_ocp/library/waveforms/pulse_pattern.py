@@ -8,10 +8,10 @@ from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_nu
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.finite import FiniteSet
 from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.hybrid.finite import FiniteSet
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.polish import polished
 from lin_freq_ocp.methods.convex.recession import nearest_recession
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
+from lin_freq_ocp.program.program import Program, Residuals, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import own_scaling, own_sizes
-from lin_freq_ocp.program.program import Program, Residuals, Scaling
 
 SOLVED_TOLERANCE = 1e-6  # relative residuals up to which a backend's "solved" is accepted, in units of the answer
 ACCURATE = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units

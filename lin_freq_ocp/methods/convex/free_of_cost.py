@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.polish import polished
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.program.program import Program
 
 FLAT = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby

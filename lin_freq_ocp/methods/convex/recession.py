@@ -8,12 +8,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
+from lin_freq_ocp.program.program import Program
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import stated_scaling
-from lin_freq_ocp.program.program import Program
 
 
 def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:

@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.attempts import Attempt, Solves, better_of, over
 from lin_freq_ocp.methods.convex.polish import polished, without_rounding
-from lin_freq_ocp.program.units import bounds_scaling, own_scaling, plain_scaling, stated_scaling
+from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.program import Scaling
+from lin_freq_ocp.program.units import bounds_scaling, own_scaling, plain_scaling, stated_scaling
 
 ROUNDING_LEVELS = (1e-12, 1e-9)  # parts of the units of variables and duals that may be rounding: the judge decides
 LARGEST_ERROR = 1e-3  # relative residuals up to which versions of a point are judged

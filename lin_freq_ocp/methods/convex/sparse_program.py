@@ -7,25 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.problem.response_curvature import require_convex_bins
-from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.attempts import ACCURATE, SOLVED_TOLERANCE, Attempt, Solves, better_of, over
 from lin_freq_ocp.methods.convex.retries import further
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.problem.response_curvature import require_convex_bins
+from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.program.dense_rows import dense_rows
-from lin_freq_ocp.program.transcription import LinearTranscription
-from lin_freq_ocp.program.units import (
-    natural_scaling,
-    own_scaling,
-    plain_scaling,
-    revised_scaling,
-    stated_scaling,
-)
 from lin_freq_ocp.program.program import Program, Scaling
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import natural_scaling, own_scaling, plain_scaling, revised_scaling, stated_scaling
 
 GRACE = 0.25  # seconds beyond a time limit in which a solver may return a point
 REVISIONS = 2  # of the units by the answer

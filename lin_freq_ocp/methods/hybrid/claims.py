@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from lin_freq_ocp.base.arrays import Indices
-from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.backends.base import Claim, Solution
 
 DEFAULT_GAP = 1e-6  # relative gap asked of a solver, as accurate as its rows
 AGREEMENT = 1e-6  # relative difference allowed between the claimed cost and that of the claimed trajectory

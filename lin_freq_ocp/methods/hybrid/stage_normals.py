@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 

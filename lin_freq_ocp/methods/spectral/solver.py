@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, known_entries, positive_number
-from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
-from lin_freq_ocp.program.backends.interrupt import interrupts_noted
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.interrupt import interrupts_noted
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
@@ -31,7 +31,7 @@ from lin_freq_ocp.methods.spectral.rows.working_set import Rows
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.program.program import Residuals
 
 

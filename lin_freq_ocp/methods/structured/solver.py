@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.memory import require_memory
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.structured.algorithm.active import solve_active
@@ -19,8 +21,6 @@ from lin_freq_ocp.methods.structured.model.recovery import Recovery
 from lin_freq_ocp.methods.structured.prepared import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.memory import require_memory
 
 MATRICES, VECTORS = 12, 100  # of a stage's size that there are at a time
 LATE = 2.0  # an estimated step may take so many times as long

@@ -7,11 +7,11 @@ from math import isfinite
 
 import numpy as np
 
-from lin_freq_ocp.problem.sizes import stated_sizes
+from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.pages.explorer.slider import Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.base.phrases import split_unit
+from lin_freq_ocp.problem.sizes import stated_sizes
 
 MOST_STATES = 12  # of problems with more, ends have no sliders
 WORDS = {"initial_state": "initial", "terminal_state": "terminal"}

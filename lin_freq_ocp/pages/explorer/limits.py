@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.phrases import AT_MOST, split_unit
 from lin_freq_ocp.pages.explorer.slider import LARGEST_PART, LEAST_PART, NOTCHES, Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.base.phrases import AT_MOST, split_unit
 
 AT_LEAST = "\N{GREATER-THAN OR EQUAL TO}"
 

@@ -10,26 +10,26 @@ from collections.abc import Callable, Hashable
 from dataclasses import replace
 from typing import Generic, TypeVar
 
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.phrases import number
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.batch.many.repeated import Repeated
 from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome, Filtered
 from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequency_constraint
-from lin_freq_ocp.batch.many.repeated import Repeated
 from lin_freq_ocp.comparison.trajectories import replayed
-from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, UnsupportedError
 from lin_freq_ocp.pages.explorer.ends import ends_at
 from lin_freq_ocp.pages.explorer.frequencies import GROUP as FREQUENCY
 from lin_freq_ocp.pages.explorer.limits import sets_at
 from lin_freq_ocp.pages.explorer.slider import Values
 from lin_freq_ocp.pages.explorer.sliders import KEPT, Rebuild, changed, checked, problem_at, sliders_of
 from lin_freq_ocp.pages.explorer.view import Data, drawn, frame
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.pages.report.findings import finding
 from lin_freq_ocp.pages.report.proof import verdict
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.phrases import number
 
 SOLVE_SECONDS = 10.0  # for one answer
 KEPT_PROBLEMS, KEPT_ANSWERS = 8, 64  # the latest ones

@@ -9,16 +9,16 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.comparison.signals import Signal, controls_of, outputs_of, states_of
 from lin_freq_ocp.comparison.vibrations import ABOVE, frequencies_around, vibration
+from lin_freq_ocp.pages.report.units import frequency_scale, time_scale
 from lin_freq_ocp.problem.frequencies import everywhere_of
+from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.pages.report.units import frequency_scale, time_scale
 
 DIGITS = 4  # significant, of values that are drawn
 MOST_SIGNALS = 24  # that are drawn over time; controls come first

@@ -6,15 +6,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.problem.frequencies import everywhere_of
-from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.pages.figures.panels import FEW_BINS
 from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.figures.style import BAND, BOUND, MUTED, new_figure, style_axes, thinned
 from lin_freq_ocp.pages.figures.vibration import PANEL_HEIGHT, Ringing, legend_beside, vibration_panel
-from lin_freq_ocp.base.phrases import split_unit
+from lin_freq_ocp.problem.frequencies import everywhere_of
+from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies
+from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.terms.term import Term
 
 FINENESS = 8  # points for each bin
 DECADES = 4  # below the largest value

@@ -17,12 +17,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
 from lin_freq_ocp.base.arrays import NO_BOUND, Array
+from lin_freq_ocp.base.errors import SolveError
+from lin_freq_ocp.base.phrases import number, short_name, split_unit
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import has_frequency_constraint
 from lin_freq_ocp.comparison.signals import Signal
 from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, measured_solution, solution_label
-from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.pages.figures.modes import mode_legend
 from lin_freq_ocp.pages.figures.panels import (
     control_panel,
@@ -56,7 +57,6 @@ from lin_freq_ocp.pages.figures.style import (
     thinned,
 )
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.phrases import number, short_name, split_unit
 
 LEGEND_HEIGHT = 0.5  # inches for the legend above the panels
 STATE_ROW_HEIGHT = 0.78 * ROW_HEIGHT

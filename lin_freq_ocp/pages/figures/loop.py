@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from scipy import fft, signal
 
 from lin_freq_ocp.base.arrays import NO_BOUND, Array
+from lin_freq_ocp.base.phrases import number, plural, short_name
 from lin_freq_ocp.loop.record import LoopRecord, Source
 from lin_freq_ocp.pages.figures.style import (
     BOUND,
@@ -25,7 +26,6 @@ from lin_freq_ocp.pages.figures.style import (
     style_axes,
     thinned,
 )
-from lin_freq_ocp.base.phrases import number, plural, short_name
 
 LONGEST_WINDOW = 64  # samples of a window of the spectrogram; an eighth of the loop, if that is less
 LEAST_WINDOW = 8

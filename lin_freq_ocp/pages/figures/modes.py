@@ -15,6 +15,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.phrases import LARGE, SMALL, number, split_unit
 from lin_freq_ocp.certificate.hybrid.smooth import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
@@ -42,7 +43,6 @@ from lin_freq_ocp.pages.figures.style import (
     thinned,
 )
 from lin_freq_ocp.pages.report.proof import ETA
-from lin_freq_ocp.base.phrases import LARGE, SMALL, number, split_unit
 
 CHARACTER = 0.52 * NOTE_SIZE / 72  # inches: about the width of a character of a note
 # Inches: what a legend may take, and about the width of one of its characters.

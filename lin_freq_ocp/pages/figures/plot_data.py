@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.phrases import listed
 from lin_freq_ocp.comparison.signals import Signal, controls_of, outputs_of, states_of
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.pages.figures.style import Note, Trace
 from lin_freq_ocp.pages.report.units import Scale, frequency_scale, quantity, rough, time_scale
-from lin_freq_ocp.base.phrases import listed
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 OVERLAY_REACH = 0.6  # an overlay may widen an axis by this fraction of what the others span; beyond, it is cut off
 BOUND_REACH = 0.6  # likewise for a bound far from all trajectories

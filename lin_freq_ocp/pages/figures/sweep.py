@@ -9,9 +9,10 @@ from operator import itemgetter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import number
 from lin_freq_ocp.batch.sweep.point import Row
 from lin_freq_ocp.batch.sweep.sweep import SweepOutcome
-from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.pages.figures.style import (
     COMPONENTS,
     INK,
@@ -25,7 +26,6 @@ from lin_freq_ocp.pages.figures.style import (
     plain,
     style_axes,
 )
-from lin_freq_ocp.base.phrases import number
 
 HEIGHT = 1.4 * ROW_HEIGHT
 WIDE = 30.0  # an axis whose values, all above zero, have a larger ratio than this is logarithmic

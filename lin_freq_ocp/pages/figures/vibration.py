@@ -9,10 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.typing import LineStyleType
 
+from lin_freq_ocp.base.phrases import number, split_unit
 from lin_freq_ocp.comparison.moves import OURS, UNSHAPED, Moves, boxes_of
 from lin_freq_ocp.comparison.vibrations import ABOVE, frequencies_around, vibration
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
-from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.pages.figures.style import (
     BAND,
     BOUND,
@@ -26,7 +25,8 @@ from lin_freq_ocp.pages.figures.style import (
     style_axes,
 )
 from lin_freq_ocp.pages.report.units import aligned
-from lin_freq_ocp.base.phrases import number, split_unit
+from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.trajectory import Trajectory
 
 PANEL_HEIGHT = 1.15 * ROW_HEIGHT
 LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers

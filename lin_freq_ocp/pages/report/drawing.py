@@ -15,8 +15,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.pages.figures.style import THEMED, THEMED_TINTS
 from lin_freq_ocp.base.atomic import write_each, writing
+from lin_freq_ocp.pages.figures.style import THEMED, THEMED_TINTS
 
 PIXELS_PER_INCH = 150
 

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.base.arrays import Mask
+from lin_freq_ocp.base.phrases import listed, number, plural, runs_in_words, short_name
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
 from lin_freq_ocp.comparison.signals import Signal, controls_of
 from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Violation
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.pages.report.moves import moves_sentence
 from lin_freq_ocp.pages.report.proof import RIGOROUS, proven_optimal
 from lin_freq_ocp.pages.report.units import frequency_scale, quantity, rough
+from lin_freq_ocp.problem.measures import stopped_runs
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.phrases import listed, number, plural, runs_in_words, short_name
 
 FILTERING = "Filtering afterwards"
 NAMED = 2  # components that a sentence names before it only counts the others

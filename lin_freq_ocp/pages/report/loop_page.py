@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lin_freq_ocp.loop.record import LoopRecord
-from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.pages.report.drawing import drawing_of, rendered, save_page
-from lin_freq_ocp.pages.figures.loop import loop_figure
 from lin_freq_ocp.base.phrases import number, plural
+from lin_freq_ocp.loop.record import LoopRecord
+from lin_freq_ocp.pages.figures.loop import loop_figure
+from lin_freq_ocp.pages.report.drawing import drawing_of, rendered, save_page
+from lin_freq_ocp.problem.description import problem_facts
 
 CAPTION = (
     "Spectrograms show the magnitude of the DFT of short windows over the time of their middle. Crosses mark steps "

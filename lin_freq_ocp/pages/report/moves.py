@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from lin_freq_ocp.base.phrases import NOTHING, listed, number
 from lin_freq_ocp.comparison.moves import OURS, Move, Moves
 from lin_freq_ocp.pages.report.tables import Cell, ComparisonRows, Group, Row
 from lin_freq_ocp.pages.report.units import aligned
-from lin_freq_ocp.base.phrases import NOTHING, listed, number
 
 
 def moves_rows(moves: Moves) -> ComparisonRows:

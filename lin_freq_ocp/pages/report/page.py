@@ -8,22 +8,22 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from lin_freq_ocp.base.phrases import number
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
-from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.pages.report import proof
-from lin_freq_ocp.pages.report.drawing import Drawing, drawing_of, rendered, save_page
 from lin_freq_ocp.pages.figures import figures
 from lin_freq_ocp.pages.figures.continua import held_figure, vibrations_figure
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.figures.vibration import moves_figure
+from lin_freq_ocp.pages.report import proof
+from lin_freq_ocp.pages.report.drawing import Drawing, drawing_of, rendered, save_page
 from lin_freq_ocp.pages.report.findings import FILTERING, finding, stop_band_meaning
 from lin_freq_ocp.pages.report.moves import moves_caption, moves_rows, moves_title
 from lin_freq_ocp.pages.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
 from lin_freq_ocp.pages.report.units import rough
+from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.phrases import number
 
 
 def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.phrases import listed, number, plural
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.phrases import listed, number, plural
 
 NAMED_TIMES = 4  # times that a text describes before it only counts the others
 RIGOROUS = "rigorous"  # the kind of a bound that holds for every trajectory; any other says nothing global

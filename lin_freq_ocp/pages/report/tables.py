@@ -9,16 +9,16 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from lin_freq_ocp.base.phrases import NOTHING, number, plural, short_name, split_unit
+from lin_freq_ocp.batch.sweep.sweep import SweepOutcome
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.signals import controls_of
-from lin_freq_ocp.batch.sweep.sweep import SweepOutcome
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.pages.report.proof import bound_kind
 from lin_freq_ocp.pages.report.units import aligned
-from lin_freq_ocp.base.phrases import NOTHING, number, plural, short_name, split_unit
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 NOT_MEANINGFUL = "not meaningful"  # in place of numbers that need a replay, where there is no meaningful one
 KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"

@@ -7,8 +7,8 @@ from math import inf
 
 import numpy as np
 
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.base.phrases import LARGE, SMALL, number, power, split_unit
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
 def aligned(value: float | None, digits: int = 4) -> str:

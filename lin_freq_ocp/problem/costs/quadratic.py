@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, one_component, real_array, shaped, times_vectors
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import datum
 from lin_freq_ocp.problem.costs.semidefinite import least_rise
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.base.phrases import datum
 
 SYMMETRY_TOLERANCE = 1e-12  # relative asymmetry of Q, R or P that is rounding and not a mistake
 CONVEXITY_TOLERANCE = 1e-12  # negative eigenvalue, relative to the largest, that is rounding of a semidefinite matrix

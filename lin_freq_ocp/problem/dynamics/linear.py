@@ -23,9 +23,9 @@ from lin_freq_ocp.base.arrays import (
     with_rows,
 )
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.linearisation import System, clock, linearisation
-from lin_freq_ocp.base.phrases import datum, plural
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, assign, brief, frozen, real_array
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import plural, short_name, vector
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
-from lin_freq_ocp.base.phrases import plural, short_name, vector
 
 ON_ENVELOPE = 1e-12  # of the largest cost: a level this far above the line between others counts as on it (rounding)
 MOST_POINTS = 256  # combinations of levels of all components: as many as there may be pieces of a piecewise-affine map

@@ -9,10 +9,10 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, has_interior
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, rebuilt
 from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS
-from lin_freq_ocp.base.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, has_interior
 from lin_freq_ocp.problem.dynamics.base import unique_names
 
 MOST_MODES = 64  # choices of the arguments of maxima and minima

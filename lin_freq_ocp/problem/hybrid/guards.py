@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.polyhedra import THICKNESS, has_interior
-from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode, located_at
 from lin_freq_ocp.problem.dynamics.base import counted, unique_names
+from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode, located_at
 
 SIGNS = {"+": -1.0, "-": 1.0}  # factors that make a row <= 0 of G x + H u - d
 ANY = "*"

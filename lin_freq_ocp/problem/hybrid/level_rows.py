@@ -15,10 +15,10 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.base.phrases import plural
 
 AT_LEVEL = 1e-6  # share of a sample up to which it counts as at a level: solvers leave less, and the judge allows it
 INDEPENDENT = 1e-10  # singular value of rows of size 1, over the largest, from which they are independent: no rounding

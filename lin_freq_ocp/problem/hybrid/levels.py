@@ -10,15 +10,15 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, assign
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
-from lin_freq_ocp.base.phrases import plural
 
 
 @dataclass(frozen=True, eq=False, init=False)

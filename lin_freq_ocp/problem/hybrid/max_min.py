@@ -10,12 +10,12 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask, brief, names
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, Cell, cell_of, irredundant, natural_sizes
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import MAXIMUM
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
-from lin_freq_ocp.base.polyhedra import SAME_FUNCTION, SMALLEST_PIECE, Cell, cell_of, irredundant, natural_sizes
-from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 from lin_freq_ocp.problem.dynamics.base import unique_names
+from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 from lin_freq_ocp.problem.hybrid.formula_modes import FormulaPiece, affine_row, formula_pieces
 
 # Polyhedra with an interior: finding them, and checking the regions of so many modes, takes seconds; a search over

@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, positive_integer, with_columns
 from lin_freq_ocp.base.errors import NumericalError, ProblemError
+from lin_freq_ocp.base.phrases import AT_MOST
 from lin_freq_ocp.formulas.text import Formulas
-from lin_freq_ocp.problem.hybrid.affine_mode import REGION, AffineMode, SmoothPiece, linearised_modes
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, counted, mode_facts, mode_labels, signal_labels
-from lin_freq_ocp.problem.hybrid.guards import guarded_modes
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.affine_mode import REGION, AffineMode, SmoothPiece, linearised_modes
+from lin_freq_ocp.problem.hybrid.guards import guarded_modes
 from lin_freq_ocp.problem.hybrid.max_min import modes_of
 from lin_freq_ocp.problem.hybrid.mode_arrays import REPLAY_ROUNDING, ModeArrays
 from lin_freq_ocp.problem.hybrid.regions import CheckedRegions, SwitchingFacet, borders_of
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.base.phrases import AT_MOST
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -11,18 +11,18 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, positive_integer
 from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.phrases import first_few, split_unit
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, translated
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
-from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
-from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import System, sampled_map
+from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
+from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.base.phrases import first_few, split_unit
 
 # The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1.
 ZERO_NORM = 1e-9

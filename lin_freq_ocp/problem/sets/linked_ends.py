@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, assign, real_array, with_columns, with_products
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.terms.ends_map import EndsMap, Link, Within
-from lin_freq_ocp.base.phrases import datum, plural
 
 
 @dataclass(frozen=True, eq=False, init=False)

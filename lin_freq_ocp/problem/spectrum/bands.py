@@ -15,6 +15,7 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, brief, real_array
 from lin_freq_ocp.base.errors import BandWarning, ProblemError
+from lin_freq_ocp.base.phrases import number, runs_in_words, runs_of
 from lin_freq_ocp.problem.spectrum.base import (
     Constraints,
     FrequencyConstraint,
@@ -27,7 +28,6 @@ from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.base.phrases import number, runs_in_words, runs_of
 
 BIN_TOLERANCE = 1e-9  # distance of a cut-off from a bin (relative to the bin number above 1) at which it falls on it
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, assign, brief
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.base.phrases import split_unit
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
 from lin_freq_ocp.base.errors import BandWarning, ProblemError, UnsupportedError
+from lin_freq_ocp.base.phrases import AT_MOST, number, price
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
 from lin_freq_ocp.problem.spectrum.every_frequency import (
@@ -36,7 +37,6 @@ from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import weight_of
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.base.phrases import AT_MOST, number, price
 
 NO_LOWER_MASK = (
     "A lower bound on a magnitude is not convex (of two signals above it, the mean can be zero), so no global optimum "

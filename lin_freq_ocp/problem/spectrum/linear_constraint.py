@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, assign, positive_number, real_array, with_columns
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import datum, first_few, price, short_name
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal
 from lin_freq_ocp.problem.terms.maps import SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import weight_of
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.base.phrases import datum, first_few, price, short_name
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, assign, brief, names, real_array, with_columns
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_indices
 from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name
 
 
 @dataclass(frozen=True, eq=False, init=False)

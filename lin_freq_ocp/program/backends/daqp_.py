@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Claim, Solution
-from lin_freq_ocp.program.backends.interrupt import interrupts_noted
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.interrupt import interrupts_noted
+from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program, SingleBounds
 
 # Of delta^2 - delta: much more weakens the relaxations, much less makes all rows parallel in DAQP's metric. The second

@@ -10,9 +10,9 @@ import numpy as np
 import qpsolvers
 import scipy.sparse as sp
 
-from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
-from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.program.program import Program
 
 # How each solver spells its tolerance; one that is not here runs with its own

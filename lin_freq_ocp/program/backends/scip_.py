@@ -18,9 +18,9 @@ from pyscipopt.scip import PY_SCIP_EVENTTYPE, Event, Expr, Variable
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Claim, Solution
-from lin_freq_ocp.program.backends.interrupt import interrupts_noted
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.interrupt import interrupts_noted
+from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program, SingleBounds
 
 FEASIBILITY = 1e-6  # SCIP's own; with less, its LP solver may fail, and a mode sequence is solved again anyway

@@ -1,1 +1,1 @@
-"""Piecewise-affine problems as mixed-integer programs and as convex relaxations."""
+"""Relaxations and mixed-integer programs of problems with modes."""

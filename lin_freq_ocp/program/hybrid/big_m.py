@@ -16,15 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.problem.hybrid.mode_reach import UNBOUNDED, ModeReach, Reach
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.polyhedra import minimiser
+from lin_freq_ocp.problem.hybrid.mode_reach import UNBOUNDED, ModeReach, Reach
 from lin_freq_ocp.problem.hybrid.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.problem.sizes import stated_sizes
 
 # Of rows of a domain, in half widths: ten times the solvers' tolerances. A mode with an empty domain cannot hold.
 RELAXATION = 1e-6

@@ -21,10 +21,10 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.hybrid.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.transcription import LinearTranscription
-from lin_freq_ocp.program.units import common_scaling
 from lin_freq_ocp.program.hybrid.big_m import Excesses, excesses, require_time
 from lin_freq_ocp.program.program import Block, Program, Scaling
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import common_scaling
 
 Row = tuple[Indices, Array, float, float]  # columns, their coefficients, lower and upper limit
 

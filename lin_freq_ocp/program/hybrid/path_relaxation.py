@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.problem.hybrid.mode_reach import UNBOUNDED, Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, PathMultipliers
-from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.path_bounds import PathBounds, PathDuals
 from lin_freq_ocp.program.hybrid.paths import PathModel, PathProgram, path_program

@@ -23,18 +23,18 @@ from typing import Self
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, UNBOUNDED, ModeReach, Reach
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, UNBOUNDED, ModeReach, Reach
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.program.transcription import LinearTranscription
-from lin_freq_ocp.program.units import common_scaling
 from lin_freq_ocp.program.hybrid.row_template import Groups, RowTemplate, Sense
 from lin_freq_ocp.program.hybrid.rows import ModeColumns, hessian_roots, mode_rows, mode_stages
 from lin_freq_ocp.program.hybrid.stage_bounds import Lagrangian, StageBounds, StageDuals
 from lin_freq_ocp.program.program import Block, StandardForm
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import common_scaling
 
 COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
 SMALL_OBJECTIVE = 0.1  # solvers end at errors relative to the objective or to 1: below, the cost gets other units

@@ -1,1 +1,1 @@
-"""Methods for switched dynamics of their own kind."""
+"""From a problem with modes, kinks or levels to a judged outcome."""

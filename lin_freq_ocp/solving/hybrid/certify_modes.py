@@ -7,11 +7,11 @@ from dataclasses import replace
 from itertools import chain
 
 from lin_freq_ocp.base.arrays import Indices
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.directions import Direction, descent_direction
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts
 from lin_freq_ocp.certificate.sizes import measured_modes
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.hybrid.search.fitting import candidates
 from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers

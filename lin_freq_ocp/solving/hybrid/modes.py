@@ -10,10 +10,12 @@ from typing import ClassVar
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.bound import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.methods.hybrid.claims import AGREEMENT
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, require_convex
+from lin_freq_ocp.methods.hybrid.claims import AGREEMENT
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
 from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
@@ -23,13 +25,11 @@ from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
-from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 SEQUENCE_BACKEND = "clarabel"  # solves the best sequence, accurately, for its multipliers
 LEAST_TIME = 0.25  # seconds for the best sequence, and for the leaves, when the search has used all the time

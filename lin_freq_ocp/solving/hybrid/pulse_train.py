@@ -8,6 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum
@@ -15,12 +17,10 @@ from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.hybrid.local_angles import local_angles
+from lin_freq_ocp.solving.hybrid.smooth import no_multipliers, polished
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.hybrid.smooth import no_multipliers, polished
-from lin_freq_ocp.solving.hybrid.local_angles import local_angles
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
 
 GAP = 1e-6  # default of the relative gap to prove
 NEAR = 0.05  # half width of a box [rad] from which a local search starts at its centre

@@ -8,16 +8,18 @@ from typing import ClassVar
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.methods.hybrid.nonsmooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.nonsmooth.newton import newton
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum
+from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.methods.hybrid.smooth.solver import is_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
@@ -25,8 +27,6 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.base.clock import now
 
 LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time"

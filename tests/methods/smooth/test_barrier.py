@@ -8,13 +8,13 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp import library
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.nonsmooth.local_search import LocalSearch
 from lin_freq_ocp.methods.hybrid.smooth import solver
 from lin_freq_ocp.methods.hybrid.smooth.barrier import Barrier, End
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.base.clock import use_clock
 
 KNOWN = [
     (library.pendulum_swing_up, {}, 42.59133929494813),
@@ -181,7 +181,9 @@ def test_functions_are_as_good_as_formulas(kind):
 def test_a_long_horizon_begins_on_a_straight_line(monkeypatch):
     monkeypatch.setattr("lin_freq_ocp.methods.hybrid.nonsmooth.local_search.LONGEST_REPLAY", 10)
     search, problem = LocalSearch(pendulum()), pendulum()
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.nonsmooth.local_search.simulate", lambda *given: pytest.fail("replayed"))
+    monkeypatch.setattr(
+        "lin_freq_ocp.methods.hybrid.nonsmooth.local_search.simulate", lambda *given: pytest.fail("replayed")
+    )
     found = search.run().best
     assert found is not None
     monkeypatch.undo()

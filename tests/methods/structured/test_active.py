@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.structured.algorithm import active
 from lin_freq_ocp.methods.structured.algorithm.active import solve_active
@@ -21,7 +22,6 @@ from lin_freq_ocp.methods.structured.model.coupling import Coupling, Equations, 
 from lin_freq_ocp.solving.kept import Change, Kept
 from lin_freq_ocp.solving.linear import Structured
 from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.base.clock import use_clock
 from tests.methods.structured.examples import spectrum, stages
 
 COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(find_spec("numba") is None, reason="without numba"))]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lin_freq_ocp.program.backends.base import Claim, backend
 from lin_freq_ocp.methods.structured.algorithm.embedding import Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.low_rank import FineRows, fine_rows
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
@@ -14,6 +13,7 @@ from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
 from lin_freq_ocp.methods.structured.kkt.response import Response
 from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
 from lin_freq_ocp.methods.structured.kkt.system import BALLS, EQUATIONS, INEQUALITIES, STAGES, System
+from lin_freq_ocp.program.backends.base import Claim, backend
 from lin_freq_ocp.program.program import Program
 
 from .examples import every_kind, stages

@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.linear_kinds import KINDS
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.structured import solver
 from lin_freq_ocp.methods.structured.algorithm.embedding import Embedding, End, Targets
 from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
@@ -15,7 +16,6 @@ from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
 from lin_freq_ocp.methods.structured.kkt.system import System
 from lin_freq_ocp.methods.structured.model.assembly import stages_of
-from lin_freq_ocp.base.clock import use_clock
 
 
 @pytest.mark.parametrize("limit", [4.0, 6.0, 9.0])

@@ -25,6 +25,7 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.certificate.hybrid.global_bound.grid import CostToGo, Lattice, index_tuples
 from lin_freq_ocp.certificate.hybrid.global_bound.samples import costs_to_come
 from lin_freq_ocp.certificate.hybrid.global_bound.stages import StageCosts, Stages, stage_costs
@@ -40,7 +41,6 @@ from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import (
     ROUNDING,
     STEP_SHARE,
 )
-from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import FLATNESS, SHADOW_WIDENING
 from lin_freq_ocp.certificate.hamiltonian import require_fitting
+from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import FLATNESS, SHADOW_WIDENING
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import time_signal

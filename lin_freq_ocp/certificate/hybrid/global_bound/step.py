@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.certificate.hybrid.global_bound.grid import CostToGo, Lattice, Minima
 from lin_freq_ocp.certificate.hybrid.global_bound.samples import Samples, freed_slopes, holds
 from lin_freq_ocp.certificate.hybrid.global_bound.stages import Stages
@@ -22,7 +23,6 @@ from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import (
 )
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
-from lin_freq_ocp.base.clock import now
 
 
 class OutOfTimeError(Exception):

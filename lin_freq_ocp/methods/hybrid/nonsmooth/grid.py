@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.base.clock import now
 
 if TYPE_CHECKING:
     from scipy.interpolate import RegularGridInterpolator

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.problem.sizes import search_scale, stated_sizes
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.hybrid.nonsmooth.grid import grid_trajectories
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
@@ -18,9 +18,9 @@ from lin_freq_ocp.methods.hybrid.smooth.solver import is_smooth, smooth_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.sizes import search_scale, stated_sizes
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.base.clock import now
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search

@@ -17,15 +17,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.program.backends.base import Claim, backend
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.nonsmooth.system import jets_of
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.program.backends.base import Claim, backend
+from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import natural_scaling
-from lin_freq_ocp.program.program import Program, Scaling
 
 PRICES = (1e2, 1e4, 1e6)  # of violations, one after the other while some are left; slopes of the cost are of order 10
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 1.0, 1e3, 1e-9  # of the trust region, in natural units

@@ -13,10 +13,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
-from lin_freq_ocp.problem.sizes import search_scale
 from lin_freq_ocp.base.arrays import Indices, Mask
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.hybrid.search.cover import CoverNode, shifted_cover
 from lin_freq_ocp.methods.hybrid.search.node import Relaxed, adjoint_of, multipliers_of
@@ -30,10 +28,12 @@ from lin_freq_ocp.methods.hybrid.search.search import (
     proven_tree,
     relaxed,
 )
+from lin_freq_ocp.problem.hybrid.mode_reach import Reach
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.sizes import search_scale
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.base.arrays import Mask
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
 from lin_freq_ocp.program.hybrid.relaxation import Duals
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.hybrid.search.search import (
     SearchLimits,
@@ -18,8 +17,9 @@ from lin_freq_ocp.methods.hybrid.search.search import (
     proven_tree,
     relaxed,
 )
+from lin_freq_ocp.problem.hybrid.mode_reach import Reach
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
 from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.program.backends.base import Solution, backend
-from lin_freq_ocp.methods.hybrid.claims import DEFAULT_GAP, SolverClaim, status_of
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.hybrid.claims import DEFAULT_GAP, SolverClaim, status_of
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.program.backends.base import Solution, backend
 from lin_freq_ocp.program.hybrid.mixed_integer import MixedInteger, big_m_program
 
 # Violation of rows of order 1 by a point with rounded binaries: a solver's 1e-6 in the row and in each binary

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
-from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation

@@ -13,13 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.base.arrays import Indices
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.hybrid.search.search import SearchLimits, SearchOutcome, SearchProgress
+from lin_freq_ocp.problem.hybrid.mode_reach import Reach
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.base.clock import now
 
 LOST = (BrokenExecutor, CancelledError, ConnectionError)  # raised by a future whose worker died or was cut off
 PARTS = 32  # enough to keep a few workers busy to the end; few, as parts do not share better sequences

@@ -11,14 +11,7 @@ import numpy as np
 from numba import types
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.structured.algorithm import embedding
-from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERIOR, MOVED
-from lin_freq_ocp.methods.structured.kkt.compiled import factors, loops
-from lin_freq_ocp.methods.hybrid.search import path_cones
-from lin_freq_ocp.methods.hybrid.search import path_factors
-from lin_freq_ocp.methods.hybrid.search import path_lengths
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
-from lin_freq_ocp.methods.structured.kkt.compiled.factors import dot, largest
+from lin_freq_ocp.methods.hybrid.search import path_cones, path_factors, path_lengths
 from lin_freq_ocp.methods.hybrid.search.path_cones import (
     cones_margin,
     cones_product,
@@ -38,6 +31,11 @@ from lin_freq_ocp.methods.hybrid.search.path_factors import (
     path_solved,
 )
 from lin_freq_ocp.methods.hybrid.search.path_lengths import path_proven
+from lin_freq_ocp.methods.structured.algorithm import embedding
+from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERIOR, MOVED
+from lin_freq_ocp.methods.structured.kkt.compiled import factors, loops
+from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
+from lin_freq_ocp.methods.structured.kkt.compiled.factors import dot, largest
 
 OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 """How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.methods.hybrid.search.node import Decision, Relaxed
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.program.backends.base import Claim
-from lin_freq_ocp.methods.hybrid.search.node import Decision, Relaxed
-from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.program.hybrid.path_relaxation import PathMember, PathRelaxation
 from lin_freq_ocp.program.hybrid.paths import PathProgram, path_form
 

@@ -17,6 +17,7 @@ from enum import Enum
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.smooth.filter import Filter
 from lin_freq_ocp.methods.hybrid.smooth.interior import inverse, moved_inside
 from lin_freq_ocp.methods.hybrid.smooth.local import Local, Objective, Point, Trial
@@ -31,7 +32,6 @@ from lin_freq_ocp.methods.structured.kkt.side import Side
 from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
 from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, System
 from lin_freq_ocp.methods.structured.model.stages import Stages
-from lin_freq_ocp.base.clock import now
 
 FIRST_MU, LEAST_MU = 0.1, 1e-11  # in units in which the steepest slope of the cost is 10
 MU_FACTOR, MU_POWER = 0.2, 1.5  # mu falls to the smaller of MU_FACTOR mu and mu^MU_POWER

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.algorithm.rays import Ray, equation_ray, regularised_ray, row_ray
 from lin_freq_ocp.methods.spectral.algorithm.structure import (
@@ -29,7 +30,6 @@ from lin_freq_ocp.methods.spectral.rows.neighbourhood import around
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon, exchanged
 from lin_freq_ocp.methods.spectral.rows.working_set import LOCAL_ROWS, Rows, WorkingSet, bounded
-from lin_freq_ocp.base.clock import now
 
 INFEASIBLE = "no trajectory satisfies all constraints"
 MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual

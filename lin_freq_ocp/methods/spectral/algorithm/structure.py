@@ -9,6 +9,7 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.memory import require_memory
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.kernels import Kernels
 from lin_freq_ocp.methods.spectral.model.lti import Lti
@@ -16,7 +17,6 @@ from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.methods.spectral.rows.whole_horizon import LARGEST, WholeHorizon
 from lin_freq_ocp.methods.spectral.rows.working_set import WorkingSet
-from lin_freq_ocp.base.memory import require_memory
 
 TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
 

@@ -19,7 +19,6 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import matrix_balance
 
-from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
@@ -27,6 +26,7 @@ from lin_freq_ocp.methods.spectral.model.dynamics import dynamics_of
 from lin_freq_ocp.methods.spectral.model.soft_sets import placed, soft_set, soft_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.problem.terms.term import TermKind
 
 STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the border

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.memory import require_memory
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.lti import Bounds, Lti
-from lin_freq_ocp.base.memory import require_memory
 
 LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
 COPIES = 6  # dense matrices of the size of the working set that a small QP has at the same time

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Errors, Point, Targets
 from lin_freq_ocp.methods.structured.kkt.row_responses import RowResponses, flat
 from lin_freq_ocp.methods.structured.kkt.system import INEQUALITIES, STAGES, System, Values
-from lin_freq_ocp.base.clock import now
 
 MOST_STEPS = 50  # of which few are needed near the answer; as many cost less than the embedding
 TRIES = 5  # steps that do not lower the number of wrong rows before single ones change

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
 from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
 from lin_freq_ocp.methods.structured.kkt.side import Side
@@ -23,7 +24,6 @@ from lin_freq_ocp.methods.structured.kkt.system import (
     System,
     Values,
 )
-from lin_freq_ocp.base.clock import now
 
 MOST_NUMBERS = 5e6  # that are kept: 40 MB
 

@@ -12,7 +12,6 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.model.coupled_rows import (
     Columns,
@@ -35,6 +34,7 @@ from lin_freq_ocp.methods.structured.model.stage_rows import (
 from lin_freq_ocp.methods.structured.model.stages import Stages
 from lin_freq_ocp.methods.structured.model.units import Units, own_units, scaled, scaled_dynamics, unused_entries_held
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 REVISED = 100.0  # factor between a unit and the magnitude found from which a solution is worth units of its own

@@ -18,13 +18,13 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.response.first_output import NAME, FirstOutput
 from lin_freq_ocp.problem.dynamics.response.measured import read_response, response_at_bins
 from lin_freq_ocp.problem.dynamics.response.response import Response
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
 from lin_freq_ocp.problem.terms.ends_map import Link, Within
-from lin_freq_ocp.base.phrases import plural
 
 MODES = ("periodic", "zero-padded")
 REAL_TOLERANCE = 1e-12  # imaginary part, relative to the largest response, that is rounding at bins 0 and N/2

@@ -24,17 +24,17 @@ from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.certificate.hybrid.smooth import kinks
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_sequence
-from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.pages.report import findings
 from lin_freq_ocp.pages.figures.figures import comparison_data, result_data, result_figure, states_figure
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, shade_modes, strip_rows, strips_figure
 from lin_freq_ocp.pages.figures.plot_data import Span, spans
 from lin_freq_ocp.pages.figures.style import THEMED, THEMED_TINTS, TINTS
+from lin_freq_ocp.pages.report import findings
 from lin_freq_ocp.pages.report.page import draw, render, tiles
 from lin_freq_ocp.pages.report.proof import adjoint_caption, modes_caption, search_sentences, switching_sentences
 from lin_freq_ocp.pages.report.tables import certificate_rows, certificate_table, comparison_rows
+from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
 
 

@@ -15,17 +15,16 @@ import pytest
 from helpers.compared_pages import CASES, case, drawings, page, price_axes, text
 from helpers.pages import double_integrator, parsed
 from lin_freq_ocp.api.compare import Comparison, compare
-from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.spectrum.bands import stop_band
-from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.pages.report import findings
-from lin_freq_ocp.pages.report import proof
+from lin_freq_ocp.base.phrases import NOTHING, number
+from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.pages.figures.figures import comparison_data, comparison_figure
 from lin_freq_ocp.pages.figures.style import STYLES
+from lin_freq_ocp.pages.report import findings, proof
 from lin_freq_ocp.pages.report.page import draw, render, save_report, tiles
 from lin_freq_ocp.pages.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows
-from lin_freq_ocp.base.phrases import NOTHING, number
+from lin_freq_ocp.problem.spectrum.bands import stop_band
+from lin_freq_ocp.problem.trajectory import Trajectory
 
 
 def quietly(name: str) -> list[float]:
@@ -79,7 +78,9 @@ def test_page_and_figures_do_not_change_from_run_to_run():
 
 
 def test_saved_folder_holds_page_and_figures(tmp_path, monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.pages.report.page.draw", lambda _: drawings("state band"))  # they are drawn only once
+    monkeypatch.setattr(
+        "lin_freq_ocp.pages.report.page.draw", lambda _: drawings("state band")
+    )  # they are drawn only once
     path = case("state band").save(tmp_path / "new" / "folder")
     assert path == tmp_path / "new" / "folder" / "index.html"
     assert path.read_text(encoding="utf-8") == page("state band")

@@ -17,17 +17,16 @@ from jsonschema import Draft202012Validator
 import lin_freq_ocp as lfo
 from helpers.every_table import GOOD, PIECEWISE, changed
 from helpers.schemas import DOCS, MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, printed
-from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.conflict import Conflict
 from lin_freq_ocp.cli.app import cli
-from lin_freq_ocp.files.problem_file import dynamics
-from lin_freq_ocp.files.problem_file import tables
+from lin_freq_ocp.files.problem_file import dynamics, tables
 from lin_freq_ocp.files.problem_file.codec import Record
 from lin_freq_ocp.files.problem_file.tables import SETS
 from lin_freq_ocp.files.problem_file.toml_file import template
 from lin_freq_ocp.files.results.summary import comparison_summary, failed_comparison_summary, result_summary
+from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 
 PARTS = PROBLEM["$defs"]

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from helpers.transcribed import M, N, each_problem, small_problem
-from lin_freq_ocp.program.backends.base import backend
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.backends.base import backend
+from lin_freq_ocp.program.program import Block
 from lin_freq_ocp.program.real_rows import real_rows
 from lin_freq_ocp.program.transcription import LinearTranscription
-from lin_freq_ocp.program.program import Block
 
 
 def random_trajectory(problem: OptimalControlProblem, seed: int) -> Trajectory:

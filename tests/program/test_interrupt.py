@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from helpers.programs import SOLVABLE, ask, is_accepted, long_program
-from lin_freq_ocp.program.backends.base import Claim, Solution
-from lin_freq_ocp.program.backends.interrupt import interrupts_noted
+from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base.interrupt import interrupts_noted
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.program import Program
 
 PATIENCE = 600.0  # seconds, after which something hangs

@@ -10,17 +10,9 @@ import numpy as np
 import pytest
 
 from helpers.compared_pages import case, price_axes
-from lin_freq_ocp.problem.measures import padded_spectrum
 from lin_freq_ocp.api.compare import compare
 from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.base.errors import SolveError
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.pages.report import findings
-from lin_freq_ocp.pages.report import proof
 from lin_freq_ocp.pages.figures.figures import (
     comparison_data,
     comparison_figure,
@@ -31,6 +23,13 @@ from lin_freq_ocp.pages.figures.figures import (
 )
 from lin_freq_ocp.pages.figures.plot_data import view
 from lin_freq_ocp.pages.figures.style import MOST_POINTS, STYLES, thinned
+from lin_freq_ocp.pages.report import findings, proof
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.measures import padded_spectrum
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
 
 
 def test_every_control_has_its_panels():

@@ -16,9 +16,7 @@ import qpsolvers
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_accepted, long_program, program
-from lin_freq_ocp.program.backends import base
-from lin_freq_ocp.program.backends.base import Claim, Solution, backend, register
-from lin_freq_ocp.program.backends.qpsolvers_ import SETTINGS
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
@@ -26,7 +24,9 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.program.backends import base
+from lin_freq_ocp.program.backends.base import Claim, Solution, backend, register
+from lin_freq_ocp.program.backends.qpsolvers_ import SETTINGS
 from lin_freq_ocp.program.program import Program
 
 ALL = OWN + [f"qpsolvers:{name}" for name in sorted(qpsolvers.available_solvers)]

@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 from helpers.compared_pages import CASES, case
-from lin_freq_ocp.pages.report.tables import certificate_rows, certificate_table, comparison_rows, comparison_table
 from lin_freq_ocp.base.phrases import NOTHING, split_unit
+from lin_freq_ocp.pages.report.tables import certificate_rows, certificate_table, comparison_rows, comparison_table
 
 
 def test_comparison_rows_are_the_measures():

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.linear_problems import generator, problem
-from lin_freq_ocp.problem import measures
-from lin_freq_ocp.problem import sizes
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.problem import measures, sizes
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
