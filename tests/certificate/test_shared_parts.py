@@ -28,7 +28,7 @@ ALLOWED = {
     "lin_freq_ocp.problem.hybrid.mode_tree": {"ModeMultipliers", "ModeTree", "PathMultipliers"},
     "lin_freq_ocp.problem.sizes": {"stated_sizes"},
 }
-"""What the judge imports of the modules that searches and scalings stand on: plain data, and one size (docs/judge.md)."""
+"""What the judge imports of modules that searches and scalings use: plain data, and one size (docs/judge.md)."""
 
 SEARCHED_WITH = {
     f"lin_freq_ocp.problem.{name}"
