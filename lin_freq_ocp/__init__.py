@@ -21,6 +21,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from lin_freq_ocp.base.kinds import register_later
 from lin_freq_ocp.base.starting import leave_silently
 
 leave_silently()
@@ -89,6 +90,14 @@ _HOMES = {
     "solving.certify": "certify",
     "spectrum": "MagnitudeBound ResidualVibration low_pass stop_band",
 }
+
+
+def _register_hybrid() -> None:
+    """Import what has modes, kinks or levels."""
+    import_module("lin_freq_ocp.solving.hybrid")
+
+
+register_later(_register_hybrid)
 
 _MODULES = {name: module for module, names in _HOMES.items() for name in names.split()}
 

@@ -47,6 +47,7 @@ from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
 from lin_freq_ocp.methods.hybrid.search.path_node import compiled_is_there
 from lin_freq_ocp.methods.hybrid.search.search import SearchLimits, relaxed
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.program.real_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0
@@ -278,7 +279,7 @@ def relaxations(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], li
         best = lfo.solve(problem, time_limit=limit, throw=False).cost
         for kind in RELAXATIONS.values():
             relaxation = kind(problem)
-            everything = np.ones((problem.horizon, len(problem.piecewise.modes)), dtype=bool)
+            everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
             reach = relaxation.reach.from_start(everything)
             outcome = BranchAndBound(problem, SearchLimits(gap, limit), relaxation=kind).run()
             nodes = f"{len(outcome.tree.nodes)}" + (" (stopped)" if outcome.message else "")

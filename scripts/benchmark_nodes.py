@@ -18,6 +18,7 @@ from lin_freq_ocp.methods.hybrid.search import branch_and_bound
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.hybrid.search.node import Relaxed
 from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, SearchLimits, relaxed
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
@@ -46,7 +47,7 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
         tree_bound(problem, outcome.tree)
         ended, solved = time.process_time(), max(outcome.nodes, 1)
         relaxation = PathRelaxation(problem)
-        everything = np.ones((problem.horizon, len(problem.piecewise.modes)), dtype=bool)
+        everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
         root = relaxation.reach.from_start(everything)
         assert root is not None
         answer, member = relaxed(relaxation, root, compiled=True), relaxation.path_member(root)

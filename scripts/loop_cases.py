@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 
 ARRIVAL = np.diag([10.0, 100.0, 1.0, 1.0])  # the pendulum's terminal weights
 
@@ -25,7 +26,7 @@ def cart_pole(horizon: int = 20, sampling_time: float = 0.05) -> lfo.OptimalCont
     base = lfo.library.cart_pole_with_walls(
         horizon, sampling_time, damping=10.0, state_bounds=(0.5, np.pi / 10, 1.0, 1.0), force_bound=1.0
     )
-    free = next(mode.linear for mode in base.piecewise.modes if mode.name == "free")
+    free = next(mode.linear for mode in piecewise_affine(base).modes if mode.name == "free")
     Q, R = sampling_time**2 * np.eye(4), sampling_time**2 * np.eye(1)
     return replace(base, cost=lfo.QuadraticCost(Q, R, P=solve_discrete_are(free.A, free.B, Q, R)))
 

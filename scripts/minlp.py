@@ -13,6 +13,7 @@ from helpers.checks.claimed import differences
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.hybrid.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum, local_optimum
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import Solution
 from lin_freq_ocp.program.units import COST_LEVEL
@@ -81,7 +82,7 @@ def polished(problem: OptimalControlProblem, claim: GlobalClaim, end: float = np
     found = local_optimum(problem, claim.trajectory, claim.sequence, end=end)
     if found is not None and found.feasible:
         return found
-    nearest = problem.smooth_pieces.sequence_of(claim.trajectory.x, claim.trajectory.u)
+    nearest = piecewise_smooth(problem).sequence_of(claim.trajectory.x, claim.trajectory.u)
     if np.array_equal(nearest, claim.sequence):
         return found
     return local_optimum(problem, claim.trajectory, nearest, end=end) or found

@@ -23,6 +23,7 @@ from lin_freq_ocp.formulas.intervals import Interval
 from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import QUOTIENT
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.program import Block, Program, Scaling
@@ -155,7 +156,7 @@ def _interned(problem: OptimalControlProblem) -> tuple[ModeFormulas, ...]:
     table: dict[tuple[object, ...], Formula] = {}
     made: dict[Formula, Formula] = {}
     found: list[ModeFormulas] = []
-    for mode in problem.smooth_pieces.modes:
+    for mode in piecewise_smooth(problem).modes:
         for one in in_order((*mode.f, *mode.region, *mode.domain)):
             arguments = tuple(made[argument] for argument in one.arguments)
             key = one.kind, one.data, one.function, *(id(argument) for argument in arguments)
@@ -211,7 +212,7 @@ def _hosts(problem: OptimalControlProblem, lower: Array, upper: Array) -> list[L
     low = np.where(np.isfinite(low), low, 0.0)
     middle = np.where(np.isfinite(high), (low + np.where(np.isfinite(high), high, 0.0)) / 2, low)
     x, u = np.split(middle, [(T + 1) * n])
-    affine = problem.smooth_pieces.affine_at(x.reshape(T + 1, n), u.reshape(T, m))
+    affine = piecewise_smooth(problem).affine_at(x.reshape(T + 1, n), u.reshape(T, m))
     return [
         LinearTranscription(replace(problem, dynamics=affine.along(np.full(T, i)))) for i in range(len(affine.modes))
     ]

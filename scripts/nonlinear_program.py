@@ -11,6 +11,7 @@ import numpy as np
 
 from lin_freq_ocp.formulas.nodes import Formula, evaluated
 from lin_freq_ocp.formulas.operations import POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.real_rows import spectrum_rows
@@ -35,7 +36,7 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
         casadi = import_module("casadi")
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     one, X, U = casadi.SX.sym("y", n + m), casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T)
-    step = casadi.Function("f", [one], [_expression(casadi, problem.smooth_pieces.modes[0].f, one)])
+    step = casadi.Function("f", [one], [_expression(casadi, piecewise_smooth(problem).modes[0].f, one)])
     rows = spectrum_rows(problem.control_stop, T, T * m, 0)
     constraints = [casadi.vec(X[:, 1:] - step.map(T)(casadi.vertcat(X[:, :T], U)))]
     if rows.shape[0]:

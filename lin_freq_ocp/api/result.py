@@ -11,6 +11,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.atomic import replacing
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.html import html_table
+from lin_freq_ocp.certificate.hybrid.bound import TreeBound
 from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.files.results.conversions import to_frame, to_time_response
 from lin_freq_ocp.files.results.csv_file import save_csv
@@ -18,8 +19,11 @@ from lin_freq_ocp.files.results.mat_file import save_mat
 from lin_freq_ocp.files.results.solution_file import save_trajectory
 from lin_freq_ocp.files.results.summary import result_summary, save_json
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
+from lin_freq_ocp.problem.hybrid.forms import linear_along
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.enclosure import LONGEST_CHECK, Enclosure, require_checker
+from lin_freq_ocp.solving.hybrid.evidence import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -76,9 +80,22 @@ class Result(Outcome):
         return sensitivities(self.problem, self.multipliers)
 
     @property
+    def tree(self) -> ModeTree | None:
+        """Return the nodes of a search over modes, with the multipliers that prove its leaves."""
+        found = tree_of(self)
+        return None if found is None else found.tree
+
+    @property
+    def tree_bound(self) -> TreeBound | None:
+        """Return the bound that the judge verified of the tree."""
+        found = tree_of(self)
+        return None if found is None else found.bound
+
+    @property
     def uniqueness(self) -> Uniqueness:
         """Return whether the multipliers are unique; SolveError if the solve ended without a trajectory."""
-        return uniqueness(self.problem, self._require_trajectory())
+        trajectory = self._require_trajectory()
+        return uniqueness(linear_along(self.problem, trajectory), trajectory)
 
     def __repr__(self) -> str:
         figures = "no trajectory" if self.certificate is None else self.certificate.figures

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
@@ -188,3 +189,14 @@ def suggestion(given: object, known: Iterable[str]) -> str:
     """Return the question whether the nearest known word was meant, or nothing if none is near."""
     nearest = get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
     return f"Did you mean {nearest[0]!r}?" if nearest else ""
+
+
+@contextmanager
+def located_at(location: str, own: str) -> Generator[None]:
+    """Let a ProblemError that names the field ``own``, or one within, name it at ``location`` instead."""
+    try:
+        yield
+    except ProblemError as error:
+        rest = error.field.removeprefix(own)
+        field = location + rest if rest != error.field else f"{location}: {error.field}"
+        raise ProblemError(field, error.got, error.expected, error.advice) from None

@@ -24,6 +24,7 @@ from lin_freq_ocp.cli.problems import build
 from lin_freq_ocp.files.results.solution_file import load_trajectory
 from lin_freq_ocp.files.results.summary import certificate_summary
 from lin_freq_ocp.methods.multipliers import uniqueness
+from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.certify import certify
@@ -84,6 +85,6 @@ def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, c
         )
     elif certificate.pmp == "satisfied":
         try:
-            say(f"multipliers {uniqueness(problem, trajectory)}")
+            say(f"multipliers {uniqueness(linear_along(problem, trajectory), trajectory)}")
         except UnsupportedError:  # too many to count in a moment
             return

@@ -10,6 +10,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LimitError, ProblemError, SolveError
 from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
 from lin_freq_ocp.certificate.sensitivities import bin_prices
 from lin_freq_ocp.comparison.filters import FILTERS, can_be_filtered, filtered, has_frequency_constraint
@@ -109,7 +110,7 @@ class ComparisonOutcome:
     def kinks(self) -> tuple[Kink, ...]:
         """Return the kinks along the constrained trajectory, as judged; none without multipliers."""
         result = self.constrained
-        borders = None if result.certificate is None else result.certificate.borders
+        borders = None if result.certificate is None else facts_where_modes_meet(result.certificate)
         if borders is None or result.trajectory is None or result.multipliers is None:
             return ()
         return kinks(result.problem, result.trajectory, result.multipliers, borders)

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError
-from lin_freq_ocp.certificate.sizes import measured_modes
+from lin_freq_ocp.certificate.hybrid.clarke import modes_along
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.signals import Signal, state_bounds
 from lin_freq_ocp.problem import measures
@@ -186,7 +186,7 @@ def solution_label(result: Outcome) -> str:
 
 def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
     """Return the mode at every time, (T,), of dynamics with modes; NO_MODE outside all regions."""
-    arrays = measured_modes(problem.affine_at(trajectory), trajectory)
+    arrays = modes_along(problem.affine_at(trajectory), trajectory)
     x, u = trajectory.x, trajectory.u
     outside = arrays.distance(x, u).min(axis=1) > FACET_TOLERANCE
     return np.where(outside, NO_MODE, arrays.sequence(x, u))

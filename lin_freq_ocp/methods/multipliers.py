@@ -22,7 +22,6 @@ from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex.recession import consecutive
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
 from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
@@ -126,13 +125,10 @@ class Uniqueness:
 
 
 def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Uniqueness:
-    """Return the number and rank of the active gradients at a trajectory; with modes, of its mode sequence.
+    """Return the number and rank of the active gradients at a trajectory of a linear problem.
 
     UnsupportedError if there are more than MOST_GRADIENTS.
     """
-    problem = problem.affine_at(trajectory)
-    if problem.dynamics.mode_names:
-        problem = problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, scaling.scaled_primal(transcription.point(trajectory)), ACTIVE, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))

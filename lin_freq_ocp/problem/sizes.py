@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -30,11 +29,6 @@ def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> floa
     sizes = zip(stated_sizes(problem), (x, u), strict=True)
     moved = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)
     return max(total, cost.magnitudes().value(*moved) / FINEST_GAP)
-
-
-def measured_modes(problem: OptimalControlProblem) -> ModeArrays:
-    """Return the modes of a problem at all times, which measure components by the sizes that the data state."""
-    return problem.piecewise.arrays(problem.horizon).with_sizes(*stated_sizes(problem), problem.dynamics.level_sizes)
 
 
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:

@@ -32,6 +32,7 @@ from lin_freq_ocp.proof.lines import line
 from lin_freq_ocp.proof.point.point import Point, points
 from lin_freq_ocp.proof.statement.problem import problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
+from lin_freq_ocp.solving.hybrid.evidence import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 
@@ -73,7 +74,8 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
     SolveError
         If the outcome has nothing to prove, its multipliers prove nothing, or its cost lies outside of what is proven.
     """
-    proof, enclosure = _of_linear(outcome) if outcome.tree is None else _of_tree(outcome, outcome.tree)
+    found = tree_of(outcome)
+    proof, enclosure = _of_linear(outcome) if found is None else _of_tree(outcome, found.tree)
     _require_cost(outcome, enclosure)
     return proof, enclosure
 

@@ -18,6 +18,7 @@ from lin_freq_ocp.certificate.hybrid.bound import LeafJudge, reached_nodes
 from lin_freq_ocp.certificate.hybrid.reach import Stages
 from lin_freq_ocp.explanation.blocks import with_bounds
 from lin_freq_ocp.problem.frequencies import at_frequencies
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -46,7 +47,7 @@ def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[Node]:
     children: dict[int, list[int]] = {}
     for index, node in enumerate(tree.nodes):
         children.setdefault(node.parent, []).append(index)
-    found, waiting = list[Node](), [(0, -1, 0, np.arange(len(problem.piecewise.modes)))]
+    found, waiting = list[Node](), [(0, -1, 0, np.arange(len(piecewise_affine(problem).modes)))]
     while waiting:
         index, parent, t, modes = waiting.pop()
         stages, below = reached[index], children.get(index, [])
@@ -122,7 +123,7 @@ def _leaf_lines(
     weights = [inside(term, given.stage.get(term.name, np.zeros(term.shape)), given.eta_C) for term in problem.terms]
     yield from multiplier_lines(problem.terms, weights)
     yield line(t=T, z=at.end, eta=eta[T - 1])
-    bounded = np.isfinite(problem.piecewise.arrays(T).h)
+    bounded = np.isfinite(piecewise_affine(problem).arrays(T).h)
     for t in reversed(range(T)):
         fields: dict[str, Value] = {"z": by_edge(at.z[t], at.edges[t], keep=True)}
         found = multiplier_texts(proof, at.edges[t], bounded[t], t)

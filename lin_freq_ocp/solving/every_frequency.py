@@ -22,7 +22,6 @@ from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.frequencies import at_frequencies
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.peaks.search import peaks_above
 from lin_freq_ocp.problem.terms.term import Term
@@ -151,7 +150,8 @@ class _Round:
     def _of_modes(self, problem: OptimalControlProblem, seconds: dict[str, float]) -> Outcome:
         """Return the outcome of a search over modes: its bound is that of the relaxed problem, below the optimum."""
         found, multipliers = self.found, self._placed(self.found.multipliers)
-        outcome = replace(found, problem=problem, multipliers=multipliers, seconds=seconds, tree=self._placed_tree())
+        evidence = None if found.evidence is None else found.evidence.with_multipliers(self._placed_all)
+        outcome = replace(found, problem=problem, multipliers=multipliers, seconds=seconds, evidence=evidence)
         if found.certificate is None or found.trajectory is None or multipliers is None:
             return outcome
         certificate = judge(problem, found.trajectory, multipliers)
@@ -166,21 +166,11 @@ class _Round:
             return replace(outcome, certificate=certificate, status=status, message=message)
         return replace(outcome, certificate=certificate)
 
-    def _placed_tree(self) -> ModeTree | None:
-        tree = self.found.tree
-        if tree is None:
-            return None
-        proofs = [
-            None if node.proof is None else replace(node.proof, multipliers=self._placed(node.proof.multipliers))
-            for node in tree.nodes
-        ]
-        nodes = zip(tree.nodes, proofs, strict=True)
-        return replace(tree, nodes=tuple(replace(node, proof=proof) for node, proof in nodes))
-
     def _placed(self, multipliers: Multipliers | None) -> Multipliers | None:
+        return None if multipliers is None else self._placed_all(multipliers)
+
+    def _placed_all(self, multipliers: Multipliers) -> Multipliers:
         """Return multipliers with the frequencies that they stand at; those of zero are left out."""
-        if multipliers is None:
-            return None
         stage, frequencies = dict(multipliers.stage), Frequencies()
         for name, w in self.frequencies.items():
             weights = multipliers.stage.get(name, np.zeros((len(w), 2)))

@@ -14,7 +14,7 @@ from lin_freq_ocp.certificate.directions import Direction, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.problem.hybrid.level_rows import with_few_between
+from lin_freq_ocp.problem.level_rows import with_few_between
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers

@@ -9,9 +9,9 @@ import numpy as np
 
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.hybrid.bound import TreeBound
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.starts import Start, start_of
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -21,7 +21,7 @@ from lin_freq_ocp.program.backends.base import names
 from lin_freq_ocp.solving.every_frequency import solved_by
 from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
 from lin_freq_ocp.solving.judging import allowed_residual, with_few_fractional
-from lin_freq_ocp.solving.method import Method, Progress, Report, Request
+from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
 
 COARSE = 1e-8  # rounding of a state, relative to what it moves, that may be worth as much as the allowed gap
@@ -99,10 +99,8 @@ def restored_outcome(translation: Translation, outcome: Outcome, tolerance: floa
     """
     if not translation.moves:
         return outcome
-    bound = outcome.tree_bound
-    outcome = replace(
-        outcome, problem=translation.given, tree_bound=None if bound is None else _raised_tree(bound, translation.cost)
-    )
+    evidence = None if outcome.evidence is None else outcome.evidence.raised(translation.cost)
+    outcome = replace(outcome, problem=translation.given, evidence=evidence)
     if outcome.trajectory is None:
         return outcome
     trajectory = translation.restored(outcome.trajectory)
@@ -146,10 +144,6 @@ def _rounding(translation: Translation, trajectory: Trajectory) -> str:
 def _translated_start(translation: Translation, start: Start) -> Start:
     at = start.trajectory
     return start if at is None else replace(start, trajectory=translation.translated(at))
-
-
-def _raised_tree(bound: TreeBound, constant: float) -> TreeBound:
-    return replace(bound, value=bound.value + constant, bounds=bound.bounds + constant)
 
 
 def _raised_report(report: Report, constant: float) -> Report:

@@ -17,6 +17,7 @@ from lin_freq_ocp.methods.hybrid.search import branch_and_bound
 from lin_freq_ocp.methods.hybrid.search import weights as search_weights
 from lin_freq_ocp.problem import measures, sizes
 from lin_freq_ocp.problem.hybrid import mode_reach
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.program import units
@@ -170,7 +171,7 @@ def test_distances_from_regions_that_are_too_small_are_not_believed(monkeypatch,
         assert (judged.pmp, judged.feasible) == (true.certificate.pmp, True)
         for mode in range(len(true.problem.dynamics.modes)):
             replayed = lfo.simulate(
-                replace(true.problem, dynamics=true.problem.piecewise.along(np.full(given["horizon"], mode))),
+                replace(true.problem, dynamics=piecewise_affine(true.problem).along(np.full(given["horizon"], mode))),
                 true.trajectory.u,
             )
             if np.abs(replayed.x - true.trajectory.x).max() > 1e-3:  # led by a mode whose region it has left

@@ -14,6 +14,7 @@ from lin_freq_ocp.certificate.hybrid.bound import tree_bound
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.hybrid.search.cover import CoverNode, shifted_cover
 from lin_freq_ocp.methods.hybrid.search.search import relaxed
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 
@@ -40,7 +41,7 @@ def test_each_sequence_is_in_one_leaf_of_the_cover(seed):
     for step in range(3):
         cover, times = search.cover_after_step(), np.arange(5)
         masks = np.array([node.allowed for node in leaves(cover)])
-        for sequence in product(range(len(problem.piecewise.modes)), repeat=5):
+        for sequence in product(range(len(piecewise_affine(problem).modes)), repeat=5):
             assert masks[:, times, sequence].all(axis=1).sum() == 1, (step, sequence)
         search = BranchAndBound(after)
         assert search.run(cover=cover).sequence is not None
@@ -87,7 +88,7 @@ def test_moved_relaxations_are_those_of_the_moved_problem(seed):
     problem = random_problem(seed, horizon=5)
     _, after, _ = stepped(problem)
     moved, new = PathRelaxation(problem).moved(after), PathRelaxation(after)
-    everything = np.ones((5, len(problem.piecewise.modes)), dtype=bool)
+    everything = np.ones((5, len(piecewise_affine(problem).modes)), dtype=bool)
     bounds = [relaxed(one, one.reach.from_start(everything)).bound for one in (moved, new)]
     assert bounds[0] == pytest.approx(bounds[1], rel=1e-6)
 

@@ -13,6 +13,7 @@ from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.certificate.hybrid.bound import tree_bound
 from lin_freq_ocp.methods.hybrid.search import enumeration, parts
 from lin_freq_ocp.methods.hybrid.search.search import relaxed
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
@@ -374,7 +375,7 @@ def test_a_mode_that_grows_by_itself_is_held_by_controls_that_cost_little():
 
 def feasible(problem, sequence):
     """Whether a mode sequence has a trajectory, by a linear program in the controls alone."""
-    T, m, modes = problem.horizon, problem.control_dim, problem.piecewise.modes
+    T, m, modes = problem.horizon, problem.control_dim, piecewise_affine(problem).modes
     x, of_u = problem.initial_box.lower, np.zeros((problem.state_dim, T * m))
     rows, limits = [], []
     for t, mode in enumerate(modes[i] for i in sequence):

@@ -33,6 +33,7 @@ from lin_freq_ocp.pages.report.page import draw, render, tiles
 from lin_freq_ocp.pages.report.proof import adjoint_caption, modes_caption, search_sentences, switching_sentences
 from lin_freq_ocp.pages.report.tables import certificate_rows, certificate_table, comparison_rows
 from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
@@ -146,7 +147,7 @@ def test_every_trajectory_has_its_strip():
     assert list(rows[-1][1]) == list(comparison.constrained.sequence)
     for (_, modes), one in zip(rows[1:-1], comparison.filtered, strict=True):
         x, u = one.replay.trajectory.x, one.replay.trajectory.u
-        assert list(modes) == list(comparison.problem.piecewise.sequence_of(x, u))
+        assert list(modes) == list(piecewise_affine(comparison.problem).sequence_of(x, u))
     figure = strips_figure(comparison_data(comparison), rows)
     assert len(figure.axes[0].patches) == sum(len(spans(modes)) for _, modes in rows)
     shown = [one.get_text() for one in figure.axes[0].texts]
@@ -160,7 +161,7 @@ def test_outside_all_regions_there_is_no_mode():
     x = result.trajectory.x.copy()
     x[2] = -50.0
     far = Trajectory(x, result.trajectory.u)
-    regions = [mode.region for mode in problem.piecewise.modes]
+    regions = [mode.region for mode in piecewise_affine(problem).modes]
     holds = [(region.violation(far.x, far.u)[2] <= 0).all() for region in regions]
     assert (mode_sequence(problem, far)[2] == NO_MODE) == (not any(holds))
     closed = closed_off()
@@ -225,7 +226,7 @@ def test_the_interval_of_two_modes_is_that_of_their_slopes():
     problem = peak()
     result = solve(problem)
     (one,) = kinks(problem, result.trajectory, result.multipliers, result.certificate.borders)
-    slopes = [mode.linear.A.T @ result.multipliers.eta[one.time] for mode in problem.piecewise.modes]
+    slopes = [mode.linear.A.T @ result.multipliers.eta[one.time] for mode in piecewise_affine(problem).modes]
     assert one.lower == pytest.approx(np.min(slopes, axis=0))
     assert one.upper == pytest.approx(np.max(slopes, axis=0))
     weights = result.certificate.borders.weights[0]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.regions import CONTINUITY_TOLERANCE
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -63,7 +64,7 @@ def test_borders_are_the_kinks(seed):
                 np.testing.assert_allclose(h, normal / length, rtol=1e-12, atol=1e-12)
                 assert border.limit == pytest.approx(kinked.d[t, k] / length, rel=1e-9, abs=1e-12 / length)
                 np.testing.assert_allclose(border.g, -kinked.g[k] * length, rtol=1e-9)
-                modes = [problem.piecewise.modes[i].linear for i in pair]
+                modes = [piecewise_affine(problem).modes[i].linear for i in pair]
                 slopes = [np.hstack(one.at(t)[:2]) for one in modes]
                 np.testing.assert_allclose(
                     (slopes[0] - slopes[1]) * kinked.sizes / kinked.sizes[:n, None],
@@ -206,7 +207,7 @@ def test_where_no_mode_holds_the_place_is_told():
     with pytest.raises(lfo.errors.NumericalError, match=r"No mode .* at t = 2, x = \[1\.6\], u = \[0\.0\]"):
         lfo.simulate(problem, np.zeros((4, 1)))
     x = np.array([[0.4], [1.6], [3.2], [6.4], [12.8]])
-    assert problem.piecewise.sequence_of(x, np.zeros((4, 1))).tolist() == [1, 1, 1, 1]  # the nearest region's
+    assert piecewise_affine(problem).sequence_of(x, np.zeros((4, 1))).tolist() == [1, 1, 1, 1]  # the nearest region's
 
 
 def test_a_state_that_overflows_is_called_that():
@@ -238,12 +239,13 @@ def test_a_rate_limit_remembers_the_control_in_every_mode():
     problem = problem_of(kinked.dynamics(state_names=["a", "b"]), 4, initial_state=[0.1, 0.2], **kinked.boxes())
     limited = lfo.rate_limited(problem, [0.5, None], previous=[0.25, 0.0])
     assert limited.state_names == ("a", "b", "u_0 before")
-    assert limited.piecewise.mode_names == problem.piecewise.mode_names
+    assert piecewise_affine(limited).mode_names == piecewise_affine(problem).mode_names
     u = np.random.default_rng(6).normal(size=(4, 2))
     plain, wide = lfo.simulate(problem, u), lfo.simulate(limited, u)
     np.testing.assert_allclose(wide.x[:, :2], plain.x, rtol=1e-12)
     np.testing.assert_array_equal(wide.x[:, 2], np.append(0.25, u[:, 0]))
-    np.testing.assert_array_equal(limited.piecewise.sequence_of(wide.x, u), problem.piecewise.sequence_of(plain.x, u))
+    sequences = limited.dynamics.sequence_of(wide.x, u), problem.dynamics.sequence_of(plain.x, u)
+    np.testing.assert_array_equal(*sequences)
     rate = next(rows for rows in limited.stage_rows if rows.name == "rate limit")
     changes = np.abs(np.diff(np.append(0.25, u[:, 0])))
     np.testing.assert_allclose(rate.slack(wide.x, u).min(axis=1), 0.5 - changes, atol=1e-12)

@@ -10,6 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
 from lin_freq_ocp.dynamics import SmoothMode
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 
 R, L, TC, I_REF = 2.0, 1e-3, 2.5e-4, 1.0
 
@@ -135,7 +136,7 @@ def test_other_kinds_of_dynamics_are_asked_for_in_words():
     with pytest.raises(lfo.errors.UnsupportedError, match="expected PiecewiseAffineDynamics"):
         problem.with_modes([0, 0])
     with pytest.raises(lfo.errors.UnsupportedError, match="LinearDynamics; expected PiecewiseSmooth"):
-        _ = library.pendulum(horizon=10).smooth_pieces
+        _ = piecewise_smooth(library.pendulum(horizon=10))
     with pytest.raises(lfo.errors.UnsupportedError, match="'spectral', which is for linear and frequency-resp"):
         lfo.solve(problem, method="spectral")
     with pytest.raises(lfo.errors.UnsupportedError, match="'nonsmooth', which is for pulse-train and piecewise-s"):

@@ -12,6 +12,7 @@ from lin_freq_ocp.certificate.hybrid.bound import tree_bound
 from lin_freq_ocp.methods.hybrid.search import path_node
 from lin_freq_ocp.methods.hybrid.search.path_node import compiled_is_there
 from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, relaxed
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
@@ -140,7 +141,7 @@ def test_where_edges_of_many_modes_are_many_shares_have_to_do():
 def test_a_small_cost_gets_units_in_which_its_tree_is_proven():
     """Weights of a Riccati equation, a thousand times those of the stages; a cost a ten-thousandth of what is usual."""
     base = lfo.library.cart_pole_with_walls(12, damping=10.0, initial_state=(0.43, -0.05, 0.3, 0.0))
-    free = next(mode.linear for mode in base.piecewise.modes if mode.name == "free")
+    free = next(mode.linear for mode in piecewise_affine(base).modes if mode.name == "free")
     Q, R = 0.0025 * np.eye(4), 0.0025 * np.eye(1)
     problem = replace(base, cost=lfo.QuadraticCost(Q, R, P=solve_discrete_are(free.A, free.B, Q, R)))
     result = lfo.solve(problem)

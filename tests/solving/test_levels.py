@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.hybrid.bound import tree_bound
-from lin_freq_ocp.problem.hybrid.level_rows import level_rows
+from lin_freq_ocp.problem.level_rows import level_rows
 from lin_freq_ocp.problem.simulation import simulate
 
 T = 6

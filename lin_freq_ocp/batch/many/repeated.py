@@ -16,7 +16,7 @@ from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.problem.translation import Translation, far_origin, translated_by, translated_set
 from lin_freq_ocp.solving.families import chosen, saved_options
-from lin_freq_ocp.solving.kept import Change, Kept, KeptTree
+from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
@@ -112,7 +112,7 @@ class Repeated:
         change: Change,
         time_limit: float | None = None,
         start: Trajectory | None = None,
-        tree: KeptTree | None = None,
+        tree: SearchCache | None = None,
     ) -> Outcome:
         """Solve the changed problem, from a start and a tree if the method takes them, and judge the answer."""
         require_options(self.name, time_limit)

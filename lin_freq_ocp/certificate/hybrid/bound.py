@@ -34,6 +34,7 @@ from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.hybrid.reach import IntervalReach, Stages
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, FINITE, INFINITE, INTERVAL_ROUNDING
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -98,7 +99,7 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
 def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Stages | None], bool]:
     """Return what each node can reach (None: nothing), and whether no sequence is missing."""
     reach = IntervalReach(problem)
-    T, modes = problem.horizon, len(problem.piecewise.modes)
+    T, modes = problem.horizon, len(piecewise_affine(problem).modes)
     children: dict[int, list[int]] = {}
     for index, node in enumerate(tree.nodes):
         if node.allowed.shape != (T, modes) or not (-1 <= node.parent < index) or (node.parent < 0) != (index == 0):
@@ -157,7 +158,7 @@ class LeafJudge:
         named = problem.sampling_time, problem.state_names, problem.control_names  # as bands and terms know them
         at_rest = LinearDynamics(np.zeros((n, n)), np.zeros((n, m)), None, *named)
         self._problem = replace(problem, dynamics=at_rest)
-        self._arrays = problem.piecewise.arrays(T)
+        self._arrays = piecewise_affine(problem).arrays(T)
         self._maps = np.concatenate([self._arrays.A, self._arrays.B], axis=-1)
         self._rows = np.concatenate([self._arrays.G, self._arrays.H], axis=-1)
         self._limits = np.where(np.isfinite(self._arrays.h), self._arrays.h, 0.0)
@@ -170,7 +171,7 @@ class LeafJudge:
         self._slack = np.einsum("tirk,tk->tir", self._rows, self._y) - self._limits
         self._hessians = np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m))
         self._rising, self._falling = np.maximum(self._maps, 0.0), np.minimum(self._maps, 0.0)
-        self._shape = T, len(problem.piecewise.modes), n
+        self._shape = T, len(piecewise_affine(problem).modes), n
 
     def bound(self, stages: Stages, proof: ModeMultipliers) -> float:
         """Return D; for eta_C = 0, inf if it is above zero and -inf else."""

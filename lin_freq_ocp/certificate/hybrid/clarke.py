@@ -29,6 +29,8 @@ from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.sizes import Floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
+from lin_freq_ocp.certificate.verdict import Certificate, Facts
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet, meets_gap
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -81,7 +83,7 @@ class NormKink(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class SwitchingFacts:
+class SwitchingFacts(Facts):
     """What holds where several modes are active, with the multipliers that were judged.
 
     Attributes
@@ -162,18 +164,15 @@ class SwitchingFacts:
         return f"{what} (rate {flip.rate:.2g}{known[flip.improves]})"
 
 
-@dataclass(frozen=True, eq=False)
-class Judgement:
-    """What is judged of a trajectory, for any dynamics; ``extremal`` if a global bound follows from the multipliers.
+def facts_where_modes_meet(certificate: Certificate) -> SwitchingFacts | None:
+    """Return the facts where modes meet of a certificate, if it has any."""
+    return certificate.borders if isinstance(certificate.borders, SwitchingFacts) else None
 
-    ``cost_scale`` is S of the trajectory, if it was computed.
-    """
 
-    conditions: tuple[Condition, ...]
-    borders: SwitchingFacts | None
-    cost_of_residuals: float
-    extremal: Extremal | None = None
-    cost_scale: float | None = None
+def modes_along(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
+    """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
+    sizes = trajectory_sizes(problem, trajectory)
+    return piecewise_affine(problem).arrays(problem.horizon).with_sizes(*sizes, problem.dynamics.level_sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,7 +307,8 @@ def switching_facts(
     )
     conditions = tuple(_worst(label, name, stages, of) for label, name, of in checks) if stages else ()
     passed = [condition.passed for condition in conditions] or [True] * len(checks)
-    jumping = [facet for facet in problem.borders if not facet.continuous]
+    facets = [facet for facet in problem.borders if isinstance(facet, SwitchingFacet)]
+    jumping = [facet for facet in facets if not facet.continuous]
     return SwitchingFacts(
         elsewhere=elsewhere,
         joint=joint,
@@ -320,7 +320,7 @@ def switching_facts(
         weights=weights[[stage.time for stage in stages]],
         jumping=max(jumping, key=lambda facet: facet.jump, default=None),
         conditions=conditions,
-        mode_names=problem.piecewise.mode_names,
+        mode_names=piecewise_affine(problem).mode_names,
         gaps=tuple(gaps.tolist()),
     )
 

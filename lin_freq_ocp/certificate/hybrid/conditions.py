@@ -15,15 +15,17 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.hybrid.clarke import (
-    Judgement,
+    modes_along,
     nearest_weights,
     stationarity_scale,
     switching_facts,
     switching_stages,
     times_at_gaps,
 )
-from lin_freq_ocp.certificate.sizes import Floors, floors, measured_modes, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Floors, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
+from lin_freq_ocp.certificate.verdict import Judgement
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import held
@@ -36,7 +38,7 @@ OF_WEIGHTS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary
 def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
     """Judge a trajectory of affine modes."""
     problem.require(trajectory)
-    arrays, sizes = measured_modes(problem, trajectory), trajectory_sizes(problem, trajectory)
+    arrays, sizes = modes_along(problem, trajectory), trajectory_sizes(problem, trajectory)
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
@@ -45,7 +47,7 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
     least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
-    own = state_equation(replace(problem, dynamics=problem.piecewise.along(sequence)), trajectory, least)
+    own = state_equation(replace(problem, dynamics=piecewise_affine(problem).along(sequence)), trajectory, least)
     linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
     active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)
     stages = switching_stages(extremal, least, arrays, active, gaps)
@@ -59,7 +61,7 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
 
 def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array]) -> Array:
     """Return by how much (x_t, u_t) lies outside each region, relative to the terms of its rows, (T, modes)."""
-    arrays, (of_x, of_u) = problem.piecewise.arrays(problem.horizon), sizes
+    arrays, (of_x, of_u) = piecewise_affine(problem).arrays(problem.horizon), sizes
     least = np.append(SCALE_FLOOR * of_x, np.maximum(SCALE_FLOOR * of_u, problem.dynamics.level_sizes))
     x, y = trajectory.x, np.hstack([trajectory.x[:-1], trajectory.u])
     n = x.shape[1]
@@ -75,7 +77,7 @@ def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, size
 
 def _averaged(problem: OptimalControlProblem, weights: Array, sequence: Indices) -> OptimalControlProblem:
     """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
-    dynamics, fixed = problem.piecewise.averaged(weights), problem.dynamics.controls_of(sequence)
+    dynamics, fixed = piecewise_affine(problem).averaged(weights), problem.dynamics.controls_of(sequence)
     return replace(problem, dynamics=dynamics, control_set=held(problem.control_set, fixed))
 
 

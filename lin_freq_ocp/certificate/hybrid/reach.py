@@ -13,6 +13,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.certificate.tolerances import FINITE, INFINITE, INTERVAL_ROUNDING
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
@@ -40,7 +41,7 @@ class IntervalReach:
     """Forward interval propagation for one problem."""
 
     def __init__(self, problem: OptimalControlProblem):
-        self._problem, arrays = problem, problem.piecewise.arrays(problem.horizon)
+        self._problem, arrays = problem, piecewise_affine(problem).arrays(problem.horizon)
         n, tube = problem.state_dim, problem.control_tube
         self._x = np.maximum(problem.state_tube.lower, -INFINITE), np.minimum(problem.state_tube.upper, INFINITE)
         self._u = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)

@@ -17,17 +17,19 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.hybrid.clarke import (
-    Judgement,
     NormKink,
     SwitchingFacts,
+    modes_along,
     required_slopes,
     stationarity_scale,
 )
 from lin_freq_ocp.certificate.hybrid.conditions import judge_modes
-from lin_freq_ocp.certificate.sizes import floors, measured_modes, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
+from lin_freq_ocp.certificate.verdict import Judgement
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.text import text_of
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -38,7 +40,7 @@ def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     selections, norms = _selections(problem, trajectory, multipliers)
     found = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers)
     facts, rising = found.borders, any(kink.rate > 0 for kink in norms)
-    if facts is None:
+    if not isinstance(facts, SwitchingFacts):
         return found
     facts = replace(
         facts,
@@ -56,15 +58,17 @@ def _selections(
     """Return the selection of every norm at the times at which its arguments are zero, not a number elsewhere."""
     found: dict[Formula, Array] = {}
     kinks: list[NormKink] = []
-    dynamics = problem.smooth_pieces
+    dynamics = piecewise_smooth(problem)
     for norm, active in dynamics.active_kinks(trajectory.x, trajectory.u).items():
         selection = found[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
         if not active.any():
             continue
         selection[active] = 0.0
         linear = problem.affine_at(trajectory, found)
-        sequence = linear.piecewise.sequence_of(trajectory.x, trajectory.u)
-        extremal = extremal_at(replace(linear, dynamics=linear.piecewise.along(sequence)), trajectory, multipliers)
+        modes = piecewise_affine(linear)
+        sequence = modes.sequence_of(trajectory.x, trajectory.u)
+        alone = replace(linear, dynamics=modes.along(sequence))
+        extremal = extremal_at(alone, trajectory, multipliers)
         least = floors(extremal, trajectory_sizes(linear, trajectory))
         scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
         base, columns = _norm_slopes(problem, trajectory, multipliers, found, norm)
@@ -90,7 +94,7 @@ def _slopes(
     selections: Mapping[Formula, Array],
 ) -> Array:
     """Return D <eta_t, f_i> of every mode, (T, modes, n + m)."""
-    arrays = problem.affine_at(trajectory, selections).piecewise.arrays(problem.horizon)
+    arrays = piecewise_affine(problem.affine_at(trajectory, selections)).arrays(problem.horizon)
     return np.einsum("tkij,ti->tkj", np.concatenate([arrays.A, arrays.B], axis=-1), multipliers.eta)
 
 
@@ -167,8 +171,8 @@ def kinks(
         for t in np.flatnonzero(active):
             selections[norm][t] = judged.get((_text(problem, norm), int(t)), 0.0)
     affine = problem.affine_at(trajectory, selections)
-    arrays = measured_modes(affine, trajectory)
-    alone = replace(affine, dynamics=affine.piecewise.along(arrays.sequence(x, u)))
+    arrays = modes_along(affine, trajectory)
+    alone = replace(affine, dynamics=piecewise_affine(affine).along(arrays.sequence(x, u)))
     required = required_slopes(extremal_at(alone, trajectory, multipliers))[:, :n]
     centre, radius = _slopes(problem, trajectory, multipliers, selections), 0.0
     for norm, selection in selections.items():

@@ -15,11 +15,12 @@ import numpy as np
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.directions import Direction
-from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts
+from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, facts_where_modes_meet
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.files.locations import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.solving.hybrid.evidence import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ def _certificate(certificate: Certificate | None) -> FileTable | None:
         "global": certificate.globally_optimal,
         "conditions": _conditions(certificate.conditions),
         "descent": _direction(certificate.descent),
-        "borders": _borders(certificate.borders),
+        "borders": _borders(facts_where_modes_meet(certificate)),
     }
 
 
@@ -209,9 +210,10 @@ def _trajectory(result: Outcome) -> FileTable | None:
 
 
 def _tree(result: Outcome) -> FileTable | None:
-    if result.tree is None or result.tree_bound is None:
+    found = tree_of(result)
+    if found is None:
         return None
-    return {"nodes": len(result.tree.nodes), "leaves": result.tree_bound.leaves, "covers": result.tree_bound.covers}
+    return {"nodes": len(found.tree.nodes), "leaves": found.bound.leaves, "covers": found.bound.covers}
 
 
 def finite(value: FileValue) -> FileValue:

@@ -9,6 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from lin_freq_ocp.base.phrases import number
+from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
 from lin_freq_ocp.pages.figures import figures
@@ -121,10 +122,11 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
     certificate, multipliers = result.certificate, result.multipliers
     if certificate is None or multipliers is None:
         return
-    if certificate.borders is not None and data.main.trajectory is result.trajectory:
+    borders = facts_where_modes_meet(certificate)
+    if borders is not None and data.main.trajectory is result.trajectory:
         solution = PlotData(data.problem, (data.main,))
         figure = adjoint_figure(solution, multipliers.eta, comparison.kinks, smallest_adjoint(certificate))
-        yield "adjoint", "Adjoint, and its choice at kinks", proof.adjoint_caption(certificate.borders), figure
+        yield "adjoint", "Adjoint, and its choice at kinks", proof.adjoint_caption(borders), figure
     gap = figures.gap_figure(data, certificate)
     if gap is not None:
         yield "gap", "Gap per stage", proof.parts_of_the_gap(certificate), gap

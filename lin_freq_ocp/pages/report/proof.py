@@ -8,10 +8,11 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.phrases import listed, number, plural
-from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts
+from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.hybrid.evidence import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 NAMED_TIMES = 4  # times that a text describes before it only counts the others
@@ -44,7 +45,8 @@ def verdict(certificate: Certificate, problem: OptimalControlProblem | None = No
         first = "The maximum principle does not apply: it needs dynamics without jumps."
     else:
         first = "The maximum principle was not judged: there are no multipliers."
-    switching = [] if certificate.borders is None else switching_sentences(certificate.borders)
+    borders = facts_where_modes_meet(certificate)
+    switching = [] if borders is None else switching_sentences(borders)
     if problem is not None and not problem.dynamics.affine and certificate.bound is None:
         bound = ["There is no global lower bound: the dynamics are not affine, and none was found."]
     else:
@@ -110,11 +112,12 @@ def switching_sentences(borders: SwitchingFacts) -> list[str]:
 
 def search_sentences(result: Outcome) -> list[str]:
     """Return what a search over mode sequences proves; nothing where there was none."""
-    proof = result.tree_bound
-    if result.tree is None or proof is None:
+    found = tree_of(result)
+    if found is None:
         return []
+    proof = found.bound
     leaves = "1 is a leaf" if proof.leaves == 1 else f"{proof.leaves} are leaves"
-    size = f"{plural(len(result.tree.nodes), 'node')}, of which {leaves}"
+    size = f"{plural(len(found.tree.nodes), 'node')}, of which {leaves}"
     if not proof.covers:
         return [f"The search over mode sequences has {size}. They do not cover all sequences, so nothing is bounded."]
     if np.isposinf(proof.value):

@@ -1,1 +1,7 @@
-"""What has modes, kinks or levels: piecewise dynamics, regions, finite sets, and search trees as data."""
+"""Dynamics and controls with modes, kinks or levels, and search trees as data."""
+
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.levels import SwitchedDynamics
+from lin_freq_ocp.problem.levels import LEVELS
+
+LEVELS[LinearDynamics] = SwitchedDynamics

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, assign, brief, real_array
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, located_at
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import System
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
@@ -74,17 +73,6 @@ class AffineMode:
     def everywhere(self) -> bool:
         """Whether no row of the region limits anything."""
         return bool(np.isinf(self.region.e).all())
-
-
-@contextmanager
-def located_at(location: str, own: str = MODE) -> Generator[None]:
-    """Let a ProblemError that names the field ``own``, or one within, name it at ``location`` instead."""
-    try:
-        yield
-    except ProblemError as error:
-        rest = error.field.removeprefix(own)
-        field = location + rest if rest != error.field else f"{location}: {error.field}"
-        raise ProblemError(field, error.got, error.expected, error.advice) from None
 
 
 def _region(G: ArrayLike | None, H: ArrayLike | None, h: ArrayLike | None, n: int, m: int) -> StageRows:
@@ -184,7 +172,7 @@ def linearised_modes(
         if not np.isclose(steps[0], steps[-1], rtol=1e-12, atol=0.0):
             expected = f"{maps[0].sampling_time}, as in the first piece"
             raise ProblemError(f"{location}.system.dt", f"{linear.sampling_time}", expected)
-        with located_at(location):
+        with located_at(location, MODE):
             modes.append(AffineMode(linear.A, linear.B, linear.offset, piece.G, piece.H, piece.h, piece.name))
         maps.append(linear)
     return modes, maps[0]

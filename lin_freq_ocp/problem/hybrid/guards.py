@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, real_array
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, located_at
 from lin_freq_ocp.base.polyhedra import THICKNESS, has_interior
 from lin_freq_ocp.problem.dynamics.base import counted, unique_names
-from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode, located_at
+from lin_freq_ocp.problem.hybrid.affine_mode import MODE, AffineMode
 
 SIGNS = {"+": -1.0, "-": 1.0}  # factors that make a row <= 0 of G x + H u - d
 ANY = "*"
@@ -91,7 +91,7 @@ def _mode(place: str, pattern: object, given: object) -> AffineMode | None:
         return AffineMode(linear.A, linear.B, linear.offset, name=name)
     if not isinstance(given, (tuple, list)) or len(given) not in (2, 3):
         raise ProblemError(place, brief(given), "an AffineMode, (A, B), (A, B, offset), or None")
-    with located_at(place):
+    with located_at(place, MODE):
         return AffineMode(*given, name=str(pattern))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +17,6 @@ from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.sets.stage_sets import StageSets
 
 
@@ -88,32 +87,7 @@ class SwitchedDynamics(Dynamics):
         return SwitchedDynamics(self.dynamics.augmented(A, B, names, horizon), self.control_set)
 
 
-def with_levels(dynamics: Dynamics, control_set: SetOrSets) -> tuple[Dynamics, SetOrSets]:
-    """Return the dynamics and the convex control set of a problem: a set of finitely many points becomes modes."""
-    if not isinstance(control_set, ConvexSet):
-        several = (
-            control_set if isinstance(control_set, Iterable) else ()
-        )  # what is no sequence is refused with the sets
-        if any(isinstance(one, ConvexSet) and _finite(one, dynamics) for one in several):
-            raise ProblemError("control_set", "levels at single times", "one FiniteSet for all times")
-        return dynamics, control_set
-    if control_set.points(dynamics.control_dim) is None:
-        if any(_finite(one, dynamics) for one in control_set.members):
-            advice = "State other constraints as stage_rows, or take duty_cycles=True."
-            raise ProblemError("control_set", "levels in an intersection", "a FiniteSet alone", advice)
-        return dynamics, control_set
-    linear = dynamics.given[0].standard_form
-    if linear.mode_names or not isinstance(linear, LinearDynamics):
-        advice = "Write the levels into the regions of the modes, or take duty_cycles=True."
-        raise ProblemError("control_set", f"levels with {type(dynamics).__name__}", "LinearDynamics", advice)
-    return SwitchedDynamics(linear, control_set), control_set.hull
-
-
 def _text(point: Array) -> str:
     """Return "1" or "(1, 0)", different for different points."""
     numbers = ", ".join(f"{value:.17g}" for value in point)
     return numbers if len(point) == 1 else f"({numbers})"
-
-
-def _finite(one: ConvexSet, dynamics: Dynamics) -> bool:
-    return any(member.points(dynamics.control_dim) is not None for member in one.members)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 OUTWARD = 1e-12  # part of the largest terms by which sums are rounded outwards: far above their rounding errors
@@ -48,7 +49,8 @@ class ModeReach:
     """The reach of one problem, for any mask of modes."""
 
     def __init__(self, problem: OptimalControlProblem):
-        self.problem, self.arrays, tube = problem, problem.piecewise.arrays(problem.horizon), problem.control_tube
+        self.problem, tube = problem, problem.control_tube
+        self.arrays = piecewise_affine(problem).arrays(problem.horizon)
         arrays = self.arrays
         maps, self._rows = np.concatenate([arrays.A, arrays.B], axis=-1), np.concatenate([arrays.G, arrays.H], axis=-1)
         self._increasing, self._decreasing = np.maximum(maps, 0.0), np.minimum(maps, 0.0)

@@ -13,7 +13,15 @@ from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, positive_int
 from lin_freq_ocp.base.errors import NumericalError, ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST
 from lin_freq_ocp.formulas.text import Formulas
-from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, counted, mode_facts, mode_labels, signal_labels
+from lin_freq_ocp.problem.dynamics.base import (
+    StandardDynamics,
+    Step,
+    as_sequence,
+    counted,
+    mode_facts,
+    mode_labels,
+    signal_labels,
+)
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION, AffineMode, SmoothPiece, linearised_modes
 from lin_freq_ocp.problem.hybrid.guards import guarded_modes
@@ -277,6 +285,11 @@ class PiecewiseAffineDynamics(StandardDynamics):
         A, B, offset = (part[times, sequence] for part in (arrays.A, arrays.B, arrays.offset))
         return LinearDynamics(A, B, offset, self.sampling_time, self.state_names, self.control_names)
 
+    def with_modes(self, sequence: ArrayLike, horizon: int) -> tuple[LinearDynamics, StageRows]:
+        """Return the linear dynamics of a mode sequence (T,), checked, and the rows of its regions."""
+        modes = as_sequence("sequence", sequence, horizon, len(self.modes))
+        return self.along(modes), self.region_rows(modes)
+
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:
         """Return the linear dynamics of the modes that a trajectory is in."""
         return self.along(self.sequence_of(x, u))
@@ -338,17 +351,3 @@ class PiecewiseAffineDynamics(StandardDynamics):
             return arrays.A[t, i] @ x + arrays.B[t, i] @ u + arrays.offset[t, i]
 
         return step
-
-
-def as_sequence(field: str, sequence: ArrayLike, horizon: int, modes: int) -> Indices:
-    """Return a mode sequence as integers (T,), or raise ProblemError."""
-    expected = f"{horizon} mode numbers from 0 to {modes - 1}"
-    try:
-        given = np.asarray(sequence)
-    except ValueError:
-        raise ProblemError(field, brief(sequence), expected) from None
-    if given.shape != (horizon,) or given.dtype.kind not in "iu":
-        raise ProblemError(field, f"shape {given.shape} of {given.dtype}", expected)
-    if (given < 0).any() or (given >= modes).any():
-        raise ProblemError(field, brief(given.tolist()), expected)
-    return given.astype(np.intp)

@@ -25,6 +25,7 @@ from lin_freq_ocp.base.polyhedra import (
     natural_sizes,
     uncovered,
 )
+from lin_freq_ocp.problem.dynamics.base import SwitchingBoundary
 from lin_freq_ocp.problem.hybrid.mode_arrays import FACET_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.sets.stage_sets import StageSet, StageSets
 
@@ -42,7 +43,7 @@ _Overlap = tuple[int, int, str]  # two modes, and a point of both as text
 
 
 @dataclass(frozen=True, eq=False)
-class SwitchingFacet:
+class SwitchingFacet(SwitchingBoundary):
     """A facet of two modes, h_x'x + h_u'u = limit with |(h_x, h_u)| = 1: the first mode is where it is less."""
 
     first: int

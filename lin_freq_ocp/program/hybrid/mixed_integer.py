@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -96,7 +97,7 @@ class _Columns:
 
 def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedInteger:
     """Return the mixed-integer program of a problem with piecewise-affine dynamics; raises as ``excesses``."""
-    dynamics, T = problem.piecewise, problem.horizon
+    dynamics, T = piecewise_affine(problem), problem.horizon
     arrays, found = dynamics.arrays(T), excesses(problem, end)
     hosts = [
         LinearTranscription(replace(problem, dynamics=dynamics.along(np.full(T, i))))

@@ -25,6 +25,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, UNBOUNDED, ModeReach, Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -72,9 +73,9 @@ class ModeRelaxation:
 
     def __init__(self, problem: OptimalControlProblem, level: float = 1.0):
         self.problem, self.reach, self._level = problem, ModeReach(problem), level
-        T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(problem.piecewise.modes)
+        T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(piecewise_affine(problem).modes)
         hosts = [
-            LinearTranscription(replace(problem, dynamics=problem.piecewise.along(np.full(T, mode))))
+            LinearTranscription(replace(problem, dynamics=piecewise_affine(problem).along(np.full(T, mode))))
             for mode in range(modes)
         ]
         self._host, units = hosts[0], common_scaling(hosts)

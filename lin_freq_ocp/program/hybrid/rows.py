@@ -8,6 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.hybrid.row_template import Groups, RowTemplate, Sense
 
@@ -44,7 +45,7 @@ class ModeStages:
 def mode_stages(problem: OptimalControlProblem, units: Array) -> ModeStages:
     """Return the modes in units (k,) of states and controls."""
     T, n = problem.horizon, problem.state_dim
-    arrays, cost = problem.piecewise.arrays(T), problem.quadratic
+    arrays, cost = piecewise_affine(problem).arrays(T), problem.quadratic
     states = np.broadcast_to(cost.x_ref, (T + 1, n))
     references = np.hstack([states[:-1], np.broadcast_to(cost.u_ref, (T, problem.control_dim))])
     maps = np.concatenate([arrays.A, arrays.B], axis=-1)

@@ -8,6 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.proof.lines import Value, line
 from lin_freq_ocp.proof.statement.terms import term_lines
@@ -49,7 +50,7 @@ def _modes(problem: OptimalControlProblem) -> list[tuple[str, Parts]]:
         linear = problem.linear
         none = {"G": (np.zeros((0, n)), 2), "H": (np.zeros((0, m)), 2), "h": (np.zeros(0), 1)}
         return [("linear", {"A": (linear.A, 2), "B": (linear.B, 2), "d": (linear.offset, 1), **none})]
-    found = problem.piecewise.arrays(problem.horizon)
+    found = piecewise_affine(problem).arrays(problem.horizon)
     named = {"A": (found.A, 2), "B": (found.B, 2), "d": (found.offset, 1), "G": (found.G, 2), "H": (found.H, 2)}
     named["h"] = found.h, 1
     return [

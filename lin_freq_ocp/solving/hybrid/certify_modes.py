@@ -9,8 +9,7 @@ from itertools import chain
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.directions import Direction, descent_direction
-from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts
-from lin_freq_ocp.certificate.sizes import measured_modes
+from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, modes_along, facts_where_modes_meet
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.hybrid.search.fitting import candidates
 from lin_freq_ocp.methods.hybrid.search.weights import weighted
@@ -64,8 +63,9 @@ def _candidates(problem: OptimalControlProblem, trajectory: Trajectory, optional
 
 
 def _facts(certificate: Certificate) -> SwitchingFacts:
-    assert certificate.borders is not None  # the dynamics have modes
-    return certificate.borders
+    facts = facts_where_modes_meet(certificate)
+    assert facts is not None  # the dynamics have modes
+    return facts
 
 
 def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
@@ -76,7 +76,7 @@ def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
 
 def _abnormal(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate | None:
     """Return the certificate of abnormal multipliers that satisfy all conditions, if they are found."""
-    sequence = measured_modes(problem, trajectory).sequence(trajectory.x, trajectory.u)
+    sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
     found = abnormal_multipliers(problem.with_modes(sequence), trajectory)
     if found is None:
         return None
@@ -88,7 +88,7 @@ def _verified(
     problem: OptimalControlProblem, trajectory: Trajectory, facts: SwitchingFacts
 ) -> tuple[SwitchingFacts, Direction | None]:
     """Return the facts with the result of every flip, and the steepest direction of descent that was verified."""
-    sequence = measured_modes(problem, trajectory).sequence(trajectory.x, trajectory.u)
+    sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
     improves, direction = _tried(problem, trajectory, sequence)
     directions, flips = [direction], list[Flip]()
     for flip in facts.flips[:MOST_FLIPS]:

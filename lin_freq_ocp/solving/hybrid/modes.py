@@ -28,6 +28,8 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
+from lin_freq_ocp.solving.hybrid.evidence import TreeEvidence
+from lin_freq_ocp.solving.hybrid.kept_tree import KeptTree
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -87,7 +89,7 @@ class BranchAndBound(_Search):
         first = None if request.start is None else request.start.sequence
         if self.executor is not None:
             return search_in_parts(problem, limits, self.executor, request.progress, first)
-        if request.tree is not None:
+        if isinstance(request.tree, KeptTree):
             return request.tree.search(problem, limits, request.progress, first)
         return TreeSearch(problem, limits, progress=request.progress).run(first)
 
@@ -207,8 +209,7 @@ def _judged(
         message=message,
         interrupted=outcome.interrupted,
         sequence=outcome.sequence,
-        tree=outcome.tree,
-        tree_bound=proof,
+        evidence=TreeEvidence(outcome.tree, proof),
     )
 
 

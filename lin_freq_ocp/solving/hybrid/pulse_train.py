@@ -13,6 +13,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
@@ -136,5 +137,5 @@ class _Search:
             certificate=certificate,
             message="" if status == Status.OPTIMAL else message,
             interrupted=interrupted,
-            sequence=None if trajectory is None else problem.smooth_pieces.sequence_of(trajectory.x, trajectory.u),
+            sequence=None if trajectory is None else piecewise_smooth(problem).sequence_of(trajectory.x, trajectory.u),
         )

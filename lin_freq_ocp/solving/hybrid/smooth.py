@@ -21,6 +21,7 @@ from lin_freq_ocp.methods.hybrid.nonsmooth.newton import newton
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum
 from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.methods.hybrid.smooth.solver import is_smooth
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -243,7 +244,7 @@ def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
 
 
 def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
-    return problem.smooth_pieces.sequence_of(trajectory.x, trajectory.u)
+    return piecewise_smooth(problem).sequence_of(trajectory.x, trajectory.u)
 
 
 def _status(search: LocalSearch, found: Judged | None) -> tuple[Status, str]:

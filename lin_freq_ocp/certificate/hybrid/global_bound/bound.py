@@ -42,6 +42,7 @@ from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import (
     STEP_SHARE,
 )
 from lin_freq_ocp.formulas.jets import interval_jets
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -152,7 +153,7 @@ def _lattices(stages: Stages) -> list[Lattice]:
         box = [np.append(part, bound[t])[None] for part, bound in ((lower, stages.lower), (upper, stages.upper))]
         for j in np.flatnonzero(~np.isfinite(box[0][0, n:]) | ~np.isfinite(box[1][0, n:])):
             raise UnsupportedError(f"a global bound: {problem.control_names[j]} is not bounded.")
-        images = [interval_jets(mode.f, box[0], box[1]).values for mode in problem.smooth_pieces.modes]
+        images = [interval_jets(mode.f, box[0], box[1]).values for mode in piecewise_smooth(problem).modes]
         lower = np.maximum(np.min([image[0][0] for image in images], axis=0), stages.lowest[t + 1])
         upper = np.minimum(np.max([image[1][0] for image in images], axis=0), stages.highest[t + 1])
         upper = np.maximum(lower, upper)  # where that is empty, no image will meet the cell
@@ -165,7 +166,7 @@ def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
     each = max(1, round(FIRST_BOXES ** (1 / m)))
     width = (stages.upper[t] - stages.lower[t]) / each
     u = stages.lower[t] + (index_tuples(np.full(m, each)) + 0.5) * width
-    x, modes = lattice.centres, len(problem.smooth_pieces.modes)
+    x, modes = lattice.centres, len(piecewise_smooth(problem).modes)
     centre = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
     widths = np.concatenate([lattice.width, width])
     radius = np.where(widths > 0, widths / 2 * (1 + ROUNDING) + ROUNDING * np.abs(centre), 0.0)

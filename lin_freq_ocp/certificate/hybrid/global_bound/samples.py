@@ -24,6 +24,7 @@ from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import (
     ZOOMS_TO_END,
 )
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
 
 
@@ -39,7 +40,7 @@ def costs_to_come(stages: Stages, lattices: list[Lattice]) -> list[Array]:
         x, u = lattice.centres, lower + (points + 1) / 2 * (upper - lower)
         pairs = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
         total = np.repeat(to_come[t], len(u)) + stages.cost(t, pairs)
-        for mode in stages.problem.smooth_pieces.modes:
+        for mode in piecewise_smooth(stages.problem).modes:
             y = values_of(mode.f, pairs)
             inside = holds(mode, pairs) & np.isfinite(y).all(axis=1)
             cells = after.numbers(after.indices(np.where(inside[:, None], y, 0.0)))
@@ -105,7 +106,7 @@ class Samples:
         highest = np.hstack([free, self.stages.upper[self.t] - 1.5 * spacing])
         width = np.concatenate([np.zeros(n), (self.stages.upper - self.stages.lower)[self.t]])
         slopes, pole = np.zeros((len(x), n)), (after.lattice.width == 0).any()
-        for i, mode in enumerate(problem.smooth_pieces.modes):
+        for i, mode in enumerate(piecewise_smooth(problem).modes):
             here = (chosen == i) & np.isfinite(best)
             if here.any():
                 jets = interval_jets(mode.f, at[here], at[here], curved=False)
@@ -143,7 +144,7 @@ class Samples:
         pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
         costs = self.stages.cost(self.t, pairs)
         best, at, chosen = np.full(len(x), np.inf), pairs[::count].copy(), np.zeros(len(x), dtype=np.intp)
-        for i, mode in enumerate(self.stages.problem.smooth_pieces.modes):
+        for i, mode in enumerate(piecewise_smooth(self.stages.problem).modes):
             y = values_of(mode.f, pairs)
             inside = holds(mode, pairs) & np.isfinite(y).all(axis=1)
             total = costs + self._value_at(np.where(inside[:, None], y, 0.0))
@@ -171,7 +172,7 @@ class Samples:
         costs = np.abs(corners @ self.stages.costs.hessians[self.t] + self.stages.costs.linear[self.t]) * range_
         worth = float(costs.sum(axis=1).max()) or 1.0
         moved = np.zeros(len(self.after.lattice.width))
-        for mode in self.stages.problem.smooth_pieces.modes:
+        for mode in piecewise_smooth(self.stages.problem).modes:
             slopes = interval_jets(mode.f, corners, corners, curved=False).slopes[0]
             effect = (np.abs(slopes) * range_).sum(axis=2)
             moved = np.maximum(moved, np.where(np.isfinite(effect), effect, 0.0).max(axis=0))

@@ -22,6 +22,7 @@ from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import (
     SMALL_BATCH,
 )
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
 
 
@@ -105,7 +106,7 @@ class Step:
     """The step from t to t + 1."""
 
     def __init__(self, stages: Stages, t: int, lattice: Lattice, after: CostToGo, deadline: float):
-        self._modes, self._n, self._t = stages.problem.smooth_pieces.modes, stages.problem.state_dim, t
+        self._modes, self._n, self._t = piecewise_smooth(stages.problem).modes, stages.problem.state_dim, t
         self._stages, self._lattice, self._after, self._deadline = stages, lattice, after, deadline
         self._pole = after.lattice.width == 0
         self._minima = Minima(after)

@@ -15,6 +15,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.formulas.jets import values_of
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.spectrum.bands import time_signal
@@ -122,7 +123,7 @@ class _StageCosts:
 
 def _successors(problem: OptimalControlProblem, pairs: Array) -> Array:
     """Return the successors of pairs in the first mode that holds, (points, n); NaN where none does."""
-    dynamics = problem.smooth_pieces
+    dynamics = piecewise_smooth(problem)
     found = np.full((len(pairs), problem.state_dim), np.nan)
     missing = np.ones(len(pairs), dtype=bool)
     for mode in dynamics.modes:

@@ -15,6 +15,8 @@ from lin_freq_ocp.methods.hybrid.nonsmooth.grid import grid_trajectories
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
 from lin_freq_ocp.methods.hybrid.smooth.barrier import End
 from lin_freq_ocp.methods.hybrid.smooth.solver import is_smooth, smooth_optimum
+from lin_freq_ocp.methods.progress import Progress
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
@@ -29,13 +31,11 @@ DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
 
 @dataclass(frozen=True)
-class SmoothProgress:
+class SmoothProgress(Progress):
     """How far the search over piecewise-smooth dynamics is.
 
     Attributes
     ----------
-    cost, lower_bound : float
-        Of the best trajectory found, and of all; infinite as long as there is none.
     tried : int
         Starts of local searches.
     level : int
@@ -44,8 +44,6 @@ class SmoothProgress:
         How much of the level is done, from 0 to 1.
     """
 
-    cost: float
-    lower_bound: float
     tried: int
     level: int = 0
     share: float = 0.0
@@ -117,7 +115,7 @@ class LocalSearch:
             return False
         multipliers = None if local is None else local.multipliers
         for trajectory in grid_trajectories(self.problem, multipliers, self._end):
-            self._try(trajectory, self.problem.smooth_pieces.sequence_of(trajectory.x, trajectory.u))
+            self._try(trajectory, piecewise_smooth(self.problem).sequence_of(trajectory.x, trajectory.u))
         return self.best is not before
 
     def _improved(self) -> bool:
@@ -170,7 +168,7 @@ class LocalSearch:
 
     def _starts(self) -> Iterator[tuple[Trajectory, Indices]]:
         """Yield trajectories of constant controls with their mode sequences, then with each mode alone."""
-        dynamics = self.problem.smooth_pieces
+        dynamics = piecewise_smooth(self.problem)
         for share in SHARES:
             trajectory = self._held(share)
             alone = np.zeros(self.problem.horizon, dtype=np.intp)

@@ -13,6 +13,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.hybrid.nonsmooth.system import System, SystemValue
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -122,7 +123,7 @@ def starting_point(
 def _sides(system: System, trajectory: Trajectory) -> Array:
     """Return 1 where a switching surface is crossed, else 0."""
     T = system.problem.horizon
-    found = system.problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+    found = piecewise_smooth(system.problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
     crossed = [found.regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.switches]
     return np.array(crossed, dtype=float)
 
@@ -154,7 +155,7 @@ def _answer(system: System, v: Array, value: SystemValue) -> tuple[Trajectory, M
     """Return the trajectory and the multipliers of unknowns in natural units."""
     problem, values, F = system.problem, v * system.units, value.F / system.scales
     T = problem.horizon
-    weights = np.zeros((T, len(problem.smooth_pieces.modes)))
+    weights = np.zeros((T, len(piecewise_smooth(problem).modes)))
     weights[np.arange(T), system.sequence] = 1.0
     for k, (t, second, _) in enumerate(system.switches):
         share = float(np.clip(values[system.alpha[k]], 0.0, 1.0))

@@ -20,6 +20,7 @@ from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.nonsmooth.system import jets_of
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import Claim, backend
@@ -81,7 +82,7 @@ def local_optimum(
 
 def flipped(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Indices]:
     """Yield the sequences with one mode changed, first where the multipliers of regions are largest."""
-    T, modes = problem.horizon, len(problem.smooth_pieces.modes)
+    T, modes = problem.horizon, len(piecewise_smooth(problem).modes)
     largest = local.multipliers.stage.get(REGION, np.zeros((T, 1))).max(axis=1, initial=0.0)
     for t in np.argsort(-largest, kind="stable"):
         for i in range(modes):
@@ -147,7 +148,7 @@ class _SequenceProgram:
     def of(cls, problem: OptimalControlProblem, start: Trajectory, sequence: Indices) -> _SequenceProgram | None:
         """Return the program in the natural units at the start; None if a piece is not defined there."""
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-        dynamics = problem.smooth_pieces
+        dynamics = piecewise_smooth(problem)
         y = np.hstack([start.x[:T], start.u])
         if not dynamics.jets_at(y).defined()[np.arange(T), sequence].all():
             return None
@@ -194,7 +195,7 @@ class _SequenceProgram:
         """Return the linearised program at a point; None if a piece is not defined there."""
         problem, T = self.problem, self.problem.horizon
         trajectory, times = self.trajectory(z), np.arange(T)
-        found = problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+        found = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
         if not found.defined()[times, self.sequence].all():
             return None
         values, slopes, curvatures = jets_of(found, times, self.sequence)

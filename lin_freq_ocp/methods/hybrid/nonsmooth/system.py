@@ -25,6 +25,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -92,7 +93,7 @@ class System:
         signals = np.concatenate([x, u])
         scales[signals] = scaling.cost * units[signals]
         scales[eta], scales[rho_x], scales[rho_u] = np.tile(1 / in_x, T), 1 / of_x, 1 / of_u
-        slopes = problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+        slopes = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
         for k, (t, _, row) in enumerate(switches):
             slope = slopes.regions[sequence[t]].slopes[t, row] * np.append(in_x, in_u)
             scales[alpha[k]] = 1 / max(float(np.linalg.norm(slope)), 1e-300)
@@ -120,7 +121,7 @@ class System:
         problem, T = self.problem, self.problem.horizon
         x, u, eta, alpha = v[self.x], v[self.u], v[self.eta], v[self.alpha]
         y, at = np.hstack([x[:-1], u]), np.hstack([self.x[:-1], self.u])
-        found = problem.smooth_pieces.jets_at(y, self._selections(v))
+        found = piecewise_smooth(problem).jets_at(y, self._selections(v))
         times = np.arange(T)
         values, slopes, curvatures = jets_of(found, times, self.sequence)
         active = slopes.copy()
@@ -171,7 +172,7 @@ class System:
 
     def _add_norms(self, v: Array, F: Array, J: Array, y: Array, at: Indices, eta: Array) -> None:
         """Add the equations of the selections of norms, and their terms in the others."""
-        dynamics = self.problem.smooth_pieces
+        dynamics = piecewise_smooth(self.problem)
         for (norm, t), own in zip(self.norms, self.xi, strict=True):
             inner = jets(norm.arguments, y[t : t + 1])
             q, slopes, xi = inner.values[0], inner.slopes[0], v[own]
@@ -228,7 +229,7 @@ def _switches(
 ) -> list[tuple[int, int, int]]:
     """Return (time, second mode, row) where a row of the first mode's region is nearly zero and the second holds."""
     T = problem.horizon
-    found = problem.smooth_pieces.jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+    found = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
     defined = found.defined()
 
     def distances(mode: int, t: int) -> Array:
@@ -254,7 +255,7 @@ def _norms(problem: OptimalControlProblem, trajectory: Trajectory, near: float) 
     T = problem.horizon
     y = np.hstack([trajectory.x[:T], trajectory.u])
     found: list[tuple[Formula, int]] = []
-    for norm in problem.smooth_pieces.norms:
+    for norm in piecewise_smooth(problem).norms:
         size = np.linalg.norm(jets(norm.arguments, y).values, axis=1)
         found += [(norm, int(t)) for t in np.flatnonzero(size <= near * max(1.0, float(size.max())))]
     return found

@@ -28,6 +28,7 @@ from lin_freq_ocp.methods.hybrid.search.search import (
     proven_tree,
     relaxed,
 )
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -135,7 +136,7 @@ class BranchAndBound:
         return [(index, answer.reach) for bound, index, answer in sorted(self._heap) if bound < self._cutoff]
 
     def _root(self, within: Reach | None) -> list[tuple[Mask, Relaxed | None]]:
-        everything = np.ones((self.problem.horizon, len(self.problem.piecewise.modes)), dtype=bool)
+        everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
         reach = self._relaxation.reach.from_start(everything) if within is None else within
         return [(everything, None if reach is None else self._relaxed(reach, self._cutoff))]
 
@@ -224,7 +225,7 @@ class BranchAndBound:
 
     def _try(self, sequences: Iterable[Indices]) -> None:
         """Solve sequences until one is the best so far."""
-        before, modes = self._best, np.arange(len(self.problem.piecewise.modes))
+        before, modes = self._best, np.arange(len(piecewise_affine(self.problem).modes))
         for sequence in sequences:
             if self._best is not before or now() - self._started > self.limits.search_seconds:
                 return

@@ -17,6 +17,7 @@ from lin_freq_ocp.methods.hybrid.search.search import (
     proven_tree,
     relaxed,
 )
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -63,7 +64,7 @@ def _all_sequences(
     relaxation: ModeRelaxation, end: float
 ) -> tuple[list[ModeNode], list[Duals | PathDuals | None], list[tuple[int, Reach]]]:
     """Return the tree that splits every time in order and its reachable leaves; the root alone if it is too late."""
-    T, modes = relaxation.problem.horizon, len(relaxation.problem.piecewise.modes)
+    T, modes = relaxation.problem.horizon, len(piecewise_affine(relaxation.problem).modes)
     everything = np.ones((T, modes), dtype=bool)
     root = relaxation.reach.from_start(everything)
     nodes = [ModeNode(-1, -1, everything, np.inf if root is None else -np.inf, None)]

@@ -35,9 +35,9 @@ from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.methods.hybrid.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
+from lin_freq_ocp.problem.hybrid.forms import linear_along, measured_modes
 from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
@@ -71,7 +71,7 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterat
 def _independent(problem: OptimalControlProblem, trajectory: Trajectory) -> bool:
     """Whether the active gradients are known to be independent: then there are no other multipliers."""
     try:
-        return uniqueness(problem, trajectory).unique
+        return uniqueness(linear_along(problem, trajectory), trajectory).unique
     except UnsupportedError:  # too many gradients
         return False
 

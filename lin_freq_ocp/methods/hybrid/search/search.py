@@ -11,6 +11,7 @@ from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.search.node import Decision, Relaxed, multipliers_of
 from lin_freq_ocp.methods.hybrid.search.path_node import relaxed_path
+from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -51,20 +52,16 @@ class SearchLimits:
 
 
 @dataclass(frozen=True)
-class SearchProgress:
+class SearchProgress(Progress):
     """How far a search over modes is.
 
     Attributes
     ----------
-    cost, lower_bound : float
-        Of the best sequence found, and of all that is left; infinite as long as there is none.
     nodes, open : int
         Relaxations solved, and nodes still to be split.
     seconds : float
     """
 
-    cost: float
-    lower_bound: float
     nodes: int
     open: int
     seconds: float

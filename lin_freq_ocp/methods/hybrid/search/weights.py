@@ -21,8 +21,8 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.hybrid.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
+from lin_freq_ocp.problem.hybrid.forms import measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 GOOD_FIT = 1e-8  # relative residual up to which normals stay as they are: solvers leave 1e-9, the judge allows 1e-6

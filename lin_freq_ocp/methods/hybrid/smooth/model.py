@@ -17,6 +17,7 @@ from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.methods.structured.kkt.system import Values
 from lin_freq_ocp.methods.structured.model.assembly import Assembly, stages_of
 from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -67,14 +68,14 @@ class SmoothModel:
 
     def defects(self, y: Array) -> Array:
         """Return x_{t+1} - c_t at a point, (T, n); not a number where the map is not defined."""
-        mode, signals = self.problem.smooth_pieces.modes[0], self._signals(y)
+        mode, signals = piecewise_smooth(self.problem).modes[0], self._signals(y)
         values = values_of(mode.f, signals)
         values[~(values_of(mode.domain, signals) > 0).all(axis=1)] = np.nan
         return y[1:, : self.problem.state_dim] - self._deviations(values)
 
     def derivatives(self, y: Array) -> Derivatives:
         """Return c with its derivatives at a point; those by controls that are held are zero."""
-        found, units = jets(self.problem.smooth_pieces.modes[0].f, self._signals(y)), self._units[:-1] * self._free
+        found, units = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y)), self._units[:-1] * self._free
         after = self._units[1:, : self.problem.state_dim]
         slopes = found.slopes * units[:, None, :] / after[:, :, None]
         curvatures = found.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]

@@ -8,6 +8,7 @@ from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum
 from lin_freq_ocp.methods.hybrid.smooth.barrier import FIRST_MU, MOST_STEPS, Barrier, End
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -17,7 +18,7 @@ FEW_STEPS = 60  # from others: 15 to 50 are common, and another start is better 
 
 def is_smooth(problem: OptimalControlProblem) -> bool:
     """Whether the dynamics are one smooth map that holds everywhere it is defined."""
-    dynamics = problem.smooth_pieces
+    dynamics = piecewise_smooth(problem)
     return len(dynamics.modes) == 1 and not dynamics.modes[0].region and not dynamics.norms
 
 
