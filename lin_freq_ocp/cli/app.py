@@ -89,6 +89,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         status = INTERRUPTED
     if silent:
         leave_silently()
+    # Python ends by the signal, not with our status, where Ctrl-C met code that was run from a text, as dataclasses run
+    # theirs, even if KeyboardInterrupt was caught since. To run another text makes it forget that.
+    exec("")
     sys.exit(status)
 
 

@@ -61,6 +61,27 @@ def test_during_imports(module):
     assert interrupted(("solve", "pendulum"), imported(module)) == (130, "", [])
 
 
+INTERRUPTED_TEXT = """
+from lin_freq_ocp.cli import app
+
+def status(arguments):
+    try:
+        exec("raise KeyboardInterrupt")
+    except KeyboardInterrupt:
+        return app.INTERRUPTED
+
+app._status = status
+app.main()
+"""
+
+
+def test_while_a_class_is_made_from_a_text(tmp_path):
+    """As dataclasses do: Python then ends by the signal, unless it forgets it."""
+    (tmp_path / "interrupted_text.py").write_text(INTERRUPTED_TEXT)
+    command = [sys.executable, "-m", "interrupted_text"]
+    assert subprocess.run(command, cwd=tmp_path, check=False, timeout=PATIENCE).returncode == 130
+
+
 def test_while_workers_start():
     status, _, words = interrupted(SWEEP, working)
     assert (status, words) == (130, [])
