@@ -1,6 +1,6 @@
 """Sets of states and controls at every time, hard or soft, and joint rows of both."""
 
-from lin_freq_ocp.problem.hybrid.finite import FiniteSet
+from lin_freq_ocp.problem.hybrid.levels import FiniteSet
 from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft

@@ -42,10 +42,9 @@ from weaker_relaxations import RELAXATIONS
 
 import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
-from lin_freq_ocp.methods.hybrid.claims import SolverClaim
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
-from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
-from lin_freq_ocp.methods.hybrid.search.path_node import compiled_is_there
+from lin_freq_ocp.methods.hybrid.search.mixed import SolverClaim, solve_miqp
+from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
 from lin_freq_ocp.methods.hybrid.search.search import SearchLimits, relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.program.real_rows import real_rows

@@ -13,15 +13,14 @@ import numpy as np
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.hybrid.bound import tree_bound
+from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import branch_and_bound
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.hybrid.search.node import Relaxed
 from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, SearchLimits, relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
-from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 Build = Callable[[], lfo.OptimalControlProblem]

@@ -20,7 +20,7 @@ from nonlinear_program import solved_by_ipopt
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.hybrid.smooth.barrier import Barrier
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 

@@ -11,8 +11,8 @@ from minlp_program import SmoothProgram, smooth_program
 
 from helpers.checks.claimed import differences
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.methods.hybrid.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
-from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum, local_optimum
+from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
+from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import Solution

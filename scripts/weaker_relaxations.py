@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
-from lin_freq_ocp.program.hybrid.row_template import Groups, RowTemplate, Sense
+from lin_freq_ocp.program.hybrid.rows import Groups, RowTemplate, Sense
 
 
 class HullRelaxation(ModeRelaxation):

@@ -11,7 +11,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.atomic import replacing
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.html import html_table
-from lin_freq_ocp.certificate.hybrid.bound import TreeBound
+from lin_freq_ocp.certificate.hybrid.tree import TreeBound
 from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.files.results.conversions import to_frame, to_time_response
 from lin_freq_ocp.files.results.csv_file import save_csv
@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.enclosure import LONGEST_CHECK, Enclosure, require_checker
-from lin_freq_ocp.solving.hybrid.evidence import tree_of
+from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 if TYPE_CHECKING:

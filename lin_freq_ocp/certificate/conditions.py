@@ -16,8 +16,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, state_residual
-from lin_freq_ocp.certificate.peaks.cells import Peak
-from lin_freq_ocp.certificate.peaks.proven import proven_peak
+from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.sizes import Floors, floors
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,

@@ -14,8 +14,8 @@ from lin_freq_ocp.base.html import html_table
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
-from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
+from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.response_bound import best_bound
 from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED

@@ -17,8 +17,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import number
 from lin_freq_ocp.batch.minimum_time.monotone import obstacles
 from lin_freq_ocp.batch.minimum_time.search import Search, searched, stated
-from lin_freq_ocp.certificate.peaks.cells import Peak
-from lin_freq_ocp.certificate.peaks.proven import proven_peak
+from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
 from lin_freq_ocp.comparison.shapers import described, impulses, shaped
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replayed

@@ -13,7 +13,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import modes_along
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.comparison.signals import Signal, state_bounds
 from lin_freq_ocp.problem import measures
-from lin_freq_ocp.problem.hybrid.mode_arrays import FACET_TOLERANCE
+from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE
 from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box

@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.solving.hybrid.kept_tree import KeptTree
+from lin_freq_ocp.solving.hybrid.modes import KeptTree
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome

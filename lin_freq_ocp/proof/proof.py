@@ -14,7 +14,7 @@ from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import cost_is_never_negative, optimum_box
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.hybrid.reach import IntervalReach
+from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
 from lin_freq_ocp.certificate.reach import Enclosure as Region
 from lin_freq_ocp.certificate.reach import stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale
@@ -32,7 +32,7 @@ from lin_freq_ocp.proof.lines import line
 from lin_freq_ocp.proof.point.point import Point, points
 from lin_freq_ocp.proof.statement.problem import problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
-from lin_freq_ocp.solving.hybrid.evidence import tree_of
+from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.certificate.hybrid.bound import LeafJudge, reached_nodes
-from lin_freq_ocp.certificate.hybrid.reach import Stages
+from lin_freq_ocp.certificate.hybrid.tree import LeafJudge, Stages, reached_nodes
 from lin_freq_ocp.explanation.blocks import with_bounds
 from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from lin_freq_ocp.base.arrays import real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.certificate.directions import descent_direction
-from lin_freq_ocp.certificate.peaks.largest import peak_points
+from lin_freq_ocp.certificate.peaks import peak_points
+from lin_freq_ocp.certificate.rays import descent_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Rounded, decimals_of, judge
 from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers

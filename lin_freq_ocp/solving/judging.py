@@ -9,8 +9,7 @@ import numpy as np
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.certificate.directions import Direction, unbounded_direction
+from lin_freq_ocp.certificate.rays import Direction, prove_infeasible, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate

@@ -13,8 +13,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
-from lin_freq_ocp.certificate.conflict import proof_margin, prove_infeasible
-from lin_freq_ocp.certificate.directions import DIRECTION_TOLERANCE, unbounded_direction
+from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, proof_margin, prove_infeasible, unbounded_direction
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.choice import structured_first
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends

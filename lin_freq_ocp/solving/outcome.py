@@ -11,8 +11,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
-from lin_freq_ocp.certificate.conflict import Conflict, InfeasibilityProof
-from lin_freq_ocp.certificate.directions import Direction
+from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProof
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.problem.level_rows import LevelUse, level_use
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -12,7 +12,7 @@ from helpers.borders import changed, multipliers_of, peak_optimum
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.hybrid.search.weights import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
 from lin_freq_ocp.testing import random_kinks
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate import bound as bound_module
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.semidefinite import RISES, is_semidefinite

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.directions import DIRECTION_TOLERANCE, descent_direction
+from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, descent_direction
 from lin_freq_ocp.testing.random_convex import random_problem
 from lin_freq_ocp.testing.random_mixed import Model, problem_of, random_model
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.certificate.peaks.proven import proven_peak
+from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies, HeldMap
 from lin_freq_ocp.problem.terms.limits import limits_on
 from lin_freq_ocp.problem.terms.peaks.search import peaks_above

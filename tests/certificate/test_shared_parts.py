@@ -11,14 +11,14 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate import conflict, directions, hamiltonian
-from lin_freq_ocp.certificate.hybrid.reach import IntervalReach
+from lin_freq_ocp.certificate import hamiltonian, rays
+from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
 from lin_freq_ocp.methods.hybrid.search import branch_and_bound
-from lin_freq_ocp.methods.hybrid.search import weights as search_weights
+from lin_freq_ocp.methods.hybrid.search import multipliers as search_weights
 from lin_freq_ocp.problem import measures, sizes
 from lin_freq_ocp.problem.hybrid import mode_reach
+from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.program import units
 from lin_freq_ocp.solving.certify import certify
@@ -184,10 +184,9 @@ def test_sizes_that_are_wrong_prove_nothing_of_a_problem_with_an_optimum(monkeyp
     """They bound the box of a numerical ray, and measure directions: no optimum is called infeasible or unbounded."""
     problem, right, rng = make(), sizes.stated_sizes, np.random.default_rng(0)
     result = lfo.solve(problem)
-    for module in (conflict, directions):
-        monkeypatch.setattr(
-            module, "stated_sizes", lambda given: tuple(f * s for f, s in zip(factors, right(given), strict=True))
-        )
+    monkeypatch.setattr(
+        rays, "stated_sizes", lambda given: tuple(f * s for f, s in zip(factors, right(given), strict=True))
+    )
     for method in ("convex", "auto"):
         found = lfo.solve(problem, method=method)
         assert (found.status, found.cost) == (Status.OPTIMAL, pytest.approx(result.cost))
@@ -197,9 +196,9 @@ def test_sizes_that_are_wrong_prove_nothing_of_a_problem_with_an_optimum(monkeyp
             for field in ("eta", "mu", "nu", "rho_u", "rho_x")
         }
         ray = replace(result.multipliers, eta_C=0.0, **given)
-        proof = conflict.prove_infeasible(problem, ray)
+        proof = rays.prove_infeasible(problem, ray)
         assert proof is None or proof.bound.kind == "numerical"
-    assert directions.unbounded_direction(problem, result.trajectory) is None
+    assert rays.unbounded_direction(problem, result.trajectory) is None
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.5, 2.0])

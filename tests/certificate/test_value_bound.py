@@ -14,15 +14,13 @@ from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
-from lin_freq_ocp.certificate.hybrid.global_bound.grid import CostToGo, Lattice, Minima
-from lin_freq_ocp.certificate.hybrid.global_bound.stages import QuadraticForm
-from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
-from lin_freq_ocp.certificate.hybrid.global_bound.taylor import least_of
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import CostToGo, Lattice, Minima, QuadraticForm
+from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError, least_of
 from lin_freq_ocp.formulas.intervals import multiply, outward
 from lin_freq_ocp.formulas.jets import interval_jets, jets
 from lin_freq_ocp.formulas.nodes import norm, signals
-from lin_freq_ocp.methods.hybrid.nonsmooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import local_optimum
+from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
+from lin_freq_ocp.methods.hybrid.smooth.sequential import local_optimum
 from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
 
 ROUNDING = 1e-9

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.explanation.blocks import ENDS, blocks, relaxed, without
 from lin_freq_ocp.problem.sizes import stated_sizes
 

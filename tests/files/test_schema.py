@@ -19,7 +19,7 @@ from helpers.every_table import GOOD, PIECEWISE, changed
 from helpers.schemas import DOCS, MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, printed
 from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.certificate.conflict import Conflict
+from lin_freq_ocp.certificate.rays import Conflict
 from lin_freq_ocp.cli.app import cli
 from lin_freq_ocp.files.problem_file import dynamics, tables
 from lin_freq_ocp.files.problem_file.codec import Record

@@ -10,9 +10,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
-from lin_freq_ocp.certificate.hybrid.bound import tree_bound
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
-from lin_freq_ocp.methods.hybrid.search.cover import CoverNode, shifted_cover
+from lin_freq_ocp.certificate.hybrid.tree import tree_bound
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound, CoverNode, shifted_cover
 from lin_freq_ocp.methods.hybrid.search.search import relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode

@@ -12,8 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.certificate.hybrid.bound import tree_bound
-from lin_freq_ocp.certificate.hybrid.reach import IntervalReach
+from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, tree_bound
 from lin_freq_ocp.methods.hybrid.search import search
 from lin_freq_ocp.methods.hybrid.search.search import relaxed
 from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach

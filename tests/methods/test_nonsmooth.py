@@ -17,9 +17,8 @@ from helpers.schemas import RESULT
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.hybrid.smooth import nearest_in_ball
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.hybrid.nonsmooth.newton import newton, starting_point
-from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import local_optimum
-from lin_freq_ocp.methods.hybrid.nonsmooth.system import System
+from lin_freq_ocp.methods.hybrid.smooth.newton import System, newton, starting_point
+from lin_freq_ocp.methods.hybrid.smooth.sequential import local_optimum
 
 BUCK = library.buck_converter
 FREE_END = {"terminal_state": None}

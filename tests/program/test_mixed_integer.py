@@ -19,8 +19,7 @@ from lin_freq_ocp.methods.hybrid.search import mixed
 from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
 from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.backends.base import backend as solver_named
-from lin_freq_ocp.program.hybrid.big_m import excesses
-from lin_freq_ocp.program.hybrid.mixed_integer import big_m_program
+from lin_freq_ocp.program.hybrid.mixed_integer import big_m_program, excesses
 from lin_freq_ocp.program.program import Block
 
 library = lfo.library

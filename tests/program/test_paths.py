@@ -8,14 +8,13 @@ from scipy.linalg import solve_discrete_are
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
-from lin_freq_ocp.certificate.hybrid.bound import tree_bound
-from lin_freq_ocp.methods.hybrid.search import path_node
-from lin_freq_ocp.methods.hybrid.search.path_node import compiled_is_there
+from lin_freq_ocp.certificate.hybrid.tree import tree_bound
+from lin_freq_ocp.methods.hybrid.search import node as path_node
+from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
 from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
-from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])

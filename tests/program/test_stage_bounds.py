@@ -7,7 +7,7 @@ import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, relaxed
 from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
-from lin_freq_ocp.program.hybrid.stage_bounds import Quadratic
+from lin_freq_ocp.program.hybrid.rows import Quadratic
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
 

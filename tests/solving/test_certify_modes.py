@@ -17,7 +17,7 @@ from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.cli.app import cli
 from lin_freq_ocp.files.results.solution_file import save_solution
 from lin_freq_ocp.files.results.summary import certificate_summary
-from lin_freq_ocp.methods.hybrid.search.weights import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.report.tables import certificate_rows

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.hybrid.bound import tree_bound
+from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.problem.level_rows import level_rows
 from lin_freq_ocp.problem.simulation import simulate
 

@@ -15,7 +15,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp.base import memory
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.certificate.hybrid.bound import TreeBound, tree_bound
+from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.hybrid.search.search import SearchLimits

@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.conflict import Exclusion, exclusion
+from lin_freq_ocp.certificate.rays import Exclusion, exclusion
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.starts import start_of

@@ -19,11 +19,11 @@ from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.hybrid.clarke import (
     NormKink,
     SwitchingFacts,
+    judge_modes,
     modes_along,
     required_slopes,
     stationarity_scale,
 )
-from lin_freq_ocp.certificate.hybrid.conditions import judge_modes
 from lin_freq_ocp.certificate.sizes import floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Judgement

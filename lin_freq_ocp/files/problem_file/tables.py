@@ -13,7 +13,7 @@ from lin_freq_ocp.files.problem_file.codec import Kinds, Record, Tables, Value, 
 from lin_freq_ocp.files.problem_file.dynamics import DYNAMICS, without_zeros
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
-from lin_freq_ocp.problem.hybrid.finite import FiniteSet
+from lin_freq_ocp.problem.hybrid.levels import FiniteSet
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point

@@ -14,13 +14,13 @@ import numpy as np
 
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, facts_where_modes_meet
+from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.files.locations import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.hybrid.evidence import tree_of
+from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_nu
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.hybrid.finite import FiniteSet
+from lin_freq_ocp.problem.hybrid.levels import FiniteSet
 from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box

@@ -12,7 +12,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_w
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solving.hybrid.evidence import tree_of
+from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 NAMED_TIMES = 4  # times that a text describes before it only counts the others

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lin_freq_ocp.problem.dynamics.base import in_form
-from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
+from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

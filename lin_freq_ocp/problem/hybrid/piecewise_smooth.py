@@ -19,9 +19,8 @@ from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import System, sampled_map
-from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
+from lin_freq_ocp.problem.hybrid.affine_mode import REPLAY_ROUNDING, AffineMode
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
-from lin_freq_ocp.problem.hybrid.mode_arrays import REPLAY_ROUNDING
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 
 # The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1.

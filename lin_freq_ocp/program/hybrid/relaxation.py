@@ -30,9 +30,18 @@ from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, UNBOUNDED, ModeReac
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.program.hybrid.row_template import Groups, RowTemplate, Sense
-from lin_freq_ocp.program.hybrid.rows import ModeColumns, hessian_roots, mode_rows, mode_stages
-from lin_freq_ocp.program.hybrid.stage_bounds import Lagrangian, StageBounds, StageDuals
+from lin_freq_ocp.program.hybrid.rows import (
+    Groups,
+    Lagrangian,
+    ModeColumns,
+    RowTemplate,
+    Sense,
+    StageBounds,
+    StageDuals,
+    hessian_roots,
+    mode_rows,
+    mode_stages,
+)
 from lin_freq_ocp.program.program import Block, StandardForm
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import common_scaling

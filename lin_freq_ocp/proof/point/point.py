@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.peaks.proven import proven_peak
+from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.lines import line, rows

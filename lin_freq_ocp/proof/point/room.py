@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.peaks.proven import proven_peak
+from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory

@@ -8,11 +8,10 @@ from itertools import chain
 
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.errors import NumericalError
-from lin_freq_ocp.certificate.directions import Direction, descent_direction
-from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, modes_along, facts_where_modes_meet
+from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet, modes_along
+from lin_freq_ocp.certificate.rays import Direction, descent_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.methods.hybrid.search.fitting import candidates
-from lin_freq_ocp.methods.hybrid.search.weights import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import candidates, weighted
 from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

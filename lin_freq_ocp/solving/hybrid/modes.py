@@ -1,8 +1,13 @@
-"""The methods for piecewise-affine dynamics: search, solve the best sequence alone, judge the point and the tree."""
+"""The methods for piecewise-affine dynamics: search, solve the best sequence alone, judge the point and the tree.
+
+A search tree as the evidence of an outcome.
+
+What a search over modes leaves for that of the next step of a control loop.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -12,26 +17,103 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.hybrid.bound import TreeBound, tree_bound
+from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, require_convex
-from lin_freq_ocp.methods.hybrid.claims import AGREEMENT
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
-from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
+from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
-from lin_freq_ocp.methods.hybrid.search.search import GAP, SearchLimits, SearchOutcome, refined
-from lin_freq_ocp.methods.hybrid.search.weights import weighted
+from lin_freq_ocp.methods.hybrid.search.search import GAP, SearchLimits, SearchOutcome, SearchProgress, refined
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
-from lin_freq_ocp.solving.hybrid.evidence import TreeEvidence
-from lin_freq_ocp.solving.hybrid.kept_tree import KeptTree
+from lin_freq_ocp.solving.kept import SearchCache
 from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.outcome import Evidence, Outcome
+
+
+@dataclass(frozen=True, eq=False)
+class TreeEvidence(Evidence):
+    """The nodes of a search, with the multipliers that prove its leaves, and the bound that the judge verified."""
+
+    tree: ModeTree
+    bound: TreeBound
+
+    @property
+    def lower_bound(self) -> float:
+        """Return the bound of the tree."""
+        return self.bound.value
+
+    def verified(self, problem: OptimalControlProblem) -> Bound | None:
+        """Check all nodes once more."""
+        return tree_bound(problem, self.tree).bound_for(problem)
+
+    def raised(self, constant: float) -> TreeEvidence:
+        """Return the same tree with bounds higher by a constant."""
+        bound = self.bound
+        return replace(self, bound=replace(bound, value=bound.value + constant, bounds=bound.bounds + constant))
+
+    def with_multipliers(self, restated: Callable[[Multipliers], Multipliers]) -> TreeEvidence:
+        """Return the tree with the multipliers of all proofs restated."""
+
+        def node_restated(node: ModeNode) -> ModeNode:
+            if node.proof is None:
+                return node
+            return replace(node, proof=replace(node.proof, multipliers=restated(node.proof.multipliers)))
+
+        return replace(self, tree=replace(self.tree, nodes=tuple(map(node_restated, self.tree.nodes))))
+
+    def __str__(self) -> str:
+        return f"tree      {len(self.tree.nodes)} nodes, {self.bound.leaves} leaves, each checked"
+
+
+def tree_of(outcome: Outcome) -> TreeEvidence | None:
+    """Return the search tree of an outcome, if it has one."""
+    return outcome.evidence if isinstance(outcome.evidence, TreeEvidence) else None
+
+
+class KeptTree(SearchCache):
+    """The relaxations of a search, and a cover of the sequences of the next step."""
+
+    def __init__(self):
+        self._of: OptimalControlProblem | None = None  # from which the problem of a step differs in its start alone
+        self._relaxation: ModeRelaxation | None = None
+        self._cover: Sequence[CoverNode] = ()
+        self._base: OptimalControlProblem | None = None
+        self.solved = 0
+
+    def begins(self, base: OptimalControlProblem | None) -> None:
+        """Say from which problem the next differs in its start alone; None if in more."""
+        self._base = base
+
+    def search(
+        self,
+        problem: OptimalControlProblem,
+        limits: SearchLimits,
+        progress: Callable[[SearchProgress], None] | None,
+        start: Indices | None,
+    ) -> SearchOutcome:
+        """Search from what the step before has left, and keep what this leaves."""
+        kept, cover = self._relaxation, self._cover
+        if kept is not None and self._base is not None and self._base is self._of:
+            search = TreeSearch(problem, limits, progress, kept.moved, compiled_from=0)
+        else:
+            search = TreeSearch(problem, limits, progress, compiled_from=0)
+            cover = [replace(node, duals=None) for node in cover]  # theirs are the units of other data
+        self._cover, self.solved = (), 0  # should this one fail
+        outcome = search.run(start, cover=cover)
+        self.solved = outcome.nodes
+        self._of, self._relaxation, self._cover = self._base, search.final_relaxation, search.cover_after_step()
+        return outcome
+
 
 SEQUENCE_BACKEND = "clarabel"  # solves the best sequence, accurately, for its multipliers
 LEAST_TIME = 0.25  # seconds for the best sequence, and for the leaves, when the search has used all the time

@@ -1,8 +1,12 @@
-"""The method for pulse trains: angles by branch and bound, the best of them refined by Newton's method and judged."""
+"""The method for pulse trains: angles by branch and bound, the best of them refined by Newton's method and judged.
+
+Local optima of the angles of a pulse train, by sequential quadratic programming.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -12,16 +16,61 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound
-from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum
+from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.solving.hybrid.local_angles import local_angles
 from lin_freq_ocp.solving.hybrid.smooth import no_multipliers, polished
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
+
+ACCURACY = 1e-15  # of the cost over what its terms add up to: steps end at rounding
+VIOLATION = 1e-9  # of amplitudes of order 1: below what the judge allows
+
+
+def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array, float] | None:
+    """Return the angles of a local optimum near those given, (d,), and its cost; None if none was found."""
+    from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize  # slow to import
+
+    low, high = bound.bounds
+    order = np.diff(np.eye(len(angles)), axis=0)
+    constraints: list[LinearConstraint | NonlinearConstraint] = []
+    limited = np.isfinite(low) | np.isfinite(high)
+    for rows in (np.flatnonzero(low == high), np.flatnonzero((low < high) & limited)):
+        if len(rows):
+            amplitudes, slopes = partial(_amplitudes, bound, steps, rows), partial(_slopes, bound, steps, rows)
+            constraints.append(NonlinearConstraint(amplitudes, low[rows], high[rows], jac=slopes))
+    if len(order):
+        constraints.append(LinearConstraint(order, 0.0, np.inf))
+    found = minimize(
+        partial(_cost, bound, steps, bound.size),
+        angles,
+        jac=True,
+        method="SLSQP",
+        bounds=[(0.0, QUARTER)] * len(angles),
+        constraints=constraints,
+        options={"ftol": ACCURACY, "maxiter": 200},
+    )
+    at = np.clip(np.maximum.accumulate(found.x), 0.0, QUARTER)
+    cost, _, values, _ = bound.at(steps, at)
+    violation = float(np.maximum(low - values, values - high).max(initial=0.0))
+    return None if violation > VIOLATION else (at, cost)
+
+
+def _cost(bound: AngleBound, steps: Array, size: float, angles: Array) -> tuple[float, Array]:
+    cost, slope, _, _ = bound.at(steps, angles)
+    return cost / size, slope / size
+
+
+def _amplitudes(bound: AngleBound, steps: Array, rows: Indices, angles: Array) -> Array:
+    return bound.at(steps, angles)[2][rows]
+
+
+def _slopes(bound: AngleBound, steps: Array, rows: Indices, angles: Array) -> Array:
+    return bound.at(steps, angles)[3][rows]
+
 
 GAP = 1e-6  # default of the relative gap to prove
 NEAR = 0.05  # half width of a box [rad] from which a local search starts at its centre

@@ -16,11 +16,11 @@ from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.methods.hybrid.nonsmooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.nonsmooth.newton import newton
-from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum
-from lin_freq_ocp.methods.hybrid.search.weights import weighted
-from lin_freq_ocp.methods.hybrid.smooth.solver import is_smooth
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
+from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
+from lin_freq_ocp.methods.hybrid.smooth.newton import newton
+from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start

@@ -16,7 +16,7 @@ import numpy as np
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, modes_along
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.hybrid.search.weights import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.testing.random_kinks import random_problem

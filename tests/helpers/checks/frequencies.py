@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal.windows import chebwin
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.peaks.masks import certified_peak
+from lin_freq_ocp.certificate.peaks import certified_peak
 from lin_freq_ocp.problem.terms.continuum import Frequencies
 from lin_freq_ocp.problem.terms.limits import Limits, limits_on
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.hybrid.nonsmooth.newton import NewtonRun, newton
+from lin_freq_ocp.methods.hybrid.smooth.newton import NewtonRun, newton
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 
 SAME_COST = 1e-8

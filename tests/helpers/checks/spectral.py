@@ -17,8 +17,8 @@ from enum import StrEnum
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.conflict import prove_infeasible
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate

@@ -15,7 +15,7 @@ from unittest.mock import patch
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.structured import solver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.problem.sizes import stated_sizes

@@ -9,9 +9,9 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.methods.hybrid.nonsmooth.local_search import LocalSearch
-from lin_freq_ocp.methods.hybrid.smooth import solver
-from lin_freq_ocp.methods.hybrid.smooth.barrier import Barrier, End
+from lin_freq_ocp.methods.hybrid.smooth import interior_point
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier, End
+from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -84,7 +84,7 @@ def test_loops_that_are_not_compiled_lead_to_the_same_answer():
 def test_wide_bands_take_the_side_that_keeps_coefficients(monkeypatch):
     problem = pendulum(control_spectrum=lfo.low_pass(cutoff_hz=2.0))
     expected = lfo.solve(problem, global_bound=False).control
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.barrier.FEW_ROWS", -1)
+    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.interior_point.FEW_ROWS", -1)
     np.testing.assert_allclose(lfo.solve(problem, global_bound=False).control, expected, atol=1e-8)
 
 
@@ -135,7 +135,7 @@ def test_a_time_limit_ends_the_iteration():
 
 def test_ctrl_c_keeps_the_best_trajectory(monkeypatch):
     problem, calls = pendulum(), []
-    best = solver.smooth_optimum(problem, lfo.simulate(problem, np.zeros((40, 1))), warm=False)[0]
+    best = interior_point.smooth_optimum(problem, lfo.simulate(problem, np.zeros((40, 1))), warm=False)[0]
     derivatives = SmoothModel.derivatives
 
     def interrupted(self, y):
@@ -145,7 +145,7 @@ def test_ctrl_c_keeps_the_best_trajectory(monkeypatch):
         return derivatives(self, y)
 
     monkeypatch.setattr(SmoothModel, "derivatives", interrupted)
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.nonsmooth.local_search.SMOOTH_STARTS", 5)
+    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.local_search.SMOOTH_STARTS", 5)
     result = lfo.solve(problem, global_bound=False, throw=False)
     assert len(calls) == 40
     assert (result.status, result.interrupted, result.message) == ("limit", True, "interrupted")
@@ -179,10 +179,10 @@ def test_functions_are_as_good_as_formulas(kind):
 
 
 def test_a_long_horizon_begins_on_a_straight_line(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.nonsmooth.local_search.LONGEST_REPLAY", 10)
+    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.local_search.LONGEST_REPLAY", 10)
     search, problem = LocalSearch(pendulum()), pendulum()
     monkeypatch.setattr(
-        "lin_freq_ocp.methods.hybrid.nonsmooth.local_search.simulate", lambda *given: pytest.fail("replayed")
+        "lin_freq_ocp.methods.hybrid.smooth.local_search.simulate", lambda *given: pytest.fail("replayed")
     )
     found = search.run().best
     assert found is not None

@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, PLANT, T, infeasible
 from helpers.stage_programs import solved_stages, stage_operator
-from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.structured.model.assembly import stages_of
 
 

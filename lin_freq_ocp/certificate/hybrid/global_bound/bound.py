@@ -26,11 +26,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.certificate.hybrid.global_bound.grid import CostToGo, Lattice, index_tuples
-from lin_freq_ocp.certificate.hybrid.global_bound.samples import costs_to_come
-from lin_freq_ocp.certificate.hybrid.global_bound.stages import StageCosts, Stages, stage_costs
-from lin_freq_ocp.certificate.hybrid.global_bound.step import Boxes, Step, met_cells
-from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import (
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
     CUTOFF_MARGIN,
     FINEST_CELL,
     FIRST_BOXES,
@@ -40,7 +36,15 @@ from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import (
     MAX_STATES,
     ROUNDING,
     STEP_SHARE,
+    CostToGo,
+    Lattice,
+    StageCosts,
+    Stages,
+    index_tuples,
+    stage_costs,
 )
+from lin_freq_ocp.certificate.hybrid.global_bound.samples import costs_to_come
+from lin_freq_ocp.certificate.hybrid.global_bound.step import Boxes, Step, met_cells
 from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

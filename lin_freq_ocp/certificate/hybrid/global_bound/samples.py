@@ -9,9 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.certificate.hybrid.global_bound.grid import CostToGo, Lattice, index_tuples
-from lin_freq_ocp.certificate.hybrid.global_bound.stages import Stages
-from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import (
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
     ARRIVAL_SAMPLES,
     ARRIVAL_SPREAD,
     FIXED_PRICE,
@@ -22,6 +20,10 @@ from lin_freq_ocp.certificate.hybrid.global_bound.tolerances import (
     ZOOM_SAMPLES,
     ZOOMS,
     ZOOMS_TO_END,
+    CostToGo,
+    Lattice,
+    Stages,
+    index_tuples,
 )
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth

@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals
 from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
 
 MOST_SEQUENCES = 10_000  # solved within minutes

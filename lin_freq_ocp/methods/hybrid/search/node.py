@@ -1,18 +1,34 @@
-"""The solution of one node of a search over modes, and when it is known well enough."""
+"""The solve of a node's path relaxation: by compiled code where it is there, and else, or if that stalls, by Clarabel.
+
+Whichever solver it was, its duals are put into the bound over boxes (program/hybrid/path_relaxation.py): a node is
+closed by that bound only.
+
+The solution of one node of a search over modes, and when it is known well enough.
+"""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.backends.base import Claim
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathMember, PathProgram, PathRelaxation, path_form
 from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.methods.hybrid.search.path_factors import PathData
+
 
 # Relative residual and gap of a point that is good enough to say that a node must be split
 CLEAR_RESIDUAL, CLEAR_GAP = 1e-3, 3e-5
@@ -68,3 +84,138 @@ def adjoint_of(relaxation: ModeRelaxation, duals: Duals | PathDuals) -> Array:
         return relaxation.adjoint(duals)
     assert isinstance(relaxation, PathRelaxation)
     return relaxation.path_adjoint(duals)
+
+
+COMPILED_TOLERANCE = 5e-8  # residual and gap: a tenth of what leaves leave of the gap to be proven
+# Part of what is left to the cutoff by which the bound of a node that is split may miss its cost: points within give
+# better splits than solutions, and take fewer steps
+CLEAR = 0.7
+PROVEN = 2e-7  # a bound this close to the cost, relative to it, is that of a solution
+
+
+def relaxed_path(
+    relaxation: PathRelaxation,
+    reach: Reach,
+    tolerances: Sequence[float],
+    end: float,
+    cutoff: float | None,
+    compiled: bool,
+) -> Relaxed | None:
+    """Solve the path relaxation of a reach, as ``relaxed``; None where there is none, or no solver solves it.
+
+    ``compiled`` allows compiled code, which takes longer to be loaded than a few nodes take without.
+    """
+    member = relaxation.path_member(reach)
+    if member is None:
+        return None
+    if member.program is None:
+        return Relaxed(reach, np.inf, relaxation.no_path())
+    several = bool((reach.allowed.sum(axis=1) > 1).any())
+    enough = None if cutoff is None else Decision(relaxation.objective(cutoff), several)
+    if compiled and compiled_is_there():
+        found = _by_compiled_code(relaxation, member, enough)
+        if found is not None:
+            return found
+    attempts = [(tolerance, None) for tolerance in tolerances]
+    for tolerance, early in attempts if enough is None else [(tolerances[0], enough), *attempts]:
+        found = _by_clarabel(relaxation, member, tolerance, end, early)
+        if found is not None:
+            return found
+    return None
+
+
+@cache
+def compiled_is_there() -> bool:
+    """Whether the code of path relaxations is compiled and cached; compiling it takes longer than most searches."""
+    if find_spec("numba") is None:
+        return False
+    from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
+
+    return paths.KERNELS.ready
+
+
+def compiled_is_loaded() -> bool:
+    """Whether this process has loaded the compiled code of path relaxations."""
+    paths = sys.modules.get("lin_freq_ocp.methods.hybrid.search.path_kernels")
+    return paths is not None and paths.KERNELS.loaded
+
+
+def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: Decision | None) -> Relaxed | None:
+    """Return the node if compiled code decides it, and its bound holds."""
+    from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
+
+    program = member.program
+    assert program is not None
+    paths.KERNELS.prepare()
+    data = _data(program, paths.PathData)
+    cutoff, clear = (np.inf, 0.0) if enough is None else (enough.cutoff, CLEAR * enough.several)
+    rows = len(data.G), len(program.t)
+    point = np.empty(data.cost.shape), np.empty(len(program.b)), np.empty(rows), np.empty(rows)
+    numbers = np.empty(paths.NUMBERS)
+    end = paths.path_run(*data, *point, numbers, COMPILED_TOLERANCE, PROVEN, cutoff, clear)
+    w, p, z, tau = point[0].T, point[1], point[2][: data.linear].T, float(numbers[paths.TAU])
+    if end == paths.STALLED or not (np.isfinite(p).all() and np.isfinite(z).all()):
+        return None
+    if end == paths.INFEASIBLE:
+        unit = tau * float(numbers[paths.BOUND])
+        duals = relaxation.path_duals(program, p / unit, z / unit, None)
+        return Relaxed(member.reach, np.inf, duals) if relaxation.path_bound(member, duals) > 0 else None
+    duals, bound = relaxation.path_duals(program, p / tau, z / tau, w / tau), float(numbers[paths.PROVEN])
+    return Relaxed(member.reach, relaxation.cost(bound), duals, *relaxation.path_point(program, w / tau))
+
+
+def _data(program: PathProgram, form: Callable[..., PathData]) -> PathData:
+    """Return the arrays with edges side by side: the last index."""
+    k, n = program.middle.shape[1], (program.C.shape[1] - 2) // 2
+    rows = np.concatenate([program.C, program.signals], axis=1)
+    G = np.concatenate([program.linear, program.cone], axis=1)
+    return form(
+        np.ascontiguousarray(rows.transpose(1, 2, 0)),
+        np.ascontiguousarray(program.places.T),
+        program.t,
+        program.coupled,
+        program.b,
+        np.ascontiguousarray(program.cost.T),
+        np.ascontiguousarray(G.transpose(1, 2, 0)),
+        program.linear.shape[1],
+        np.ascontiguousarray((program.present / program.sizes)[:, 2 * k :].T),
+        program.i,
+        program.j,
+        n,
+    )
+
+
+def _by_clarabel(
+    relaxation: PathRelaxation, member: PathMember, tolerance: float, end: float, enough: Decision | None
+) -> Relaxed | None:
+    """Return the node if Clarabel solves it to a tolerance, or ``enough`` ends it and its bound holds."""
+    from lin_freq_ocp.program.backends.clarabel_ import solve_form  # slow to import
+
+    program, left = member.program, end - now()
+    assert program is not None
+    if left <= 0:
+        return Relaxed(member.reach, -np.inf)
+    form = path_form(program)
+    solution = solve_form(form, tolerance, None if left == np.inf else left, enough)
+    if solution.claim is Claim.INTERRUPTED:
+        raise KeyboardInterrupt
+    if (
+        solution.claim not in (Claim.SOLVED, Claim.STOPPED, Claim.INFEASIBLE)
+        or solution.y is None
+        or solution.z is None
+    ):
+        return None
+    p, rest = np.split(solution.y, [len(program.b)])
+    z = np.zeros(program.present.shape)
+    z[program.present] = rest[: np.count_nonzero(program.present)]
+    w = solution.z.reshape(program.cost.shape)
+    if solution.claim is Claim.INFEASIBLE:
+        return Relaxed(member.reach, np.inf, relaxation.path_duals(program, p, z, None)) if enough is None else None
+    duals = relaxation.path_duals(program, p, z, w)
+    bound = relaxation.cost(form.dual_objective(solution.z, solution.y))
+    if enough is not None:
+        bound = relaxation.path_bound(member, duals)
+        split = enough.several and solution.claim is Claim.STOPPED
+        if not split and relaxation.objective(bound) <= enough.cutoff:
+            return None
+    return Relaxed(member.reach, bound, duals, *relaxation.path_point(program, w))

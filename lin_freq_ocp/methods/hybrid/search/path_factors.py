@@ -1,4 +1,4 @@
-"""Linear systems of path relaxations (program/hybrid/paths.py), compiled; the last index is that of E edges.
+"""Linear systems of path relaxations (program/hybrid/path_relaxation.py), compiled; the last index is that of E edges.
 
 Edges have W variables each, and rows C of their two vertices; rows over all times act on sums of signals of edges. With
 Phi = G'W^-2 G of an edge, L L' = Phi and X = [C; signals] L^-T, sums of X X' make the matrix of the multipliers: a band

@@ -1,4 +1,4 @@
-"""What multipliers of a path relaxation prove, compiled: a shortest path, as program/hybrid/path_bounds.py.
+"""What multipliers of a path relaxation prove, compiled: a shortest path, as program/hybrid/path_relaxation.py.
 
 An edge with delta = 1 has the share w = (v, 1, epsilon), |v| <= 1, and the length
 

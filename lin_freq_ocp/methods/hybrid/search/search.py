@@ -9,15 +9,13 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.hybrid.search.node import Decision, Relaxed, multipliers_of
-from lin_freq_ocp.methods.hybrid.search.path_node import relaxed_path
+from lin_freq_ocp.methods.hybrid.search.node import Decision, Relaxed, multipliers_of, relaxed_path
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import Claim, Solution
-from lin_freq_ocp.program.hybrid.path_bounds import PathDuals
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import Duals, Member, ModeRelaxation
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default

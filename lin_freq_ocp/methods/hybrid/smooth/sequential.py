@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.hybrid.nonsmooth.system import jets_of
+from lin_freq_ocp.methods.hybrid.smooth.newton import jets_of
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

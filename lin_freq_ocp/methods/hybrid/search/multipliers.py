@@ -18,11 +18,25 @@ directions into its region within the sets of the stage, and the remainder in th
     dx_{t+1} = A_s dx_t + B_s du_t + sum_j (F_j - F_s) d_j,        F = [A, B],
 
 the convex hull of the map's directions. Stationarity in d_j is a_j - b_t = G_j' lambda_j + N nu_j.
+
+The normal cone of the sets and rows of one stage at (x_t, u_t), by generators, with the multiplier behind each.
+
+From the multipliers of a fixed mode sequence to those of the piecewise-affine map (docs/borders.md).
+
+In the linear problem of a mode sequence s, stationarity at a stage reads  a_s - G_s' lambda = b + N nu  with the slopes
+a_i = (A_i' eta, B_i' eta), the region multipliers lambda, and the normals N nu of the sets of the stage. Clarke's rule
+for the map asks for  sum_i alpha_i a_i = b + N nu'  with weights alpha >= 0, sum alpha = 1: for two modes that share a
+facet lambda = alpha <g, eta>. So alpha, and nu' where nu does not fit, minimise
+
+    |sum_i alpha_i (a_i - a_s) + G_s' lambda + N (nu - nu')|,
+
+the distance of a polyhedron from 0: beta, nu'' >= 0 with the least |V beta - N nu''|^2 + (sum beta - 1)^2 are a
+multiple of them. eta and the other multipliers stay as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,16 +45,168 @@ import scipy.sparse as sp
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.convex.sparse_program import scaled_program
-from lin_freq_ocp.methods.hybrid.search.weights import weighted
-from lin_freq_ocp.methods.hybrid.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness
-from lin_freq_ocp.problem.hybrid.affine_mode import REGION
+from lin_freq_ocp.problem.hybrid.affine_mode import REGION, ModeArrays
 from lin_freq_ocp.problem.hybrid.forms import linear_along, measured_modes
-from lin_freq_ocp.problem.hybrid.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sizes import stated_sizes
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
+
+ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: what the judge accepts
+STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """An active bound or row of a stage.
+
+    Attributes
+    ----------
+    family : str
+        STATE, CONTROL, or the name of a term.
+    place : (int, int)
+        Index of its multiplier in the array of the family.
+    sign : float
+        1, or -1 for a lower bound, whose multiplier is negative.
+    column : (n + m,)
+        What a multiplier of ``sign`` adds to the normal (in x, in u).
+    """
+
+    family: str
+    place: tuple[int, int]
+    sign: float
+    column: Array
+
+    def value(self, multipliers: Multipliers) -> float:
+        """Return how much of the column the multipliers have; of a fixed component, both signs have it."""
+        own = {STATE: multipliers.mu, CONTROL: multipliers.nu}
+        array = own.get(self.family, multipliers.stage.get(self.family))
+        return 0.0 if array is None else max(self.sign * float(array[self.place]), 0.0)
+
+
+def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> list[list[Normal]]:
+    """Return the active bounds of x_t and u_t and the active hard rows of t alone, for t = 0 .. T-1.
+
+    Balls, cones and soft sets are not among them: their multipliers are kept.
+    """
+    found: list[list[Normal]] = [[] for _ in range(problem.horizon)]
+    sizes, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
+    tubes, first = (problem.state_tube, problem.control_tube), 0
+    for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, sizes, strict=True):
+        for t, normal in _of_box(family, signal, tube, size, first, problem.state_dim + problem.control_dim):
+            found[t].append(normal)
+        first = problem.state_dim
+    for term in problem.terms:
+        for t, normal in _of_rows(term, trajectory, problem.horizon):
+            found[t].append(normal)
+    return found
+
+
+def _of_box(family: str, signal: Array, tube: Box, size: Array, first: int, total: int) -> Iterator[tuple[int, Normal]]:
+    near = ACTIVE_DISTANCE * (size + np.abs(signal))
+    lower, upper = tube.lower[: len(signal)], tube.upper[: len(signal)]
+    for sign, active in ((1.0, signal >= upper - near), (-1.0, signal <= lower + near)):
+        for t, k in np.argwhere(active):
+            column = np.zeros(total)
+            column[first + k] = sign
+            yield int(t), Normal(family, (int(t), int(k)), sign, column)
+
+
+def _of_rows(term: Term, trajectory: Trajectory, horizon: int) -> Iterator[tuple[int, Normal]]:
+    rows = term.polyhedron(trajectory.x.shape[1], trajectory.u.shape[1])
+    if rows is None:
+        return
+    values = term.map.values(trajectory.x, trajectory.u)
+    sizes = term.map.sizes(trajectory.x, trajectory.u).max(0)
+    near = ACTIVE_DISTANCE * np.where(sizes > 0, sizes, 1.0)
+    for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
+        if rows.times[group] < horizon:
+            place = int(group), int(row)
+            yield int(rows.times[group]), Normal(term.name, place, 1.0, rows.matrix(int(group))[row])
+
+
+GOOD_FIT = 1e-8  # relative residual up to which normals stay as they are: solvers leave 1e-9, the judge allows 1e-6
+
+
+def weighted(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    sequence: Indices,
+    multipliers: Multipliers,
+    pushed: Array | None = None,
+) -> Multipliers:
+    """Return the multipliers of the map, with weights of active modes, from those of ``problem.with_modes(sequence)``.
+
+    The latter have region multipliers under the name REGION (zero by default); ``pushed`` (T, n + m) is added to
+    G_s' lambda. The result is the best fit to Clarke's rule with this adjoint, be it good or not.
+    """
+    arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
+    times, active = np.arange(problem.horizon), arrays.active_modes(x, u)
+    active[times, sequence] = True
+    rows = np.concatenate([arrays.G, arrays.H], axis=-1)
+    maps = np.concatenate([arrays.A, arrays.B], axis=-1)
+    slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
+    region = multipliers.stage.get(REGION, np.zeros((problem.horizon, 0)))
+    across = np.einsum("tr,trj->tj", region, rows[times, sequence, : region.shape[1]])
+    across += 0.0 if pushed is None else pushed
+    weights, normals = np.zeros(active.shape), stage_normals(problem, trajectory)
+    weights[times, sequence] = 1.0
+    if problem.dynamics.controls_of(sequence) is not None:  # every u is normal to a point
+        nu, stage = multipliers.nu + across[:, x.shape[1] :], dict(multipliers.stage)
+        stage.pop(REGION, None)
+        return replace(multipliers, nu=nu, stage=stage, weights=weights)
+    parts = {term.name: multipliers.stage.get(term.name, np.zeros(term.shape)).copy() for term in problem.terms}
+    parts |= {STATE: multipliers.mu.copy(), CONTROL: multipliers.nu.copy()}
+    scale = _scale(maps, multipliers)
+    for t in times:
+        s, modes = sequence[t], np.flatnonzero(active[t])
+        if len(modes) == 1 and not (np.abs(across[t]) > GOOD_FIT * scale).any():
+            continue
+        differences = (slopes[t, modes] - slopes[t, s] + across[t]) / scale
+        held = np.array([normal.value(multipliers) for normal in normals[t]])
+        weights[t, modes], changed = _nearest(differences, normals[t], held, scale)
+        if changed is not None:
+            for normal in normals[t]:
+                parts[normal.family][normal.place] = 0.0
+            for normal, value in zip(normals[t], changed, strict=True):  # of a fixed component, both signs add up
+                parts[normal.family][normal.place] += normal.sign * value
+    mu, nu = parts.pop(STATE), parts.pop(CONTROL)
+    return Multipliers(multipliers.eta_C, multipliers.eta, mu, nu, multipliers.rho_u, multipliers.rho_x, parts, weights)
+
+
+def _nearest(differences: Array, normals: Sequence[Normal], held: Array, scale: Array) -> tuple[Array, Array | None]:
+    """Return alpha, and new multipliers of the normals, or None to keep ``held``; ``differences`` is (modes, n + m)."""
+    columns = np.array([normal.column / scale for normal in normals]).reshape(-1, len(scale))
+    alpha, _, residual = _polytope(differences, columns[:0])
+    if residual <= GOOD_FIT or not len(normals):
+        return alpha, None
+    freed, values, with_normals = _polytope(differences + held @ columns, columns)
+    return (freed, values) if with_normals < residual else (alpha, None)
+
+
+def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
+    """Return alpha, nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
+    from scipy.optimize import nnls  # slow to import
+
+    norms = np.linalg.norm(rays, axis=1)
+    norms = np.where(norms > 0, norms, 1.0)
+    matrix = np.hstack([points.T, -(rays / norms[:, None]).T])
+    total = np.concatenate([np.ones(len(points)), np.zeros(len(rays))])
+    found, _ = nnls(np.vstack([matrix, total]), np.append(np.zeros(len(matrix)), 1.0))
+    found = found / found[: len(points)].sum()
+    return found[: len(points)], found[len(points) :] / norms, float(np.abs(matrix @ found).max())
+
+
+def _scale(maps: Array, multipliers: Multipliers) -> Array:
+    """Return the scale of each entry of a slope, (n + m,): the largest terms of all slopes and normals."""
+    terms = np.einsum("tkij,ti->tkj", np.abs(maps), np.abs(multipliers.eta)).max(axis=(0, 1))
+    scale = terms + np.concatenate([np.abs(multipliers.mu).max(0), np.abs(multipliers.nu).max(0)])
+    return np.where(scale > 0, scale, 1.0)
+
 
 ROUNDS = 12  # fits of weights, each with the adjoint of the last
 SAME_ADJOINT = 1e-9  # change of eta, relative to its largest entry, at which the rounds have converged
