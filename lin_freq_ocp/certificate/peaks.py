@@ -1,4 +1,6 @@
-"""The largest value of functions on cells below a limit, with proof, from their polynomials.
+"""The largest value of a spectrum or of a residual vibration relative to its limit, at every frequency, with proof.
+
+Cells. The frequencies are divided into cells, on which the function is nearly a polynomial.
 
 On a cell, |V| is |g| but for an error of e at most, g(y) = sum_j a_j y^j with -1 <= y <= 1, and the limit l is linear.
 |V| <= R l holds there if no Bernstein coefficient of (R l - e)^2 - |g|^2 is negative; cells of which this is not clear
@@ -6,10 +8,9 @@ are halved.
 
 References: Farouki, Computer Aided Geometric Design 29, 2012 (Bernstein coefficients as bounds).
 
-The largest value of a spectrum below its limit, over all frequencies of some intervals, with proof.
-
-V(w) = sum_t v_t exp(-iwt) of samples v_0 .. v_{N-1}, and a limit l > 0 that is linear on each interval. The circle is
-divided into cells of half-width s about w_c. With the time tau from the middle of the samples, |V| on a cell is |g| of
+Spectra of samples. V(w) = sum_t v_t exp(-iwt) of samples v_0 .. v_{N-1}, and a limit l > 0 that is linear on each
+interval. The circle is divided into cells of half-width s about w_c. With the time tau from the middle of the samples,
+|V| on a cell is |g| of
 
     g(y) = sum_j a_j y^j,   a_j = (-is)^j / j! sum_t v_t tau_t^j exp(-i w_c t),   w = w_c + s y,   -1 <= y <= 1,
 
@@ -18,25 +19,18 @@ other j; the rounding of the FFT is added.
 
 References: Higham, Accuracy and Stability of Numerical Algorithms, 2002, Theorem 24.2 (rounding of the FFT).
 
-The largest spectrum of a held signal below its limit, |S(w) V(w)| / l(w) at w of any size, with proof.
+Held signals, |S(w) V(w)| / l(w) at w of any size. V has the period 2 pi, and its polynomials g are those of masks. On a
+cell about c of half-width s, S is an entire function, S(c + s y) = sum_j b_j y^j with |b_j| <= (s/2)^j / j!, as S is
+the spectrum of a box of width 1. Its values at K = TERMS points of the circle |y| = 1 have the Fourier coefficients b_j
++ b_{j+K} + ...; with s <= pi/4, what these and the left-out terms add is below 1e-19. The product of both polynomials
+is cut off, and what is cut off is added.
 
-V has the period 2 pi, and its polynomials g are those of masks. On a cell about c of half-width s, S is an entire
-function, S(c + s y) = sum_j b_j y^j with |b_j| <= (s/2)^j / j!, as S is the spectrum of a box of width 1. Its values at
-K = TERMS points of the circle |y| = 1 have the Fourier coefficients b_j + b_{j+K} + ...; with s <= pi/4, what these and
-the left-out terms add is below 1e-19. The product of both polynomials is cut off, and what is cut off is added.
-
-Where a trajectory reaches or exceeds infinitely many constraints.
-
-The largest residual vibration over a box of modes, with proof.
-
-|V| = |Q| / sin(phi), Q(y) = (z - 1) sum_t v_t z^(N-1-t), z = exp(h e^y), y = ln w + i phi, is largest on an edge of the
-rectangle of all y, as ln |V| is subharmonic (problem/terms/continua/vibration.py). An edge is divided into cells of
-half-length r about y_c. Q at K points of the circle of radius r about y_c has the Fourier coefficients
-a_j = q_j + q_{j+K} + ..., where Q = sum_j q_j ((y - y_c) / r)^j. By Cauchy, |q_j| <= M (r/R)^j with |Q| <= M on the
-circle of radius R: with W = N h max w, M = 2 exp(W (e^R - 1)) sum |v_t|. The limit times sin(phi), which is concave, is
-above its chord.
-
-The largest value of a signal's infinitely many constraints relative to their limit, with proof.
+Residual vibrations over a box of modes. |V| = |Q| / sin(phi), Q(y) = (z - 1) sum_t v_t z^(N-1-t), z = exp(h e^y), y =
+ln w + i phi, is largest on an edge of the rectangle of all y, as ln |V| is subharmonic
+(problem/terms/continua/vibration.py). An edge is divided into cells of half-length r about y_c. Q at K points of the
+circle of radius r about y_c has the Fourier coefficients a_j = q_j + q_{j+K} + ..., where Q = sum_j q_j ((y - y_c) /
+r)^j. By Cauchy, |q_j| <= M (r/R)^j with |Q| <= M on the circle of radius R: with W = N h max w, M = 2 exp(W (e^R - 1))
+sum |v_t|. The limit times sin(phi), which is concave, is above its chord.
 """
 
 from __future__ import annotations

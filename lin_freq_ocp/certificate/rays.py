@@ -1,11 +1,10 @@
-"""Proofs by a direction (dx, du): that a trajectory is no extremal, or that the cost has no lower bound.
+"""Proofs by rays: that a problem is infeasible, that its cost has no lower bound, or that a trajectory is no extremal.
 
-A direction that keeps every active constraint to first order and along which the cost falls leaves no room for normal
-multipliers: with g the gradient of J and v any sum of normals, <g + v, d> <= <g, d> < 0, so that g + v is not 0. A
-direction that is feasible at every length and along which the cost has no lower bound shows that the problem is
-unbounded.
-
-The proof that a problem is infeasible: multipliers with eta_C = 0 whose bound D is above 0, and what carries it.
+A problem is infeasible if multipliers with eta_C = 0 have a bound D above 0; the constraints that carry it are in
+conflict. A direction (dx, du) that keeps every active constraint to first order and along which the cost falls leaves
+no room for normal multipliers: with g the gradient of J and v any sum of normals, <g + v, d> <= <g, d> < 0, so that g +
+v is not 0. A direction that is feasible at every length and along which the cost has no lower bound shows that the
+problem is unbounded.
 """
 
 from __future__ import annotations

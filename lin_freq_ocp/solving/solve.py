@@ -1,8 +1,7 @@
 """From a problem to a judged outcome: the method is chosen, its options are checked, its answer is judged.
 
-Masks at every frequency, by exchange: a method solves problems with masks at finitely many frequencies.
-
-A round adds the frequencies of all local maxima of |V| above the limit, and drops those without a multiplier, or next
+Masks at every frequency are solved by exchange: a method solves problems with masks at finitely many frequencies. A
+round adds the frequencies of all local maxima of |V| above the limit, and drops those without a multiplier, or next
 to an added one. For a residual vibration, frequencies are points (natural frequency, damping ratio) of a box. A problem
 with finitely many of the constraints is a relaxation: its infeasibility proof and its bound are those of the problem,
 and its trajectory is judged at every frequency.

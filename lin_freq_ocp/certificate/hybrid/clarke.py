@@ -14,10 +14,9 @@ the normals to the sets of the stage:
 By Farkas' lemma an inequality for all d of a polyhedral cone says that a vector is a nonnegative sum of the cone's
 rows: nonnegative least squares decides, and its residual is that of the condition.
 
-The conditions of a problem with piecewise-affine dynamics: those of the averaged linear problem, and of its modes.
-
-With weights alpha, the derivative of f_t is sum_i alpha_i (A_i, B_i): Clarke's rule is then the adjoint equation and
-stationarity in u of the linear problem with these dynamics, if the sum is a convex combination of active modes.
+``judge_modes`` has all conditions: those of the averaged linear problem, and those of its modes. With weights alpha,
+the derivative of f_t is sum_i alpha_i (A_i, B_i): Clarke's rule is then the adjoint equation and stationarity in u of
+the linear problem with these dynamics, if the sum is a convex combination of active modes.
 """
 
 from __future__ import annotations

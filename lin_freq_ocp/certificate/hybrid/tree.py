@@ -7,15 +7,14 @@ For any multipliers, and any mask of modes with the boxes of its reach,
         l_t(x, u) - <e_tij, A_i x + B_i u + d_i> + <lambda_tij, G_i x + H_i u - h_i> + <v_{t-1,i}, x>
         + min over box_{t+1,j} of <nu_tij, x>,        e_tij = eta_t + v_tj + nu_tij,   lambda_tij >= 0,
 
-with l_t of bound.py without its map. v and nu, zero without ``PathMultipliers``, add nothing above zero along any
-trajectory: the terms of v cancel from stage to stage, and x_{t+1} is in box_{t+1,j}. D is a shortest path; edges whose
-image misses the next box are none. The leaves of a tree cover all sequences, so the least D of all leaves bounds the
-cost of every trajectory. Only masks and multipliers are taken from the search.
+with l_t of ``certificate.bound`` without its map. v and nu, zero without ``PathMultipliers``, add nothing above zero
+along any trajectory: the terms of v cancel from stage to stage, and x_{t+1} is in box_{t+1,j}. D is a shortest path;
+edges whose image misses the next box are none. The leaves of a tree cover all sequences, so the least D of all leaves
+bounds the cost of every trajectory. Only masks and multipliers are taken from the search.
 
-Boxes that every trajectory of a mask of modes stays in: the judge's own, apart from the reach that the search uses.
-
-Intervals go forward in time through the region and the map of each mode. Beside them, zonotopes hold what only one
-mode leads to: they do not grow where the map turns.
+The boxes are those that every trajectory of a mask stays in, computed apart from the reach of the search. Intervals go
+forward in time through the region and the map of each mode. Beside them, zonotopes hold what only one mode leads to:
+they do not grow where the map turns.
 """
 
 from __future__ import annotations

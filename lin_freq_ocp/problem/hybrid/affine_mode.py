@@ -1,6 +1,6 @@
 """Modes of piecewise-affine dynamics: an affine map and the polyhedron in (x, u) where it holds.
 
-All modes at all times, as arrays: what each makes of a trajectory, and which hold where.
+``ModeArrays`` has all modes at all times: what each makes of a trajectory, and which hold where.
 """
 
 from __future__ import annotations

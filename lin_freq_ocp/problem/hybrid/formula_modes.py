@@ -1,6 +1,6 @@
-"""Maxima and minima of affine functions of (x, u), and the polyhedra on which they are affine.
+"""The pieces of formulas with maxima and minima, and the polyhedra on which maxima of affine functions are affine.
 
-The pieces of formulas with maxima and minima: a piece for each choice of arguments that can hold.
+A formula has a piece for each choice of arguments that can hold.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 # ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
-"""Linear dynamics whose control takes finitely many points: piecewise-affine dynamics with a mode for each of them.
-
-Controls with finitely many levels, each with its cost.
+"""Controls with finitely many levels, each with its cost, and the dynamics with a mode for each combination of levels.
 
 The convex hull of the pairs (level, cost) of a component is an interval and, as its cost, the lower convex envelope f.
 Let l_0 < .. < l_k be the levels that span it, s_j the slope between l_j and l_(j+1), and l_m the level of the least

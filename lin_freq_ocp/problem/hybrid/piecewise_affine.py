@@ -1,6 +1,6 @@
 """Piecewise-affine dynamics: x_{t+1} = A_i x_t + B_i u_t + d_i, mode i, where G_i x_t + H_i u_t <= h_i.
 
-Modes by the signs of guards G x_t + H u_t - d: one pattern of signs for each mode.
+Modes may also be given by the signs of guards G x_t + H u_t - d, one pattern of signs for each mode.
 """
 
 from __future__ import annotations

@@ -4,14 +4,13 @@
     REGIONS    G_i x_t + H_i u_t - h_i <= sum_j regions_ij delta_{t,j}
     MODES      sum_i delta_{t,i} = 1, 0 <= delta <= 1, and <= 0 for modes that cannot hold
 
-with the bounds of big_m.py, which are 0 for j = i: while mode i holds, its map and region do, and the rows of the
+with the bounds below, which are 0 for j = i: while mode i holds, its map and region do, and the rows of the
 others are void. One M for each pair of modes is at least as tight as M (1 - delta_{t,i}) with the largest of them. A
 row of several modes is written once, as an equation if all have it. Everything else is as in the linear transcription.
 
-Big-M coefficients: the least bounds on maps and regions of a mode while another mode holds.
-
-While mode j holds at t, (x_t, u_t) lies in a domain D_tj: the region of j, the hard linear rows of the stage sets, the
-box of j in the forward reach (``analysis.mode_reach``), and f_j(x_t, u_t) in that of x_{t+1}. Over it,
+The coefficients are the least bounds on maps and regions of a mode while another mode holds. While mode j holds at t,
+(x_t, u_t) lies in a domain D_tj: the region of j, the hard linear rows of the stage sets, the box of j in the forward
+reach (``mode_reach``), and f_j(x_t, u_t) in that of x_{t+1}. Over it,
 
     below_ij <= f_j - f_i <= above_ij,      G_i x + H_i u - h_i <= regions_ij.
 

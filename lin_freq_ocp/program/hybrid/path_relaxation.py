@@ -1,6 +1,6 @@
-"""Path relaxations (paths.py) of a problem, and the way back from their solutions to trajectories and multipliers.
+"""The relaxation of a mode sequence as a path, what its duals prove, and the way back to trajectories and multipliers.
 
-The relaxation of a mode sequence as a path, in a graph whose vertices are the modes at every time.
+The path leads through a graph whose vertices are the modes at every time.
 
 An edge e = (t, i, j) stands for mode i at t and j at t + 1, with weight delta_e >= 0 and share y_e of (x_t, u_t). What
 comes into a vertex leaves it, weights as well as shares of the state:
@@ -15,9 +15,8 @@ modes at each time alone (relaxation.py), as a share keeps its mode for two time
 An edge has the variables w = (v, delta, epsilon), y = middle delta + half v, so that |v| <= delta is its box. All rows
 are homogeneous: C w = b of the vertices and of rows over all times, G w + s = 0 with s >= 0 or in second-order cones.
 
-What duals of a path relaxation prove: the shortest path, the least Lagrangian over its box being an edge's length.
-
-With eta_tj of the vertex of mode j at t + 1, in natural units y = (x, u), and lambda >= 0, nu, rho as below,
+Duals prove the shortest path, with the least Lagrangian over its box as the length of an edge. With eta_tj of the
+vertex of mode j at t + 1, in natural units y = (x, u), and lambda >= 0, nu, rho as below,
 
     phi_tij = min over box_ti of  c_t(y) + <eta_{t-1,i}, x> - <eta_tj + nu_tij, f_ti(y)> + <lambda_tij, G_ti y - h_ti>
                                   + <rho, F_t y>  +  min over box_{t+1,j} of <nu_tij, x>,

@@ -1,13 +1,11 @@
-"""The rows of mode relaxations (see relaxation.py), the columns they stand on, and the modes in natural units.
+"""The rows of mode relaxations (see relaxation.py), and what their duals prove stage by stage.
 
-All rows that a family of programs may have; each member takes some of them.
+A template has all rows that a family of programs may have; each member takes some of them. Rows come in groups, one for
+each time and mode, all of a kind having the same size: so a member is chosen by masks and assembled by a few vector
+operations. A search over modes asks for thousands of programs that differ in little.
 
-Rows come in groups, one for each time and mode, all of a kind having the same size: so a member is chosen by masks and
-assembled by a few vector operations. A search over modes asks for thousands of programs that differ in little.
-
-What duals of a relaxation prove, stage by stage: the least Lagrangian of every mode over its box.
-
-With eta of the links, lambda >= 0 of the regions and rho of the rows F over all times, in natural units y = (x, u),
+Duals prove the least Lagrangian of every mode over its box. With eta of the links, lambda >= 0 of the regions and rho
+of the rows F over all times, in natural units y = (x, u),
 
     phi_ti = min over box_ti of  c_t(y) + <eta_{t-1}, x> - <eta_t, maps y + offsets> + <rho, F_t y> + <lambda, G y - h>,
     J within the mask >= sum_t min_i phi_ti + phi_T - <rho, right>,

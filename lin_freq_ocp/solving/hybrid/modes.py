@@ -1,8 +1,7 @@
 """The methods for piecewise-affine dynamics: search, solve the best sequence alone, judge the point and the tree.
 
-A search tree as the evidence of an outcome.
-
-What a search over modes leaves for that of the next step of a control loop.
+The tree is the evidence of the outcome. In a control loop, a search leaves its relaxations and a cover of the sequences
+to that of the next step.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The method for pulse trains: angles by branch and bound, the best of them refined by Newton's method and judged.
 
-Local optima of the angles of a pulse train, by sequential quadratic programming.
+The local search over angles is sequential quadratic programming.
 """
 
 from __future__ import annotations

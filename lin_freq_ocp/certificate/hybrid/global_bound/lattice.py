@@ -1,8 +1,4 @@
-"""Cells of states with affine functions below the cost-to-go, and the least of them over ranges of cells.
-
-Tolerances and sizes of the global bound; only the first group enters what is proven.
-
-The stages of the global bound: costs with constraints priced by multipliers, bounds of states and controls.
+"""The stages of the global bound, and cells of states with affine functions below the cost-to-go.
 
 For any multipliers, every feasible trajectory has J >= constant + sum_t c_t(x_t, u_t) + c_T(x_T), where the quadratics
 c_t hold the signals of the frequency multipliers, which vanish in the sum, and the affine minorants <lambda+, L> - h*

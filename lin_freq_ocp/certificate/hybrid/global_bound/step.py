@@ -1,6 +1,6 @@
 """One step of dynamic programming with intervals: bounds of c + V(f) over boxes of (x, u), and their bisection.
 
-Lower bounds of a quadratic plus <sigma, f> over boxes of y = (x, u), by Taylor's formula with enclosures of f.
+A box is bounded by Taylor's formula: a quadratic plus <sigma, f> over y = (x, u), with enclosures of f.
 """
 
 from __future__ import annotations

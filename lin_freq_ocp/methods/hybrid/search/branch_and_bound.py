@@ -4,12 +4,11 @@ A node is a mask of modes. Its relaxation bounds the cost of all sequences withi
 the relaxed step misses the true dynamics most, weighted by the adjoint. A leaf is a node whose bound comes within the
 gap of the best sequence found; its multipliers prove that.
 
-A cover of all mode sequences: what a search begins with when it follows that of the step before in a control loop.
-
-After a step, the tree of the problem before is shifted by one time: splits at time 0 are dropped, with all nodes that
-have another mode there; masks and duals move to the time before; the last time is new, with all modes (Marcucci and
-Tedrake, IEEE TAC 66(6), 2021). What the reach had left out is not: the state may be disturbed. Every path of splits
-still has a node for each mode, so that leaves cover all sequences, whichever mode at time 0 is followed.
+In a control loop, a search begins with a cover of all mode sequences. After a step, the tree of the problem before is
+shifted by one time: splits at time 0 are dropped, with all nodes that have another mode there; masks and duals move to
+the time before; the last time is new, with all modes (Marcucci and Tedrake, IEEE TAC 66(6), 2021). What the reach had
+left out is not: the state may be disturbed. Every path of splits still has a node for each mode, so that leaves cover
+all sequences, whichever mode at time 0 is followed.
 """
 
 from __future__ import annotations

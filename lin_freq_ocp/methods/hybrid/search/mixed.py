@@ -1,7 +1,4 @@
-"""Mode sequences from mixed-integer solvers: claims that are measured and proven elsewhere.
-
-What mixed-integer solvers claim of a problem; nothing of it is proven.
-"""
+"""Mode sequences from mixed-integer solvers: claims, which branch and bound then proves or improves."""
 
 from __future__ import annotations
 

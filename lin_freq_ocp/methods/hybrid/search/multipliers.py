@@ -1,4 +1,4 @@
-"""Candidates for the multipliers of a trajectory of piecewise-affine dynamics that came without any.
+"""Multipliers of a trajectory of piecewise-affine dynamics: from a mode sequence, or fitted to the trajectory.
 
 Where several modes are active, a trajectory lies in several mode sequences, and each may have multipliers of its own.
 Candidates, all with the least residual of stationarity as in ``methods/multipliers.py``:
@@ -19,11 +19,8 @@ directions into its region within the sets of the stage, and the remainder in th
 
 the convex hull of the map's directions. Stationarity in d_j is a_j - b_t = G_j' lambda_j + N nu_j.
 
-The normal cone of the sets and rows of one stage at (x_t, u_t), by generators, with the multiplier behind each.
-
-From the multipliers of a fixed mode sequence to those of the piecewise-affine map (docs/borders.md).
-
-In the linear problem of a mode sequence s, stationarity at a stage reads  a_s - G_s' lambda = b + N nu  with the slopes
+``weighted`` leads from the multipliers of a fixed mode sequence to those of the map (docs/borders.md). In the linear
+problem of a mode sequence s, stationarity at a stage reads  a_s - G_s' lambda = b + N nu  with the slopes
 a_i = (A_i' eta, B_i' eta), the region multipliers lambda, and the normals N nu of the sets of the stage. Clarke's rule
 for the map asks for  sum_i alpha_i a_i = b + N nu'  with weights alpha >= 0, sum alpha = 1: for two modes that share a
 facet lambda = alpha <g, eta>. So alpha, and nu' where nu does not fit, minimise

@@ -1,9 +1,7 @@
-"""The solve of a node's path relaxation: by compiled code where it is there, and else, or if that stalls, by Clarabel.
+"""One node of a search over modes: its relaxation is solved as well as the search needs it.
 
-Whichever solver it was, its duals are put into the bound over boxes (program/hybrid/path_relaxation.py): a node is
-closed by that bound only.
-
-The solution of one node of a search over modes, and when it is known well enough.
+Path relaxations are solved by compiled code if available; by Clarabel otherwise, or if it stalls. The duals of either
+enter the bound over boxes (program/hybrid/path_relaxation.py), and only that bound closes a node.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Local optima of several mode sequences, each improved by changing one mode at a time.
 
-Dynamic programming on a grid of states and controls: a trajectory to start from, for one or two states.
-
-Values between grid points are interpolated linearly, so the result is near an optimum and proves nothing. Frequency
+For one or two states, dynamic programming on a grid of states and controls gives trajectories to start from. Values
+between grid points are interpolated linearly, so the result is near an optimum and proves nothing. Frequency
 constraints couple all times; their multipliers, as functions of time, are in the stage costs instead.
 """
 

@@ -1,14 +1,12 @@
-"""A semismooth Newton method on the conditions of the maximum principle for piecewise-smooth dynamics (``system``).
+"""A semismooth Newton method on the conditions of the maximum principle for piecewise-smooth dynamics.
 
 Steps solve the linearised equations, with the term of Levenberg and Marquardt where these are singular, and are
 shortened until |Phi|^2 falls.
 
-The conditions of the maximum principle for piecewise-smooth dynamics as equations in as many unknowns.
-
-Unknowns are x, u, eta, the frequency multipliers, and a selection for every kink, shared by x and u: where two modes
-touch, the weight alpha in [0, 1] of the second; at the zero of a norm, the vector xi. For every component v with bounds
-l <= v <= h, the conditions F >= 0 at l, F <= 0 at h, and F = 0 between are, with the function of Fischer and
-Burmeister, nested as by Billups,
+The conditions are equations in as many unknowns. Unknowns are x, u, eta, the frequency multipliers, and a selection for
+every kink, shared by x and u: where two modes touch, the weight alpha in [0, 1] of the second; at the zero of a norm,
+the vector xi. For every component v with bounds l <= v <= h, the conditions F >= 0 at l, F <= 0 at h, and F = 0 between
+are, with the function of Fischer and Burmeister, nested as by Billups,
 
     phi(v - l, phi(h - v, -F)) = 0,    phi(a, b) = |(a, b)| - a - b,    where F is
 
