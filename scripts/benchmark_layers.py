@@ -19,12 +19,12 @@ from benchmark_cases import FAMILIES, moved
 from rich.table import Table
 
 import lin_freq_ocp as lfo
+from helpers.random.lti import random_lti
 from lin_freq_ocp.methods.spectral import solver
 from lin_freq_ocp.methods.spectral.algorithm import exchange, first_set, structure
 from lin_freq_ocp.methods.spectral.kkt import dual_qp, interior_point
 from lin_freq_ocp.methods.spectral.model import kernels
 from lin_freq_ocp.methods.spectral.rows import violations
-from lin_freq_ocp.testing.random_lti import random_lti
 
 Solve = Callable[[], lfo.solvers.SpectralSolution]
 

@@ -68,7 +68,7 @@ from seeded import check_all
 
 import lin_freq_ocp as lfo
 from helpers.checks.convex import Outcome, check
-from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, reference_problem
+from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
 # How many random problems each part solves unless told otherwise
 PROBLEMS = {

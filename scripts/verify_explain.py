@@ -9,7 +9,7 @@ from rich.table import Table
 from seeded import check_all
 
 from helpers.checks.explain import check
-from lin_freq_ocp.testing.random_infeasible import KINDS
+from helpers.random.infeasible import KINDS
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:

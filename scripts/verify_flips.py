@@ -9,7 +9,7 @@ from rich.table import Table
 from seeded import check_all
 
 from helpers.checks.flips import check
-from lin_freq_ocp.testing.random_kinks import KINDS
+from helpers.random.kinks import KINDS
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:

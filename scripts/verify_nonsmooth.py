@@ -12,7 +12,7 @@ from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.testing.reference import PIECEWISE_SMOOTH
+from lin_freq_ocp.testing import PIECEWISE_SMOOTH
 
 COST, CONDITION = 1e-7, 1e-8  # relative difference of costs, and the worst condition of the certificate
 GAP, SECONDS = 1e-4, 60.0  # relative gap to prove, and the time for that together with the search

@@ -11,7 +11,7 @@ from rich.table import Table
 from seeded import check_all
 
 from helpers.checks.spectral import AGREEMENT, BOTH_SOLVED, GOOD, Outcome, Verdict, check
-from lin_freq_ocp.testing.random_lti import KINDS, kind_of
+from helpers.random.lti import KINDS, kind_of
 
 AGREEING = 0.99  # share of the problems solved by both that must agree
 

@@ -1,4 +1,3 @@
-# pyright: reportAttributeAccessIssue=false
 """The optimal cost of linear problems by plain Clarabel, on a quadratic program that shares no code with the package.
 
 The program is written from a problem of boxes, stop bands and joint rows, in good units, with scipy.sparse alone.
