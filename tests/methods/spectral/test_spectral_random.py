@@ -1,4 +1,4 @@
-"""A seeded sample of scripts/verify_spectral.py, and what it says of answers that are wrong on purpose."""
+"""A seeded sample of scripts/verify/spectral.py, and what it says of answers that are wrong on purpose."""
 
 import signal
 from dataclasses import replace
