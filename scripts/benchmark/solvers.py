@@ -7,11 +7,12 @@
 
 All contenders run in one process with one thread (BLAS and solvers), in turns, and the median counts, in seconds of the
 process. Writing the problem down for the solver is timed with the solve, as are multipliers; constructing the
-OptimalControlProblem is not. Who is expected to need longer than the limit is skipped, and the table says so. Next to
-the times stand the residuals of every answer, relative and computed from the problem's data, and its certificate; what
-each figure is, is written in ``measures.Row``, and who runs with which settings in ``contenders``.
+OptimalControlProblem is not. A contender that is expected to need longer than the limit is skipped, and the table says
+so. Beside the times are the residuals of every answer, relative and computed from the problem's data, and its
+certificate: ``measures.Row`` defines each figure, and ``contenders`` the settings of each solver.
+
 The families "resolve" and "resolve-slow" solve one problem from many new initial states, and show the worst residuals
-of all. The last table, the one that --write keeps, has a line for each problem and horizon.
+of all. The last table has a line for each problem and horizon; it is the one that --write saves.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ from benchmark.memory import in_own_process
 from benchmark.record import Record, build_parser, duration
 from lin_freq_ocp.pages.figures.style import CLASSICAL, COMPONENTS, MARKERS, ROW_HEIGHT, Note, new_figure, style_axes
 
-GROWTH = {"ours": 1.2}
 # Exponents by which times are expected to grow with the horizon; a stop band in the time domain is dense rows
+GROWTH = {"ours": 1.2}
 CUBIC = 3.0
-SAFETY = 1.5  # who may need this many times less than expected is still run
+SAFETY = 1.5  # a contender that is expected to exceed the limit by less than this factor is still run
 # No contender but ours starts unseen above this horizon: dense rows need memory that grows with its square
 LARGEST_DENSE = 3000
-REPEAT_SECONDS = 4.0  # A contender whose runs at one horizon took this long together is not repeated any more
+REPEAT_SECONDS = 4.0  # a contender whose runs at one horizon took this long together is not repeated any more
 EXPONENT_FROM, EXPONENT_TO = 10_000, 1_000_000  # horizons between which the growth of our time is stated
 COLUMNS = ("error", "gap", "dynamics", "stop_band", "bounds", "adjoint")
 
