@@ -13,7 +13,7 @@ from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.testing.reference import PENDULUM, reference_problem
+from lin_freq_ocp.testing import PENDULUM, reference_problem
 
 COMPILED = ("test_paths.py",)
 """The tests that wait longest for numba."""

@@ -1,6 +1,6 @@
 """Which method "auto" takes first for linear dynamics, after the Fourier-domain method has refused the problem.
 
-Measured by scripts/benchmark_choice.py. The sparse program needs a dense row for every frequency constraint, and its
+Measured by scripts/benchmark.py choice. The sparse program needs a dense row for every frequency constraint, and its
 time grows with the entries of these rows; the structured method needs none, but more time for a small problem.
 """
 

@@ -71,7 +71,7 @@ FAMILIES: dict[type, Family] = {
 }
 
 # Methods of earlier versions, and what to do instead.
-REMOVED = {"minlp": "SCIP's claims are an independent check in scripts/verify_nonsmooth.py now; use 'auto'"}
+REMOVED = {"minlp": "SCIP's claims are an independent check in scripts/verify/nonsmooth.py now; use 'auto'"}
 
 # Why other methods do not take an option.
 ONLY = {

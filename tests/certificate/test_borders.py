@@ -9,12 +9,12 @@ from scipy.optimize import linprog
 import lin_freq_ocp as lfo
 from helpers import kinks
 from helpers.borders import changed, multipliers_of, peak_optimum
+from helpers.random.kinks import KINDS, random_map
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
-from lin_freq_ocp.testing import random_kinks
 
 
 def failures(certificate, label, name=""):
@@ -349,7 +349,7 @@ class OneStep:
     """One step from a point on as many borders as there are, with linear costs that make p whatever one wishes."""
 
     def __init__(self, rng, kind, bounded, joint):
-        dynamics = random_kinks.random_map(rng, 1, 1, kind)
+        dynamics = random_map(rng, 1, 1, kind)
         self.arrays, self.eta = dynamics.arrays(1), rng.standard_normal()
         self.point = meeting_point(dynamics, rng)
         self.meets = self.arrays.active(self.point[None, :1], self.point[None, 1:])[0]
@@ -391,14 +391,14 @@ def meeting_point(dynamics, rng):
     return rows[0] * limits[0] / (rows[0] @ rows[0]) + rng.standard_normal() * np.array([-rows[0][1], rows[0][0]])
 
 
-@pytest.mark.parametrize(("kind", "bounded"), list(zip(random_kinks.KINDS, [False, True] * 2, strict=True)))
+@pytest.mark.parametrize(("kind", "bounded"), list(zip(KINDS, [False, True] * 2, strict=True)))
 def test_the_facts_are_those_of_directional_derivatives(kind, bounded):
     """Each fact again: by steps of the map itself along many directions, and the joint one by a linear program."""
     angles = np.linspace(0, 2 * np.pi, 3600, endpoint=False)
     around, axes = np.column_stack([np.cos(angles), np.sin(angles)]), np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
     seen = set()
     for seed in range(12):
-        rng = np.random.default_rng([seed, random_kinks.KINDS.index(kind), bounded])
+        rng = np.random.default_rng([seed, KINDS.index(kind), bounded])
         case = OneStep(rng, kind, bounded, joint=seed % 2 == 0)
         facts, allowed = case.facts(), around[around[:, 1] >= 0] if bounded else around
         rise, modes = case.rise(allowed)

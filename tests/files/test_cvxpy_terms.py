@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.random.mixed import problem_of, random_model
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 
 
 def labelled(program: cp.Problem) -> dict[str, cp.Constraint]:

@@ -16,6 +16,7 @@ from jsonschema import Draft202012Validator
 
 import lin_freq_ocp as lfo
 from helpers.every_table import GOOD, PIECEWISE, changed
+from helpers.random.mixed import problem_of, random_model
 from helpers.schemas import DOCS, MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, printed
 from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
@@ -27,7 +28,6 @@ from lin_freq_ocp.files.problem_file.tables import SETS
 from lin_freq_ocp.files.problem_file.toml_file import template
 from lin_freq_ocp.files.results.summary import comparison_summary, failed_comparison_summary, result_summary
 from lin_freq_ocp.problem.measures import Measures
-from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 
 PARTS = PROBLEM["$defs"]
 

@@ -9,7 +9,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.proof.proof import proof_of
 from lin_freq_ocp.proof.tree import written_nodes
-from lin_freq_ocp.testing.reference import PIECEWISE_AFFINE
+from lin_freq_ocp.testing import PIECEWISE_AFFINE
 
 GAP = 1e-6  # relative, of the search
 

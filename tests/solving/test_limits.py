@@ -59,7 +59,7 @@ PATHS: dict[str, tuple[Callable[[], lfo.OptimalControlProblem], str]] = {
 
 @pytest.mark.parametrize("path", PATHS)
 def test_every_path_ends_at_its_time_limit(path: str) -> None:
-    """How long that takes by a real clock is what scripts/verify_limits.py measures."""
+    """How long that takes by a real clock is what scripts/verify/limits.py measures."""
     make, method = PATHS[path]
     problem, clock = make(), Clock(LOOK)
     with use_clock(clock), pytest.raises(lfo.errors.LimitError, match=r"time limit|MaxTime|timelimit") as raised:

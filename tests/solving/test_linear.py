@@ -11,10 +11,10 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import linear
 from helpers.checks.units import solved
+from helpers.random.linear import random_linear
 from lin_freq_ocp.methods.convex.polish import polished, without_rounding
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
 from lin_freq_ocp.program.transcription import LinearTranscription
-from lin_freq_ocp.testing.random_linear import random_linear
 
 BRAKING = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.random_unbounded import random_unbounded, with_cost_times
+from helpers.random.unbounded import random_unbounded, with_cost_times
 from lin_freq_ocp.certificate.rays import unbounded_direction
 
 T = 10

@@ -12,11 +12,11 @@ import cvxpy as cp
 import numpy as np
 
 import lin_freq_ocp as lfo
+from helpers.random.infeasible import random_infeasible
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.rays import PRACTICAL
 from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, relaxed, without
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.testing.random_infeasible import random_infeasible
 
 LESS = 0.95  # part of a cure that must not help
 

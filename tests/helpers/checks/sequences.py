@@ -17,8 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
+from helpers.oracle import TOLERANCE, PlainProgram, plain_program
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.testing.oracle import TOLERANCE, PlainProgram, plain_program
 
 MOST_SEQUENCES = 260  # solved in a second
 AGREEMENT = 3e-6  # difference of two costs, relative to max(1, |J|): the gap that is asked, and the error of Clarabel

@@ -24,7 +24,7 @@ KNOWN = [
     (library.planar_quadrotor, {}, 17.23373467304576),
     (library.planar_quadrotor, {"cutoff_hz": 5.0}, 17.38156473398363),
 ]
-"""Costs that IPOPT finds from constant controls, by scripts/benchmark_nonlinear.py."""
+"""Costs that IPOPT finds from constant controls, by scripts/benchmark.py nonlinear."""
 
 
 def pendulum(horizon=40, **changes):
