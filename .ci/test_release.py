@@ -3,8 +3,6 @@
 Run by .ci/run: python -m pytest .ci/test_release.py
 """
 
-# ruff: noqa: D103
-
 import tomllib
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Run by .ci/run: python -m pytest docs/test_pages.py
 """
 
-# ruff: noqa: D103
-
 import re
 import shlex
 import subprocess

@@ -3,8 +3,6 @@
 Run by .ci/run: python -m pytest scripts/benchmark/test_benchmark.py
 """
 
-# ruff: noqa: D103
-
 import csv
 import os
 import sys

@@ -21,6 +21,7 @@ from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.report.tables import certificate_rows
+from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
 
 
@@ -136,7 +137,7 @@ def test_joint_rows_of_a_stage_may_carry_what_a_mode_needs():
 
 def test_uniqueness_counts_the_rows_of_the_sequence():
     problem, trajectory, _ = peak_optimum()
-    found = uniqueness(problem, trajectory)
+    found = uniqueness(linear_along(problem, trajectory), trajectory)
     assert found.unique
     assert found.active == uniqueness(problem.with_modes([0, 0]), trajectory).active
 
