@@ -10,7 +10,7 @@ from lin_freq_ocp.api.sweep import Sweep
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.sensitivities import Sensitivities
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.files.results.solution_file import SavedSolution
+from lin_freq_ocp.files.solution_file import SavedSolution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.solving.outcome import Cure, Explanation

@@ -15,9 +15,9 @@ from lin_freq_ocp.api.progress import counted, reporting
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import answered
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.batch.many.many import ManyHead, ManyOutcome, References, solved_many
-from lin_freq_ocp.batch.many.repeated import Repeated
-from lin_freq_ocp.files.runs.many_file import ManyFile
+from lin_freq_ocp.batch.many import ManyHead, ManyOutcome, References, solved_many
+from lin_freq_ocp.batch.repeated import Repeated
+from lin_freq_ocp.files.many_file import ManyFile
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.solving.kept import Change

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, final
 
 from lin_freq_ocp.api.progress import counted, reporting
 from lin_freq_ocp.api.result import shown_as
-from lin_freq_ocp.batch.sweep.grid import Source
-from lin_freq_ocp.batch.sweep.sweep import SweepOutcome, swept
-from lin_freq_ocp.files.runs.sweep_file import SweepFile, read_sweep, save_sweep_csv
+from lin_freq_ocp.batch.grid import Source
+from lin_freq_ocp.batch.sweep import SweepOutcome, swept
+from lin_freq_ocp.files.sweep_file import SweepFile, read_sweep, save_sweep_csv
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

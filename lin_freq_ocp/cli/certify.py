@@ -21,8 +21,8 @@ from lin_freq_ocp.cli.console import (
 )
 from lin_freq_ocp.cli.options import json_option, problem_argument, settings_option
 from lin_freq_ocp.cli.problems import build
-from lin_freq_ocp.files.results.solution_file import load_trajectory
-from lin_freq_ocp.files.results.summary import certificate_summary
+from lin_freq_ocp.files.solution_file import load_trajectory
+from lin_freq_ocp.files.summary import certificate_summary
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory

@@ -20,8 +20,8 @@ from lin_freq_ocp.cli.console import (
 )
 from lin_freq_ocp.cli.options import backend_option, json_option, problem_argument, settings_option
 from lin_freq_ocp.cli.problems import build, require_folder
-from lin_freq_ocp.files.results.solution_file import load_trajectory
-from lin_freq_ocp.files.results.summary import comparison_summary, failed_comparison_summary
+from lin_freq_ocp.files.solution_file import load_trajectory
+from lin_freq_ocp.files.summary import comparison_summary, failed_comparison_summary
 
 
 @click.command("compare")

@@ -65,7 +65,7 @@ def error_message(error: Exception) -> str:
         return f"not enough memory for a problem of this size ({error})."
     if error_status(error) != FAULT:
         return str(error)
-    from lin_freq_ocp.files.runs.run_file import described
+    from lin_freq_ocp.files.run_file import described
 
     what = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
     location = next(iter(described(error)["places"][::-1]), "no place")
@@ -114,7 +114,7 @@ def say(text: str) -> None:
 
 def print_json(summary: Mapping[str, object]) -> None:
     """Print one JSON object on stdout."""
-    from lin_freq_ocp.files.results.summary import to_json
+    from lin_freq_ocp.files.summary import to_json
 
     say(to_json(summary))
 

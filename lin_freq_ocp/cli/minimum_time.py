@@ -24,7 +24,7 @@ from lin_freq_ocp.cli.console import (
 from lin_freq_ocp.cli.options import json_option, problem_argument, solve_options
 from lin_freq_ocp.cli.problems import ProblemFile, builder, is_file, parsed_settings
 from lin_freq_ocp.files.locations import FileTable
-from lin_freq_ocp.files.results.summary import SCHEMA, result_summary
+from lin_freq_ocp.files.summary import SCHEMA, result_summary
 
 
 @click.command("minimum-time")

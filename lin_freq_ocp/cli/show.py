@@ -16,7 +16,7 @@ from lin_freq_ocp.cli.options import json_option, problem_argument, settings_opt
 from lin_freq_ocp.cli.problems import build, is_file, parsed_settings
 
 if TYPE_CHECKING:
-    from lin_freq_ocp.files.problem_file.description import Parameter
+    from lin_freq_ocp.files.description import Parameter
 
 LONGEST_VALUE = 50  # characters of a value that are shown
 
@@ -27,7 +27,7 @@ LONGEST_VALUE = 50  # characters of a value that are shown
 @json_option
 def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     """Show what a library problem or a problem file is, and its parameters for --set with their defaults."""
-    from lin_freq_ocp.files.problem_file import description
+    from lin_freq_ocp.files import description
 
     given = parsed_settings(settings)
     shown = build(problem, settings)

@@ -28,9 +28,9 @@ from lin_freq_ocp.cli.console import (
 from lin_freq_ocp.cli.options import Command, json_option, problem_argument, solve_options
 from lin_freq_ocp.cli.problems import build, require_writable
 from lin_freq_ocp.files.locations import FileTable
-from lin_freq_ocp.files.results.solution_file import kind_of_file, load_trajectory
-from lin_freq_ocp.files.results.summary import result_summary
-from lin_freq_ocp.files.runs.run_file import dumping_errors
+from lin_freq_ocp.files.solution_file import kind_of_file, load_trajectory
+from lin_freq_ocp.files.summary import result_summary
+from lin_freq_ocp.files.run_file import dumping_errors
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.proof.enclosure import require_checker
 

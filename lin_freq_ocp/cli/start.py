@@ -24,7 +24,7 @@ def list_command() -> int:
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
 def init_command(file: Path) -> int:
     """Write a commented problem file to start from."""
-    from lin_freq_ocp.files.problem_file.toml_file import init_problem_file
+    from lin_freq_ocp.files.problem_file import init_problem_file
 
     init_problem_file(file)
     say(f"wrote {file}; next: lin-freq-ocp solve {file}")

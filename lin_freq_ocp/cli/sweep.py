@@ -20,8 +20,8 @@ from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import replacing, writing
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.starting import INTERRUPTED
-from lin_freq_ocp.batch.sweep.grid import MOST_POINTS, Source
-from lin_freq_ocp.batch.sweep.tasks import WorkerPool, process_pool
+from lin_freq_ocp.batch.grid import MOST_POINTS, Source
+from lin_freq_ocp.batch.tasks import WorkerPool, process_pool
 from lin_freq_ocp.cli.console import NOT_PROVEN, PROVEN, complain, err, print_json, print_table, written
 from lin_freq_ocp.cli.options import json_option, problem_argument, solve_options
 from lin_freq_ocp.cli.problems import (
@@ -33,7 +33,7 @@ from lin_freq_ocp.cli.problems import (
     require_keys_of_file,
 )
 from lin_freq_ocp.files.locations import FileTable, FileValue
-from lin_freq_ocp.files.runs.sweep_file import sweep_summary
+from lin_freq_ocp.files.sweep_file import sweep_summary
 
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")  # from:to:count, linear, both ends included
 GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"

@@ -15,8 +15,8 @@ import numpy as np
 
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import number
-from lin_freq_ocp.batch.minimum_time.monotone import obstacles
-from lin_freq_ocp.batch.minimum_time.search import Search, searched, stated
+from lin_freq_ocp.batch.monotone import obstacles
+from lin_freq_ocp.batch.minimum_time import Search, searched, stated
 from lin_freq_ocp.certificate.peaks.cells import Peak
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE

@@ -12,7 +12,7 @@ from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.many.repeated import Repeated
+from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.loop.choice import better
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.softening import checked_penalties, excess, softened

@@ -25,12 +25,12 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.checked import checked
 from lin_freq_ocp.proof.convex import LARGER_RISE, convex_problem, raised_by
-from lin_freq_ocp.proof.dual.dual import Dual, dual_of
-from lin_freq_ocp.proof.dual.growth import precision
+from lin_freq_ocp.proof.dual import Dual, dual_of
+from lin_freq_ocp.proof.growth import precision
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.lines import line
-from lin_freq_ocp.proof.point.point import Point, points
-from lin_freq_ocp.proof.statement.problem import problem_lines
+from lin_freq_ocp.proof.point import Point, points
+from lin_freq_ocp.proof.statement import problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged

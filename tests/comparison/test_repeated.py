@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.batch.many.repeated import Repeated
+from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.methods.structured.model import assembly
 from lin_freq_ocp.solving.kept import Change
 

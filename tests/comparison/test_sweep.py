@@ -16,11 +16,11 @@ from distributed import Client, LocalCluster
 
 import lin_freq_ocp as lfo
 from helpers.sweeps import GRID, SHORT, assert_same, broken_builder
-from lin_freq_ocp.batch.sweep import point as sweep_point
-from lin_freq_ocp.batch.sweep import tasks as sweep_tasks
-from lin_freq_ocp.batch.sweep.grid import fingerprint
-from lin_freq_ocp.batch.sweep.sweep import MEASURED
-from lin_freq_ocp.batch.sweep.tasks import process_pool
+from lin_freq_ocp.batch import point as sweep_point
+from lin_freq_ocp.batch import tasks as sweep_tasks
+from lin_freq_ocp.batch.grid import fingerprint
+from lin_freq_ocp.batch.sweep import MEASURED
+from lin_freq_ocp.batch.tasks import process_pool
 
 FORTY = {"cutoff_hz": np.linspace(0.3, 4.0, 20), "speed_bound": [0.25, 0.4]}
 

@@ -12,7 +12,7 @@ from helpers.command_line import run
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.compare import SEARCH_SECONDS, compared
-from lin_freq_ocp.files.results.summary import comparison_summary
+from lin_freq_ocp.files.summary import comparison_summary
 from lin_freq_ocp.pages.report.findings import finding
 
 

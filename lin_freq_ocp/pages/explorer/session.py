@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import number
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.many.repeated import Repeated
+from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome, Filtered
 from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequency_constraint

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lin_freq_ocp.base.phrases import NOTHING, number, plural, short_name, split_unit
-from lin_freq_ocp.batch.sweep.sweep import SweepOutcome
+from lin_freq_ocp.batch.sweep import SweepOutcome
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome

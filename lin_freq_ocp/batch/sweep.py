@@ -1,0 +1,166 @@
+"""Sweeps: one problem at every point of a grid of parameters, on as many processes or machines as there are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Protocol, get_type_hints
+
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.batch.grid import (
+    Source,
+    fingerprint,
+    grid_points,
+    grid_values,
+    plain,
+    point_key,
+    require_picklable,
+)
+from lin_freq_ocp.batch.point import INTERRUPTED, Row, failed_point, solve_point
+from lin_freq_ocp.batch.tasks import Work, finished
+from lin_freq_ocp.solving.solve import require_options
+
+MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")  # the columns beside the parameters
+
+
+@dataclass(frozen=True)
+class SweepHead:
+    """What makes two sweeps the same one: the name of what is swept, its fingerprint, parameters and options."""
+
+    problem: str
+    fingerprint: str
+    names: tuple[str, ...]
+    options: Mapping[str, object]
+
+
+@dataclass(frozen=True, eq=False)
+class SweepOutcome:
+    """The points of a grid that are finished.
+
+    Attributes
+    ----------
+    problem : str
+        Name of the problem, or of the function that builds it.
+    grid : dict
+        The values of each parameter, as JSON has them.
+    rows : tuple of dict
+        One per finished point, in the order of the grid, the last parameter fastest: "parameters", "status", "proven",
+        "cost", "lower_bound", "gap", "pmp", "global", "method", "backend", "seconds" and "message", as in ``Result``
+        and ``Certificate``; None where there is nothing. A point that could not be solved has the status "error".
+    options : dict
+        What solve was given.
+    interrupted : bool
+        Whether Ctrl-C ended it before all points were finished.
+    """
+
+    problem: str
+    grid: Mapping[str, tuple[object, ...]]
+    rows: tuple[Row, ...] = field(repr=False)
+    options: Mapping[str, object]
+    interrupted: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the swept parameters."""
+        return tuple(self.grid)
+
+    @property
+    def size(self) -> int:
+        """Return the number of points of the grid, be they finished or not."""
+        return math.prod(map(len, self.grid.values()))
+
+    @property
+    def complete(self) -> bool:
+        """Whether every point is finished."""
+        return len(self.rows) == self.size
+
+    @property
+    def proven(self) -> bool:
+        """Whether every point is finished and its status is proven: optimal, infeasible or unbounded."""
+        return self.complete and all(row["proven"] for row in self.rows)
+
+    def table(self) -> list[dict[str, object]]:
+        """Return a flat dict per row, parameters first; ``pandas.DataFrame`` takes it as it is."""
+        return [row["parameters"] | {name: row[name] for name in MEASURED} for row in self.rows]
+
+    def column(self, name: str) -> list[object]:
+        """Return one parameter or one key of the rows, an entry per row.
+
+        Raises
+        ------
+        ProblemError
+            If there is none of that name.
+        """
+        known = (*self.names, *MEASURED)
+        if name not in known:
+            raise ProblemError("column", repr(name), f"one of {', '.join(known)}", suggestion(name, known))
+        return [row[name] for row in self.table()]
+
+
+class Record(Protocol):
+    """Where finished points are kept: those of an earlier run, and each as it is finished."""
+
+    rows: list[Row]
+
+    def append(self, row: Row) -> None:
+        """Keep one more point."""
+        ...
+
+
+# Opens the record of a sweep, given its identity and its grid; None keeps nothing.
+OpenRecord = Callable[[SweepHead, Mapping[str, Sequence[object]]], AbstractContextManager[Record | None]]
+
+
+def swept(
+    problem: Source,
+    grid: Mapping[str, Sequence[object]],
+    options: Mapping[str, Any],
+    executor: Executor | None,
+    open_record: OpenRecord,
+    progress: Callable[[int, int], None] | None,
+) -> SweepOutcome:
+    """Return the finished points of a grid, all of them unless it was interrupted; see ``lfo.sweep``."""
+    require_options(**options)
+    values = grid_values(problem, grid)
+    if executor is not None:
+        if not isinstance(executor, Executor):
+            advice = "Of a Dask client: client.get_executor()."
+            raise ProblemError("executor", brief(executor), "a concurrent.futures.Executor, or None", advice)
+        require_picklable(problem, values)
+    points, shown = grid_points(values), {name: tuple(map(plain, given)) for name, given in values.items()}
+    head = SweepHead(_name(problem), fingerprint(problem), tuple(values), options)
+    rows, interrupted = dict[str, Row](), False
+    work = Work(partial(solve_point, problem, options), failed_point, lambda row: row["status"] == INTERRUPTED)
+
+    def report() -> None:
+        if progress is not None:
+            progress(len(rows), len(points))
+
+    with open_record(head, shown) as record:
+        known = {} if record is None else {point_key(row["parameters"]): row for row in record.rows}
+        rows.update({key: known[key] for key in points if key in known})
+        missing = {key: point for key, point in points.items() if key not in rows}
+        try:
+            report()
+            with closing(finished(work, missing, executor)) as results:
+                for key, row in results:
+                    if record is not None:
+                        record.append(row)
+                    rows[key] = row
+                    report()
+        except KeyboardInterrupt:
+            interrupted = True
+    kept = tuple(rows[key] for key in points if key in rows)
+    return SweepOutcome(head.problem, shown, kept, options, interrupted)
+
+
+def _name(problem: Source) -> str:
+    """Return the name of a problem, or of the function that builds it."""
+    if isinstance(problem, partial):
+        return _name(problem.func)
+    return str(getattr(problem, "name", None) or getattr(problem, "__name__", None) or "problem")

@@ -1,0 +1,190 @@
+"""Sweeps in files: JSON lines that grow while points finish and are resumed from, a table, and a JSON object.
+
+The first line describes the sweep. A line per finished point follows, and a line with the grid whenever it is new. Each
+line is on the disk before the next begins; an incomplete last line is ignored.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import get_type_hints
+
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.atomic import write_text
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.batch.grid import grid_points, point_key
+from lin_freq_ocp.batch.point import ERROR, Row
+from lin_freq_ocp.batch.sweep import MEASURED, SweepHead, SweepOutcome
+from lin_freq_ocp.files.reading import Log, parsed_json, read_bytes, read_text
+from lin_freq_ocp.files.locations import FileTable, FileValue, require_keys
+from lin_freq_ocp.files.csv_file import header
+
+SCHEMA = 1  # version of the layout; a file with another version is refused
+KIND = "lin-freq-ocp sweep"
+BEGINNING = json.dumps({"kind": KIND, "schema": SCHEMA})[:-1]  # of every file, also of one cut off in its first line
+HEAD_KEYS = ("kind", "schema", "version", "problem", "fingerprint", "names", "options", "grid")
+HEAD_KINDS = {"problem": str, "fingerprint": str, "names": list, "options": dict}
+# Types of the values of a row.
+ROW_KINDS = {
+    key: dict if key == "parameters" else int | float | None if kind == float | None else kind
+    for key, kind in get_type_hints(Row).items()
+}
+
+DIFFERENCES = (("problem", "another problem"), ("names", "other parameters"), ("options", "other options of solve"))
+ANOTHER_PATH = "Give another path, or remove the file."
+
+
+class SweepFile:
+    """A file that gets a line per point; a file of the same sweep is continued, and any other is a ProblemError.
+
+    ``rows`` are those of the file when it was opened, without points that ended with an error.
+    """
+
+    def __init__(self, path: str | PathLike[str], head: SweepHead, grid: Mapping[str, Sequence[FileValue]]):
+        self._log = Log(Path(path))
+        try:
+            self.rows: list[Row] = self._begin(Path(path), head, grid)
+        except BaseException:
+            self._log.close()
+            raise
+
+    def _begin(self, path: Path, head: SweepHead, grid: Mapping[str, Sequence[FileValue]]) -> list[Row]:
+        """Return the finished points of the file, which gets its first line, or the grid if that is new."""
+        first = {"kind": KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
+        first |= {"problem": head.problem, "fingerprint": head.fingerprint, "names": sorted(head.names)}
+        lines = _lines(path)
+        rows = [row for row in _rows(lines) if row["status"] != ERROR]
+        if lines:
+            _require_same(path, lines[0], head)
+        self._log.truncate(read_bytes(path).rfind(b"\n") + 1 if lines else 0)
+        given = {name: list(values) for name, values in grid.items()}
+        if not lines:
+            self._log.write(first | {"options": dict(head.options), "grid": given})
+        elif list(_grid(lines).items()) != list(given.items()):
+            self._log.write({"grid": given})
+        return rows
+
+    def append(self, row: Row) -> None:
+        """Write one point; it is on the disk when this returns."""
+        self._log.write(row)
+
+    def __enter__(self) -> SweepFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._log.close()
+
+
+def read_sweep(path: str | PathLike[str]) -> SweepOutcome:
+    """Read the file of a sweep, complete or not, with its last grid; ProblemError if it is no such file, or damaged."""
+    path = Path(path)
+    lines = _lines(path)
+    if not lines:
+        raise _no_sweep(path)
+    grid = {name: tuple(values) for name, values in _grid(lines).items()}
+    rows = {point_key(row["parameters"]): row for row in _rows(lines)}
+    kept = tuple(rows[key] for key in grid_points(grid) if key in rows)
+    return SweepOutcome(lines[0]["problem"], grid, kept, lines[0]["options"])
+
+
+def save_sweep_csv(path: str | PathLike[str], sweep: SweepOutcome) -> None:
+    """Write a line per row, parameters first; numbers with all digits, absent values empty."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(map(header, (*sweep.names, *MEASURED)))
+    writer.writerows([_cell(value) for value in row.values()] for row in sweep.table())
+    write_text(path, text.getvalue())
+
+
+def _cell(value: FileValue) -> FileValue:
+    """Return a value as a cell that no spreadsheet takes for a formula; "-inf" is a number."""
+    return value if not isinstance(value, str) or value in ("-inf", "inf", "nan") else header(value)
+
+
+def sweep_summary(sweep: SweepOutcome) -> FileTable:
+    """Return a sweep as the JSON object of ``lin-freq-ocp sweep --json``."""
+    return {
+        "schema": SCHEMA,
+        "version": version("lin-freq-ocp"),
+        "problem": sweep.problem,
+        "grid": {name: list(values) for name, values in sweep.grid.items()},
+        "options": dict(sweep.options),
+        "complete": sweep.complete,
+        "interrupted": sweep.interrupted,
+        "points": list(sweep.rows),
+    }
+
+
+def _lines(path: Path) -> list[FileTable]:
+    """Return all whole lines of a sweep's file; none, if not even the first is whole."""
+    head, *others = read_text(path).split("\n")
+    if not others and BEGINNING.startswith(head[: len(BEGINNING)]):
+        return []
+    if not head.startswith(BEGINNING):
+        raise _no_sweep(path)
+    lines = [_line(path, number, text) for number, text in enumerate([head, *others[:-1]], 1)]
+    require_keys(path.name, lines[0], HEAD_KEYS)
+    for key, kind in HEAD_KINDS.items():
+        _require_kind(path.name, lines[0], key, kind)
+    return lines
+
+
+def _line(path: Path, number: int, text: str) -> FileTable:
+    line = parsed_json(f"{path}, line {number}", text)
+    location = f"{path.name}, line {number}"
+    require_keys(location, line, optional=() if not isinstance(line, dict) else line)
+    if "grid" in line:
+        _require_grid(location, line["grid"])
+    elif number > 1:
+        line.setdefault("bound", None)  # rows of earlier versions have none
+        require_keys(location, line, ("parameters", *MEASURED))
+        for key, kind in ROW_KINDS.items():
+            _require_kind(location, line, key, kind)
+    return line
+
+
+def _require_grid(location: str, grid: object) -> None:
+    if (
+        not isinstance(grid, dict)
+        or not grid
+        or not all(isinstance(values, list) and values for values in grid.values())
+    ):
+        raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
+
+
+def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
+    value = line[key]
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
+        raise ProblemError(f"{location}.{key}", brief(value), "what a sweep writes there")
+
+
+def _rows(lines: Sequence[FileTable]) -> list[FileValue]:
+    return [line for line in lines if "grid" not in line]
+
+
+def _grid(lines: Sequence[FileTable]) -> FileTable:
+    return [line["grid"] for line in lines if "grid" in line][-1]
+
+
+def _require_same(path: Path, found: FileTable, head: SweepHead) -> None:
+    expected = {"problem": head.problem, "names": sorted(head.names), "options": dict(head.options)}
+    for key, difference in DIFFERENCES:
+        if found[key] != expected[key]:
+            got = f"a sweep of {difference} ({brief(found[key])})"
+            raise ProblemError(str(path), got, brief(expected[key]), ANOTHER_PATH)
+    if found["fingerprint"] != head.fingerprint:
+        same = f"{head.problem}, with the same data and fixed arguments"
+        raise ProblemError(str(path), f"a sweep of another problem, also called {head.problem}", same, ANOTHER_PATH)
+
+
+def _no_sweep(path: Path) -> ProblemError:
+    return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")
