@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import final
 
-from lin_freq_ocp.api.progress import reporting
 from lin_freq_ocp.api.result import Result, shown_as
-from lin_freq_ocp.api.solve import raise_for
+from lin_freq_ocp.api.solve import raise_for, reporting
 from lin_freq_ocp.base.errors import InfeasibleError
 from lin_freq_ocp.base.phrases import plural
-from lin_freq_ocp.batch.monotone import obstacles
-from lin_freq_ocp.batch.minimum_time import Search, checked_horizons, require_source, searched, stated
 from lin_freq_ocp.batch.grid import Source
+from lin_freq_ocp.batch.minimum_time import Search, checked_horizons, obstacles, require_source, searched, stated
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome

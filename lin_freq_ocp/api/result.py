@@ -13,9 +13,7 @@ from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.html import html_table
 from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.files.conversions import to_frame, to_time_response
-from lin_freq_ocp.files.csv_file import save_csv
-from lin_freq_ocp.files.mat_file import save_mat
-from lin_freq_ocp.files.solution_file import save_trajectory
+from lin_freq_ocp.files.solution_files import save_csv, save_mat, save_trajectory
 from lin_freq_ocp.files.summary import result_summary, save_json
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
 from lin_freq_ocp.problem.trajectory import Trajectory

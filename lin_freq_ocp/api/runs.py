@@ -9,9 +9,9 @@ from typing import final
 
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.files.locations import FileTable
-from lin_freq_ocp.files.summary import finite, result_summary
+from lin_freq_ocp.files.reading import FileTable
 from lin_freq_ocp.files.run_file import RunRecord, described, environment, read_run
+from lin_freq_ocp.files.summary import finite, result_summary
 
 SAME_COST = 1e-6  # difference of equal costs, relative to the larger of 1 and the cost
 COMPARED = ("status", "cost", "theorem", "method", "backend", "error")

@@ -1,19 +1,195 @@
-"""The least feasible horizon: by bisection where feasibility is monotone, else horizon by horizon from below."""
+"""The least feasible horizon: by bisection where feasibility is monotone, else horizon by horizon from below.
+
+Whether a problem that is feasible at one horizon is feasible at all longer ones.
+
+It is, if zeros can be appended: after any feasible trajectory of T steps, u_T = 0 keeps the state, x_{T+1} = x_T, and
+that is feasible for T + 1 steps. What this needs is checked here, one condition after another; costs, and constraints
+that may be violated at a price, play no part. The conditions are sufficient: where one fails, nothing is said.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.base.errors import ProblemError
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.grid import Source, problem_at, require_parameters
+from lin_freq_ocp.batch.grid import Source, fingerprint, problem_at, require_parameters
 from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
+
+ROUNDING = 1e-13  # relative, of A x + d: the drift over 10^4 steps stays far below what the judge allows
+
+At = Callable[[int], OptimalControlProblem]
+
+
+def obstacles(at: At, shortest: int, longest: int, same_data: bool) -> list[str]:
+    """Return the conditions that fail for the problems of these horizons, in words; none: feasibility is monotone.
+
+    ``same_data``: all of them are one problem, stated at these horizons; else their data are compared.
+    """
+    problem = at(longest)
+    try:
+        _ = problem.linear
+    except UnsupportedError:
+        return ["the dynamics are not linear"]
+    found = [
+        *_moving_ends(problem, shortest),
+        *_controls_without_zero(problem, shortest),
+        *_varying_states(problem, shortest),
+        *_rows_in_the_way(problem, shortest),
+        *_spectra(problem),
+    ]
+    spectra = problem.control_spectrum, problem.state_spectrum, problem.output_spectrum
+    same_data = same_data and not any(entries_of(given) for given in spectra)  # a band may have bins at some horizons
+    return found if found or same_data else _other_data(at, shortest, problem)
+
+
+def _moving_ends(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+    """Yield the states in which A_t x + d_t differs from x for an admissible end x, at some t from ``first`` on."""
+    dynamics, end = problem.linear, _end(problem)
+    A, d = _from(dynamics.A, first, 2), _from(dynamics.offset, first, 1)
+    x, fixed, identity = np.where(end.fixed, end.lower, 0.0), end.fixed, np.eye(problem.state_dim)
+    change = np.abs(A - identity)
+    change = np.where((identity > 0) & (change <= ROUNDING), 0.0, change)
+    moved = np.abs((A - identity) @ x + d) > ROUNDING * (np.abs(A) @ np.abs(x) + np.abs(x) + np.abs(d))
+    moves = moved.any(axis=0) | change[..., ~fixed].any(axis=(0, 2))
+    if moves.any():
+        names = ", ".join(problem.state_names[i] for i in np.flatnonzero(moves))
+        yield f"with a control of zero the state does not stay at every admissible end ({names})"
+
+
+def _controls_without_zero(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+    tube, T = problem.control_tube, problem.horizon
+    outside = ((tube.lower[first:] > 0) | (tube.upper[first:] < 0)).any()
+    x, u = np.zeros((T + 1, problem.state_dim)), np.zeros((T, problem.control_dim))
+    sets = [term for term in problem.terms if term.hard and term.kind == TermKind.CONTROL_SET]
+    if outside or any((term.violation(x, u) > 0).any() for term in sets):
+        yield "control_set: zero is not an admissible control at all later times"
+
+
+def _varying_states(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+    boxes = problem.state_boxes
+    same = all((bound[first:] == bound[-1]).all() for bound in (boxes.lower, boxes.upper))
+    if not same or not _constant_beyond_bounds(problem.state_set):
+        yield "state_set: it depends on time"
+    if not _constant_beyond_bounds(problem.control_set):
+        yield "control_set: it depends on time"
+
+
+def _constant_beyond_bounds(given: object) -> bool:
+    """Whether the sets of a field, apart from their bounds, are one set for all times."""
+    return given is None or isinstance(given, ConvexSet) or not any(one.members for one in _sequence(given))
+
+
+def _sequence(given: object) -> list[ConvexSet]:
+    return [one for one in given if isinstance(one, ConvexSet)] if isinstance(given, (list, tuple)) else []
+
+
+def _rows_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+    """Yield the families of joint rows that an admissible end, with a control of zero, can violate."""
+    end = _end(problem)
+    for rows in problem.stage_rows:
+        C, e = _from(rows.C, first, 2), _from(rows.e, first, 1)
+        if rows.penalty is None and (_largest(C, end) > e).any():
+            yield f"stage_rows: '{rows.name}' does not hold at every admissible end with a control of zero"
+
+
+def _spectra(problem: OptimalControlProblem) -> Iterator[str]:
+    """Yield the hard frequency constraints that appended samples can violate."""
+    for name, stop in (("control_spectrum", problem.control_stop), ("state_spectrum", problem.state_stop)):
+        if stop.any():
+            yield f"{name}: a stop band removes bins of its own horizon"
+    for term in problem.terms:
+        if not term.hard or not term.kind.is_spectrum:
+            continue
+        if term.everywhere is None:
+            yield f"{term.name}: it is about bins, or all samples, of its own horizon"
+        elif (term.everywhere.map.window != 1).any():
+            yield f"{term.name}: its window belongs to one horizon"
+        elif not _appends_zeros(term, _end(problem)):
+            yield f"{term.name}: the sample that is appended is not zero"
+
+
+def _appends_zeros(term: Term, end: Box) -> bool:
+    """Whether the signal of a mask at every frequency is zero at every admissible end with a control of zero."""
+    C = None if term.everywhere is None else term.everywhere.map.C
+    return C is None or bool(_largest(C, end) == 0 and _largest(-C, end) == 0)
+
+
+def _other_data(at: At, shortest: int, longest: OptimalControlProblem) -> list[str]:
+    """Return the fields whose data at a shorter horizon are not those of the longest one in its first steps."""
+    for T in range(shortest, longest.horizon):
+        problem, expected = at(T), _data(longest, T)
+        changed = [field for field, value in _data(problem, T).items() if value != expected[field]]
+        if changed:
+            return [f"{', '.join(changed)}: not the same in the first steps at the horizons {T} and {longest.horizon}"]
+    return []
+
+
+def _data(problem: OptimalControlProblem, horizon: int) -> dict[str, str]:
+    """Return fingerprints of what decides feasibility in the first steps."""
+    T, dynamics = horizon, problem.linear
+    states, controls = problem.state_boxes, problem.control_tube
+    rows = [
+        (one.name, _until(one.C, T, 2), _until(one.D, T, 2), _until(one.e, T, 1))
+        for one in problem.stage_rows
+        if one.penalty is None
+    ]
+    masks = [
+        (term.name, None if term.everywhere is None else _mask(term))
+        for term in problem.terms
+        if term.hard and term.kind.is_spectrum
+    ]
+    found: dict[str, object] = {
+        "dynamics": [_until(dynamics.A, T, 2), _until(dynamics.B, T, 2), _until(dynamics.offset, T, 1)],
+        "control_set": [controls.lower[:T], controls.upper[:T], _beyond_bounds(problem.control_set)],
+        "state_set": [states.lower[: T + 1], states.upper[: T + 1], _beyond_bounds(problem.state_set)],
+        "initial_state": problem.initial_state,
+        "terminal_state": problem.terminal_state,
+        "stage_rows": rows,
+        "frequency constraints": [*masks, bool(problem.control_stop.any()), bool(problem.state_stop.any())],
+    }
+    return {field: fingerprint(value) for field, value in found.items()}
+
+
+def _mask(term: Term) -> list[object]:
+    assert term.everywhere is not None
+    stated = [value for field, value in vars(term.everywhere).items() if field != "map"]
+    return [term.everywhere.map.C, term.everywhere.map.D, *stated]
+
+
+def _beyond_bounds(given: object) -> object:
+    return given.members if isinstance(given, ConvexSet) else None
+
+
+def _end(problem: OptimalControlProblem) -> Box:
+    """Return bounds of the admissible end states, (n,)."""
+    return problem.ends[1]
+
+
+def _largest(C: Array, end: Box) -> Array:
+    """Return the largest C x over a box, for C (..., rows, n) or (n,)."""
+    return np.asarray(end.support(C))
+
+
+def _from(values: Array, first: int, dimensions: int) -> Array:
+    """Return the entries of times from ``first`` on, or the one of all times, with the time as axis 0."""
+    return values[None] if values.ndim == dimensions else values[first:]
+
+
+def _until(values: Array, horizon: int, dimensions: int) -> Array:
+    return values if values.ndim == dimensions else values[:horizon]
 
 
 class Verdict(StrEnum):

@@ -18,6 +18,7 @@ from lin_freq_ocp.base.interrupt import interrupts_noted
 from lin_freq_ocp.solving import solve
 
 RESUBMISSIONS = 2  # of a lost point: a worker may die by chance; after three losses the point itself is the reason
+ERROR = "error"  # status of what was not solved: its description is no problem, or its worker died
 P = ParamSpec("P")
 R = TypeVar("R")
 Given = TypeVar("Given")

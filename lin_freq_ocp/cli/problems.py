@@ -14,9 +14,9 @@ from lin_freq_ocp import library
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.batch.grid import CUTOFFS
-from lin_freq_ocp.files.locations import FileTable, FileValue, naming
-from lin_freq_ocp.files.problem_tables import PROBLEM
 from lin_freq_ocp.files.problem_file import read_problem
+from lin_freq_ocp.files.problem_tables import PROBLEM
+from lin_freq_ocp.files.reading import FileTable, FileValue, naming
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 

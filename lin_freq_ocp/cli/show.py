@@ -1,4 +1,7 @@
-"""The command lin-freq-ocp show: what a problem is, before it is solved, and what --set can change."""
+"""The command lin-freq-ocp show: what a problem is, before it is solved, and what --set can change.
+
+The commands lin-freq-ocp list and init: the library, and a problem file to start from.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,48 @@ import tomli_w
 from rich.text import Text
 
 from lin_freq_ocp import library
-from lin_freq_ocp.cli.console import PROVEN, out, print_json, print_lines
-from lin_freq_ocp.cli.options import json_option, problem_argument, settings_option
+from lin_freq_ocp.cli.console import (
+    PROVEN,
+    first_line_of,
+    json_option,
+    out,
+    print_json,
+    print_lines,
+    problem_argument,
+    say,
+    settings_option,
+)
 from lin_freq_ocp.cli.problems import build, is_file, parsed_settings
+from lin_freq_ocp.files.problem_file import (
+    about_function,
+    description_summary,
+    parameters_of_file,
+    parameters_of_function,
+)
 
 if TYPE_CHECKING:
-    from lin_freq_ocp.files.description import Parameter
+    from lin_freq_ocp.files.problem_file import Parameter
+
+
+@click.command("list")
+def list_command() -> int:
+    """List the library's problems and what each shows."""
+    from lin_freq_ocp.cli.console import terms
+
+    out.print(terms([(name, first_line_of(builder)) for name, builder in library.PROBLEMS.items()], out.width))
+    return PROVEN
+
+
+@click.command("init")
+@click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
+def init_command(file: Path) -> int:
+    """Write a commented problem file to start from."""
+    from lin_freq_ocp.files.problem_file import init_problem_file
+
+    init_problem_file(file)
+    say(f"wrote {file}; next: lin-freq-ocp solve {file}")
+    return PROVEN
+
 
 LONGEST_VALUE = 50  # characters of a value that are shown
 
@@ -27,20 +66,18 @@ LONGEST_VALUE = 50  # characters of a value that are shown
 @json_option
 def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     """Show what a library problem or a problem file is, and its parameters for --set with their defaults."""
-    from lin_freq_ocp.files import description
-
     given = parsed_settings(settings)
     shown = build(problem, settings)
     if is_file(problem):
-        about, parameters = "", description.parameters_of_file(Path(problem), given)
+        about, parameters = "", parameters_of_file(Path(problem), given)
     else:
         function = library.by_name(problem)
-        about, parameters = description.about_function(function), description.parameters_of_function(function, given)
-    summary = description.description_summary(shown, about, parameters)
+        about, parameters = about_function(function), parameters_of_function(function, given)
+    summary = description_summary(shown, about, parameters)
     if as_json:
         print_json(summary)
         return PROVEN
-    from lin_freq_ocp.pages.report.narrow import terms
+    from lin_freq_ocp.cli.console import terms
 
     print_lines(str(shown))
     out.print(Text(f"{about}\n" if about else ""))

@@ -13,8 +13,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
 from lin_freq_ocp.certificate.sensitivities import bin_prices
 from lin_freq_ocp.comparison.filters import FILTERS, can_be_filtered, filtered, has_frequency_constraint
-from lin_freq_ocp.comparison.moves import Moves, shortest_moves, why_not_shaped
-from lin_freq_ocp.comparison.shapers import SHAPERS
+from lin_freq_ocp.comparison.moves import SHAPERS, Moves, shortest_moves, why_not_shaped
 from lin_freq_ocp.comparison.trajectories import (
     CLASSICAL,
     CONSTRAINED,

@@ -3,6 +3,24 @@
 A shaper makes a move longer by its last impulse, and calmer. For each, the least profile is looked for, of those that
 are optimal without the bound on the vibration, whose shaped control keeps all of the problem's constraints; the
 vibration over the box is bounded with proof, for all moves alike.
+
+Input shapers: impulses by which the acceleration of a move is convolved, so that a mode does not ring after it.
+
+With the half period of damped vibration, pi / (w sqrt(1 - zeta^2)), and K = exp(-zeta pi / sqrt(1 - zeta^2)), which is
+what a vibration keeps over it, impulses half a period apart have the amplitudes, but for the factor that makes their
+sum one,
+
+    ZV   1, K                zero vibration at (w, zeta);
+    ZVD  1, 2 K, K^2         and its derivative by w is zero: ZV convolved with itself;
+    EI   (1 + V)/4, (1 - V)/2 K, (1 + V)/4 K^2    V of the vibration there, and zero on both sides of w.
+
+The formula of EI is exact without damping, and the usual first approximation with it. Impulses stand on the samples
+nearest to their times.
+
+References: Singer and Seering, Journal of Dynamic Systems, Measurement, and Control 112, 1990 (ZV, ZVD). Singhose,
+Command Generation for Flexible Systems, PhD thesis, MIT 1997 (EI).
+
+What a trajectory leaves ringing over the natural frequency, within the box of a bound and on its sides.
 """
 
 from __future__ import annotations
@@ -13,14 +31,13 @@ from functools import cache
 
 import numpy as np
 
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import number
-from lin_freq_ocp.batch.monotone import obstacles
-from lin_freq_ocp.batch.minimum_time import Search, searched, stated
+from lin_freq_ocp.batch.minimum_time import Search, obstacles, searched, stated
 from lin_freq_ocp.certificate.peaks.cells import Peak
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
-from lin_freq_ocp.comparison.shapers import described, impulses, shaped
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replayed
 from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -28,6 +45,74 @@ from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
+
+INSENSITIVITY = 0.05  # V of EI: the customary 5 %
+
+
+def zero_vibration(K: float) -> Array:
+    """Return the amplitudes of ZV, not scaled."""
+    return np.array([1.0, K])
+
+
+def zero_derivative(K: float) -> Array:
+    """Return the amplitudes of ZVD, not scaled."""
+    return np.array([1.0, 2 * K, K**2])
+
+
+def extra_insensitive(K: float) -> Array:
+    """Return the amplitudes of EI, not scaled."""
+    V = INSENSITIVITY
+    return np.array([(1 + V) / 4, (1 - V) / 2 * K, (1 + V) / 4 * K**2])
+
+
+SHAPERS: dict[str, Callable[[float], Array]] = {"ZV": zero_vibration, "ZVD": zero_derivative, "EI": extra_insensitive}
+
+
+def impulses(name: str, box: PlantBox) -> Array:
+    """Return the impulses of a shaper for the middle of a box of modes, on the samples; their sum is one."""
+    frequency, damping = (box.low + box.high) / 2
+    root = float(np.sqrt(1 - damping**2))
+    amplitudes = SHAPERS[name](float(np.exp(-np.pi * damping / root)))
+    half_period = 1 / (2 * frequency * root * box.sampling_time)
+    at = np.rint(half_period * np.arange(len(amplitudes))).astype(int)
+    found = np.zeros(at[-1] + 1)
+    np.add.at(found, at, amplitudes / amplitudes.sum())
+    return found
+
+
+def shaped(name: str, box: PlantBox, u: Array) -> Array:
+    """Return controls (T, m), each convolved with the impulses of a shaper, and longer by their length less one."""
+    given = impulses(name, box)
+    return np.stack([np.convolve(column, given) for column in u.T], axis=1)
+
+
+def described(name: str, box: PlantBox) -> str:
+    """Return the impulses of a shaper in words."""
+    given = impulses(name, box)
+    at = np.flatnonzero(given)
+    return ", ".join(f"{given[t]:.4g} at t = {t}" for t in at)
+
+
+FREQUENCIES, DAMPINGS = 401, 9  # at which the vibration is shown, and over which its largest value is taken
+BESIDE = 1.5  # widths of the box that are shown on each of its sides
+LEAST_BESIDE = 0.25  # of its highest frequency, if it is narrow
+ABOVE = 3.0  # limits that fit into the picture
+
+
+def frequencies_around(box: PlantBox) -> Array:
+    """Return the natural frequencies at which vibrations are shown, in Hz."""
+    low, high = float(box.low[0]), float(box.high[0])
+    beside = max(BESIDE * (high - low), LEAST_BESIDE * high)
+    return np.linspace(max(low - beside, 0.05 * low), high + beside, FREQUENCIES)
+
+
+def vibration(box: PlantBox, trajectory: Trajectory, frequencies: Array) -> Array:
+    """Return what a trajectory leaves at natural frequencies, the largest over the box's damping ratios."""
+    dampings = np.linspace(box.low[1], box.high[1], DAMPINGS)
+    modes = np.stack(np.meshgrid(frequencies, dampings, indexing="ij"), axis=-1).reshape(-1, 2)
+    signal = box.map.signal(trajectory.x, trajectory.u)
+    return np.abs(box.map.placed(modes).transform(signal)).reshape(len(frequencies), -1).max(axis=1)
+
 
 OURS, UNSHAPED = "optimal", "unshaped"
 LONGEST = 4  # times the shortest profile: longer profiles are not tried

@@ -15,7 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
-from lin_freq_ocp.files.locations import FileTable, FileValue, joined, located, require_keys
+from lin_freq_ocp.files.reading import FileTable, FileValue, joined, located, require_keys
 
 
 class Codec(Protocol):

@@ -22,10 +22,19 @@ from threadpoolctl import threadpool_info
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import write_bytes
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.reading import DAMAGED, LARGE, parsed_json, require_file, require_modest
-from lin_freq_ocp.files.locations import FileTable, naming, require_keys, require_schema
 from lin_freq_ocp.files.problem_file import ARRAYS_SUFFIX, problem_files, read_problem
-from lin_freq_ocp.files.solution_file import SavedSolution, load_solution, solution_bytes
+from lin_freq_ocp.files.reading import (
+    DAMAGED,
+    LARGE,
+    FileTable,
+    naming,
+    parsed_json,
+    require_file,
+    require_keys,
+    require_modest,
+    require_schema,
+)
+from lin_freq_ocp.files.solution_files import SavedSolution, load_solution, solution_bytes
 from lin_freq_ocp.files.summary import result_summary
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome

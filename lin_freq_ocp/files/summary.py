@@ -17,7 +17,7 @@ from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.directions import Direction
 from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.files.locations import FileTable, FileValue
+from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome

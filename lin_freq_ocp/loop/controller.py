@@ -1,4 +1,10 @@
-"""A receding-horizon controller: at every step a problem from the measured state, of whose plan the first control."""
+"""A receding-horizon controller: at every step a problem from the measured state, of whose plan the first control.
+
+Of the point where a solve ended without an answer, and the plan of the step before, the better one.
+
+A feasible one is better than one that is not; of two feasible ones that of lower cost, prices of soft constraints
+included; of two others the one that violates the constraints less. The judge says what is feasible.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +19,41 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import Repeated
-from lin_freq_ocp.loop.choice import better
+from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
-from lin_freq_ocp.loop.softening import checked_penalties, excess, softened
-from lin_freq_ocp.loop.window import disturbed, first_state_free, remembers, with_past
+from lin_freq_ocp.loop.step_problem import (
+    checked_penalties,
+    disturbed,
+    excess,
+    first_state_free,
+    remembers,
+    softened,
+    with_past,
+)
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.translation import translation_of
+from lin_freq_ocp.solving.hybrid.smooth import no_multipliers
+from lin_freq_ocp.solving.judging import allowed_residual
 from lin_freq_ocp.solving.kept import Change, KeptTree
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
+
+
+def better(problem: OptimalControlProblem, one: Trajectory, other: Trajectory, tolerance: float | None) -> Trajectory:
+    """Return the better trajectory, the first if they are as good; ``tolerance`` is that asked of the solver."""
+    return min(one, other, key=lambda given: rank(problem, given, tolerance))
+
+
+def rank(problem: OptimalControlProblem, trajectory: Trajectory, tolerance: float | None) -> tuple[bool, float]:
+    """Return what is less for the better trajectory: whether it is infeasible, and its cost, or else its violation."""
+    near = translation_of(problem)
+    none = replace(no_multipliers(near.problem), eta_C=0.0)  # so that the judge looks for no bound
+    certificate = judge(near.problem, near.translated(trajectory), none, allowed_residual(tolerance))
+    return (False, certificate.cost) if certificate.feasible else (True, certificate.violation)
+
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
 

@@ -1,14 +1,17 @@
-"""A proof of the answer to a problem: its sections in turn, and what the checker makes of them."""
+"""A proof of the answer to a problem: its sections in turn, and what the checker makes of them.
+
+What the checker makes of the lines of a proof, in this process: the file is never whole in memory.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from flint import ctx
-from lfo_check import Failed
+from flint import arb, ctx
+from lfo_check import Failed, check
 
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.status import Status
@@ -23,10 +26,8 @@ from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.proof.checked import checked
 from lin_freq_ocp.proof.convex import LARGER_RISE, convex_problem, raised_by
-from lin_freq_ocp.proof.dual import Dual, dual_of
-from lin_freq_ocp.proof.growth import precision
+from lin_freq_ocp.proof.dual import Dual, dual_of, precision
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.lines import line
 from lin_freq_ocp.proof.point import Point, points
@@ -34,6 +35,37 @@ from lin_freq_ocp.proof.statement import problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
+
+
+class Lines:
+    """Lines as a file of bytes."""
+
+    def __init__(self, lines: Iterable[str]):
+        self.lines = iter(lines)
+
+    def readline(self, limit: int) -> bytes:
+        """Return the next line."""
+        return next(self.lines, "").encode()
+
+
+def checked(lines: Iterable[str]) -> Enclosure:
+    """Return what a proof proves; raise the checker's error if it proves nothing."""
+    with ctx.workprec(ctx.prec):  # the checker sets the precision
+        lower, upper = check(Lines(lines), _silent)
+    return Enclosure(_rounded(lower, -np.inf), _rounded(upper, np.inf))
+
+
+def _rounded(exact: arb, towards: float) -> float:
+    """Return an exact ball as a float, rounded one way."""
+    found = float(exact)
+    while arb(found) > exact if towards < 0 else arb(found) < exact:
+        found = float(np.nextafter(found, towards))
+    return found
+
+
+def _silent(text: str) -> None:
+    """Say nothing of the summary."""
+
 
 UNCHECKED_MARGIN = (2.0**-36,)  # room to limits relative to sizes, of a point that is not tried
 UNCHECKED_SLACK = 1e-6  # by which the claim is wider than what the certificate says, relative to the cost

@@ -1,16 +1,227 @@
-"""The section PROBLEM of a proof: an optimal control problem as lines, with every number as it is."""
+"""The section PROBLEM of a proof: an optimal control problem as lines, with every number as it is.
+
+The functions h of the format, weight max(gauge(v) - limit, 0), from the penalties of a problem.
+
+A function is of each group of values or, for half-spaces, of each single value.
+
+The values L v of a term in the format, and multipliers of them: by rows, or by the spectrum of an output.
+
+Of a bin the format has (Re, Im), where a map may leave out an Im that is zero for every signal, or count the phase from
+another time: ``written_multipliers`` says the same in the format's values.
+
+Terms h(L v) as lines: one for each group of values with a limit; of half-spaces, one for each value.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import singledispatch
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.proof.lines import Value, line
-from lin_freq_ocp.proof.terms import term_lines
+from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
+from lin_freq_ocp.problem.terms.ends_map import Within
+from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
+from lin_freq_ocp.problem.terms.maps import AffineMap
+from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
+from lin_freq_ocp.problem.terms.penalty import Penalty
+from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
+from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
+from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.proof.lines import Value, encoded, line
+
+NORMS = {1: "1", 2: "2", np.inf: "inf"}
+
+
+@dataclass(frozen=True, eq=False)
+class Function:
+    """Its gauge, with limits and weights of groups, (groups, 1), or values, (groups, dim); a limit may be inf."""
+
+    gauge: str
+    limits: Array
+    weights: Array
+
+    @property
+    def by_value(self) -> bool:
+        """Whether each value has a line of its own."""
+        return self.gauge == "max"
+
+
+@singledispatch
+def function_of(penalty: Penalty, shape: tuple[int, int]) -> Function:
+    """Return the function of values (groups, dim); UnsupportedError if the format has none."""
+    raise UnsupportedError(f"a {type(penalty).__name__}")
+
+
+@function_of.register
+def _half_spaces(penalty: HalfSpaces, shape: tuple[int, int]) -> Function:
+    return Function("max", np.broadcast_to(penalty.limit, shape), np.broadcast_to(penalty.weight, shape))
+
+
+@function_of.register
+def _ball(penalty: NormBall, shape: tuple[int, int]) -> Function:
+    limit, weight = (np.broadcast_to(part, shape[:1])[:, None] for part in (penalty.radius, penalty.weight))
+    return Function(NORMS[penalty.order], limit, weight)
+
+
+@function_of.register
+def _within(penalty: Within, shape: tuple[int, int]) -> Function:
+    return Function("inf", np.full((shape[0], 1), penalty.reach), np.full((shape[0], 1), np.inf))
+
+
+@function_of.register
+def _cone(penalty: StandardCone, shape: tuple[int, int]) -> Function:
+    return Function("cone", np.zeros((shape[0], 1)), np.full((shape[0], 1), np.inf))
+
+
+Sizes = tuple[int, int, int]  # T, n, m
+
+
+@singledispatch
+def written_values(values: AffineMap, sizes: Sizes) -> Iterator[list[str]]:
+    """Yield the values of each group."""
+    matrix, constant = values.rows(*sizes)
+    T, n, m = sizes
+    columns, starts = matrix.indices.astype(int), matrix.indptr.tolist()
+    of_x = columns < (T + 1) * n
+    place = np.where(of_x, columns, columns - (T + 1) * n)
+    width = np.where(of_x, n, m)
+    component = place % width + np.where(of_x, 0, n)
+    numbers = zip((place // width).tolist(), component.tolist(), matrix.data.tolist(), strict=True)
+    entries = [f'[{t}, {i}, "{value.hex()}"]' for t, i, value in numbers]
+    constants, (groups, dim) = constant.tolist(), values.shape
+    for group in range(groups):
+        yield [
+            f'{{"row": [{", ".join(entries[starts[row] : starts[row + 1]])}], "constant": "{constants[row].hex()}"}}'
+            for row in range(group * dim, (group + 1) * dim)
+        ]
+
+
+@written_values.register
+def _spectrum(values: SpectrumMap, sizes: Sizes) -> Iterator[list[str]]:
+    yield from _of_window(values, 0, sizes)
+
+
+@written_values.register
+def _spectrogram(values: SpectrogramMap, sizes: Sizes) -> Iterator[list[str]]:
+    if (values.starts < 0).any():
+        raise UnsupportedError("a spectrogram of samples before time 0")
+    for start in values.starts.tolist():
+        yield from _of_window(values.spectrum, start, sizes)
+
+
+def _of_window(values: SpectrumMap, start: int, sizes: Sizes) -> Iterator[list[str]]:
+    """Yield the bins of each group, of samples from a time on."""
+    signal = signal_text(values, start, sizes)
+    bins = [f'{{{signal}, "frequency": [{k}, {values.points}]}}' for k in values.bins.tolist()]
+    if values.together:
+        yield bins
+    else:
+        yield from ([one] for one in bins)
+
+
+@written_values.register
+def _frequencies(values: FrequencyMap, sizes: Sizes) -> Iterator[list[str]]:
+    if type(values) is not FrequencyMap:
+        raise UnsupportedError(f"a {type(values).__name__}")
+    signal = signal_text(values, 0, sizes)
+    for w in values.at.tolist():
+        yield [f'{{{signal}, "frequency": {encoded(w)}}}']
+
+
+def signal_text(values: SpectrumMap | FrequencyMap, first: int, sizes: Sizes) -> str:
+    """Return the fields "output", "first" and "window" of a spectrum."""
+    _, n, m = sizes
+    of_x = np.zeros(n) if values.C is None else values.C
+    of_u = np.zeros(m) if values.D is None else values.D
+    plain = bool((values.window == 1.0).all())
+    window = json.dumps(len(values.window)) if plain else encoded(values.window)
+    return f'"output": {encoded(np.concatenate([of_x, of_u]))}, "first": {first}, "window": {window}'
+
+
+@singledispatch
+def written_multipliers(values: AffineMap, weights: Array) -> Array:
+    """Return multipliers of the written values, (groups, values), from those of the map, (groups, dim)."""
+    return weights
+
+
+@written_multipliers.register
+def _of_spectrum(values: SpectrumMap, weights: Array) -> Array:
+    return values.pairs(weights).reshape(len(weights), -1)
+
+
+@written_multipliers.register
+def _of_spectrogram(values: SpectrogramMap, weights: Array) -> Array:
+    base, pairs = values.spectrum, values.pairs(weights).reshape(len(values.starts), -1, 2)
+    angles = 2 * np.pi * (np.outer(values.starts, base.bins) % base.points) / base.points
+    turned = (pairs[..., 0] + 1j * pairs[..., 1]) * np.exp(1j * angles)
+    return np.stack([turned.real, turned.imag], axis=-1).reshape(len(weights), -1)
+
+
+def term_lines(terms: Sequence[Term], sizes: Sizes) -> Iterator[str]:
+    """Yield the lines of all terms; UnsupportedError, naming the field, if the format does not hold one."""
+    first = 0
+    for term in terms:
+        try:
+            for index, text in enumerate(_lines(term, sizes), first):
+                yield f'{{"term": {index}, {text}}}\n'
+                first = index + 1
+        except UnsupportedError as error:
+            where = "problem" if term.source is None else term.source[0]
+            raise UnsupportedError(f"{where}: got {term.name!r}; a proof cannot state {error}.") from None
+
+
+def multiplier_lines(terms: Sequence[Term], weights: Sequence[Array]) -> Iterator[str]:
+    """Yield the multipliers of all terms, (groups, dim) each, that are not zero."""
+    first = 0
+    for term, given in zip(terms, weights, strict=True):
+        if term.everywhere is not None:
+            places = term.map.frequencies.tolist()
+            for w, pair in zip(places, given, strict=True):
+                if pair.any():
+                    yield line(multiplier=first, frequency=w, values=pair)
+            first += 1
+            continue
+        written, function = written_multipliers(term.map, given), function_of(term.penalty, term.shape)
+        limited = np.isfinite(function.limits)
+        units = written[limited][:, None] if function.by_value else written[limited[:, 0]]
+        for index, values in enumerate(units, first):
+            if values.any():
+                yield line(multiplier=index, values=values)
+        first += len(units)
+
+
+def _lines(term: Term, sizes: Sizes) -> Iterator[str]:
+    """Yield the fields of each line of a term."""
+    if term.everywhere is not None:
+        yield _everywhere(term.name, term.everywhere, sizes)
+        return
+    function = function_of(term.penalty, term.shape)
+    head = f'"name": {encoded(term.name)}, "gauge": "{function.gauge}"'
+    if function.by_value and term.map.dense_size[0]:
+        raise UnsupportedError("half-spaces of a spectrum")
+    limits, weights = function.limits.tolist(), function.weights.tolist()
+    for values, limit, weight in zip(written_values(term.map, sizes), limits, weights, strict=True):
+        units = values if function.by_value else [", ".join(values)]
+        for text, most, price in zip(units, limit, weight, strict=True):
+            if np.isfinite(most):
+                yield f'{head}, "limit": "{most.hex()}", "weight": "{price.hex()}", "values": [{text}]'
+
+
+def _everywhere(name: str, everywhere: Continuum, sizes: Sizes) -> str:
+    """Return the fields of a mask over all frequencies."""
+    if type(everywhere) is not Frequencies:
+        raise UnsupportedError("the spectrum of a held signal, or a residual vibration")
+    limits = everywhere.limits
+    table = np.column_stack([limits.low, limits.high, limits.at_low, limits.at_high])
+    head = f'"name": {encoded(name)}, "gauge": "all", "weight": {encoded(float(everywhere.price))}'
+    return f'{head}, {signal_text(everywhere.map, 0, sizes)}, "limits": {encoded(table)}'
+
 
 Parts = Mapping[str, tuple[Array, int]]  # by field: values, constant or one per time, and their dimensions at a time
 

@@ -23,10 +23,9 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.proof.dual import signal_lines
-from lin_freq_ocp.proof.multipliers import inside
+from lin_freq_ocp.proof.dual import inside, signal_lines
 from lin_freq_ocp.proof.lines import Text, Value, encoded, line
-from lin_freq_ocp.proof.terms import multiplier_lines
+from lin_freq_ocp.proof.statement import multiplier_lines
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.loop.softening import softened
+from lin_freq_ocp.loop.step_problem import softened
 from lin_freq_ocp.program.transcription import LinearTranscription
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")

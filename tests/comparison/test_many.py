@@ -13,7 +13,7 @@ from distributed import Client, LocalCluster
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.batch import many as many_module
-from lin_freq_ocp.batch.order import tour
+from lin_freq_ocp.batch.many import tour
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 STARTS = PENDULUM.initial_state.lower + 1e-3 * np.random.default_rng(1).standard_normal((12, 4))

@@ -12,8 +12,7 @@ import pytest
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.batch.monotone import obstacles
-from lin_freq_ocp.batch.minimum_time import Verdict, searched, stated
+from lin_freq_ocp.batch.minimum_time import Verdict, obstacles, searched, stated
 from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
 
 LAST = 14  # largest horizon of the random problems

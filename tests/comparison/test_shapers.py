@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.comparison.shapers import INSENSITIVITY, SHAPERS, described, impulses, shaped
+from lin_freq_ocp.comparison.moves import INSENSITIVITY, SHAPERS, described, impulses, shaped
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox, VibrationMap
 
 H = 1e-3  # half a period of 10 Hz is 50 samples

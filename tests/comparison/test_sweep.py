@@ -16,7 +16,7 @@ from distributed import Client, LocalCluster
 
 import lin_freq_ocp as lfo
 from helpers.sweeps import GRID, SHORT, assert_same, broken_builder
-from lin_freq_ocp.batch import point as sweep_point
+from lin_freq_ocp.batch import sweep as sweep_point
 from lin_freq_ocp.batch import tasks as sweep_tasks
 from lin_freq_ocp.batch.grid import fingerprint
 from lin_freq_ocp.batch.sweep import MEASURED

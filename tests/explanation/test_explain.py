@@ -14,7 +14,7 @@ from helpers.clocks import Clock
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.explanation import explanation as explanation_module
 from lin_freq_ocp.explanation.blocks import blocks, relaxed, without
-from lin_freq_ocp.explanation.relaxation import least_cure
+from lin_freq_ocp.explanation.explanation import least_cure
 from lin_freq_ocp.solving.solve import solve_judged
 
 H, T = 0.1, 20

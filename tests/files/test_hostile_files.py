@@ -20,10 +20,10 @@ from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
 from lin_freq_ocp.api.runs import Rerun, outcome_fields, rerun_summary
 from lin_freq_ocp.files import reading as files
+from lin_freq_ocp.files import run_file
+from lin_freq_ocp.files.batch_files import BEGINNING, sweep_summary
 from lin_freq_ocp.files.reading import MOST_ENTRIES
 from lin_freq_ocp.files.summary import to_json
-from lin_freq_ocp.files import run_file
-from lin_freq_ocp.files.sweep_file import BEGINNING, sweep_summary
 from lin_freq_ocp.pages.report.tables import sweep_table
 
 SMOOTH = {

@@ -21,11 +21,11 @@ from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.conflict import Conflict
 from lin_freq_ocp.cli.app import cli
-from lin_freq_ocp.files import dynamics_tables as dynamics
+from lin_freq_ocp.files import problem_tables as dynamics
 from lin_freq_ocp.files import problem_tables as tables
 from lin_freq_ocp.files.codec import Record
-from lin_freq_ocp.files.problem_tables import SETS
 from lin_freq_ocp.files.problem_file import template
+from lin_freq_ocp.files.problem_tables import SETS
 from lin_freq_ocp.files.summary import comparison_summary, failed_comparison_summary, result_summary
 from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.testing.random_mixed import problem_of, random_model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.softening import softened
+from lin_freq_ocp.loop.step_problem import softened
 from lin_freq_ocp.methods.structured.solver import solve_structured
 
 PENALTIES = 1e2, 1e3, 1e5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.softening import checked_penalties, excess, softened
+from lin_freq_ocp.loop.step_problem import checked_penalties, excess, softened
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]])
 MASK = lfo.MagnitudeBound(0.2, bins=[2, 3])

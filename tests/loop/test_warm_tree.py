@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.window import first_state_free
+from lin_freq_ocp.loop.step_problem import first_state_free
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 
 

@@ -21,8 +21,7 @@ from lin_freq_ocp.pages.figures.figures import (
     result_figure,
     states_figure,
 )
-from lin_freq_ocp.pages.figures.plot_data import view
-from lin_freq_ocp.pages.figures.style import MOST_POINTS, STYLES, thinned
+from lin_freq_ocp.pages.figures.plot_data import MOST_POINTS, STYLES, thinned, view
 from lin_freq_ocp.pages.report import findings, proof
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts

@@ -10,7 +10,7 @@ from rich.table import Table
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
-from lin_freq_ocp.pages.report.narrow import fitted, terms
+from lin_freq_ocp.cli.console import fitted, terms
 from lin_freq_ocp.pages.report.tables import certificate_table, comparison_table
 
 

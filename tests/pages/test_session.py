@@ -7,9 +7,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.pages.explorer.page import points
-from lin_freq_ocp.pages.explorer.session import Session, answer_data
-from lin_freq_ocp.pages.explorer.sliders import checked
+from lin_freq_ocp.pages.explorer.server import points
+from lin_freq_ocp.pages.explorer.session import Session, answer_data, checked
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from helpers.pages import double_integrator
 from lin_freq_ocp.base.phrases import NOTHING, listed, number, runs_in_words, split_unit
-from lin_freq_ocp.pages.report.units import aligned, frequency_scale, quantity, rough, time_scale
+from lin_freq_ocp.pages.units import aligned, frequency_scale, quantity, rough, time_scale
 from lin_freq_ocp.problem.spectrum.bands import notch
 
 

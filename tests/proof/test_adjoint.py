@@ -3,7 +3,7 @@
 import numpy as np
 from flint import arb, ctx
 
-from lin_freq_ocp.proof.adjoint import Recursion, steered
+from lin_freq_ocp.proof.dual import Recursion, steered
 
 
 def given_adjoint(A, slopes):

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.proof.held import needs_feedback, with_feedback
+from lin_freq_ocp.proof.point import needs_feedback, with_feedback
 
 
 def exact_end(problem, u):

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.proof.interior import interior, tightened
-from lin_freq_ocp.proof.point import between
-from lin_freq_ocp.proof.room import least_room, share_towards
+from lin_freq_ocp.proof.point import between, interior, least_room, share_towards, tightened
 
 
 def problem_with_rows(limits):

@@ -6,7 +6,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
-from lin_freq_ocp.proof.multipliers import on_bounds, shrunk
+from lin_freq_ocp.proof.dual import on_bounds, shrunk
 
 
 def exact_square(vector):

@@ -15,7 +15,7 @@ from helpers.schemas import RESULT, faults, printed
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.cli.app import cli
-from lin_freq_ocp.files.solution_file import save_solution
+from lin_freq_ocp.files.solution_files import save_solution
 from lin_freq_ocp.files.summary import certificate_summary
 from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness

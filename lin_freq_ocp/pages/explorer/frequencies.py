@@ -13,7 +13,7 @@ from math import ceil, floor, isfinite, pi
 
 import numpy as np
 
-from lin_freq_ocp.pages.explorer.slider import NOTCHES, Movable, Slider, Values, notches
+from lin_freq_ocp.pages.explorer.movable import NOTCHES, Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import Band, low_pass
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, component_words, entries_of

@@ -22,8 +22,7 @@ from lin_freq_ocp.base.phrases import number, short_name, split_unit
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import has_frequency_constraint
-from lin_freq_ocp.comparison.signals import Signal
-from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, measured_solution, solution_label
+from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, Signal, measured_solution, solution_label
 from lin_freq_ocp.pages.figures.modes import mode_legend
 from lin_freq_ocp.pages.figures.panels import (
     control_panel,
@@ -34,8 +33,7 @@ from lin_freq_ocp.pages.figures.panels import (
     state_panel,
     states_panel,
 )
-from lin_freq_ocp.pages.figures.plot_data import PlotData
-from lin_freq_ocp.pages.figures.style import (
+from lin_freq_ocp.pages.figures.plot_data import (
     BAND,
     BOUND,
     COMPONENTS,
@@ -49,6 +47,7 @@ from lin_freq_ocp.pages.figures.style import (
     ROW_HEIGHT,
     SOFT,
     STYLES,
+    PlotData,
     Trace,
     legend_above,
     legend_rows,

@@ -20,14 +20,14 @@ from lin_freq_ocp.certificate.hybrid.smooth import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.trajectories import NO_MODE
-from lin_freq_ocp.pages.figures.plot_data import MARGIN, PlotData, Span, spans
-from lin_freq_ocp.pages.figures.style import (
+from lin_freq_ocp.pages.figures.plot_data import (
     COMPONENTS,
     FILTERED,
     GRID,
     HATCHES,
     INK,
     LABEL_SIZE,
+    MARGIN,
     MUTED,
     NOTE_SIZE,
     PAPER,
@@ -36,9 +36,12 @@ from lin_freq_ocp.pages.figures.style import (
     TINTS,
     WIDTH,
     Note,
+    PlotData,
+    Span,
     legend_above,
     new_figure,
     plain,
+    spans,
     style_axes,
     thinned,
 )

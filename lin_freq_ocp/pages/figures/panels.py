@@ -14,10 +14,9 @@ from matplotlib.typing import LineStyleType
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.phrases import number, short_name, split_unit
-from lin_freq_ocp.comparison.signals import Line, Signal
+from lin_freq_ocp.comparison.trajectories import Line, Signal
 from lin_freq_ocp.pages.figures.modes import shade_modes
-from lin_freq_ocp.pages.figures.plot_data import PlotData, View
-from lin_freq_ocp.pages.figures.style import (
+from lin_freq_ocp.pages.figures.plot_data import (
     BAND,
     BOUND,
     COMPONENTS,
@@ -28,7 +27,9 @@ from lin_freq_ocp.pages.figures.style import (
     REFERENCE_LINE,
     SOFT,
     Note,
+    PlotData,
     Trace,
+    View,
     plain,
     style_axes,
     thinned,

@@ -1,20 +1,121 @@
-"""What can be moved of limits at every time: bounds of controls and states, and limits of joint rows."""
+"""A slider: a value that can be moved, and its notches.
+
+A slider has notches low, low + step, ..., high, of which one is the problem's own value.
+
+What can be moved of the ends: their components that are fixed, within the bounds of the states.
+
+What can be moved of limits at every time: bounds of controls and states, and limits of joint rows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from math import floor, isfinite, log10
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.phrases import AT_MOST, split_unit
-from lin_freq_ocp.pages.explorer.slider import LARGEST_PART, LEAST_PART, NOTCHES, Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
+
+NOTCHES = 100  # of a slider, about
+LEAST_PART, LARGEST_PART = 0.1, 3.0  # of the problem's own bounds and limits
+ROUNDING = 1e-9  # of a notch, by which a limit may be missed
+
+Values = Mapping[str, float]  # the value of each slider, by its key
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A value that can be moved from ``low`` to ``high`` in ``unit``; towards ``relaxed`` the problem gets easier."""
+
+    key: str
+    group: str
+    label: str
+    unit: str
+    low: float
+    high: float
+    step: float
+    value: float  # the problem's own
+    relaxed: float
+
+    @property
+    def data(self) -> dict[str, object]:
+        """Return it as plain data."""
+        return asdict(self)
+
+    def notch(self, n: int) -> float:
+        """Return the value n notches from the problem's own."""
+        return min(max(self.value + n * self.step, self.low), self.high)
+
+
+@dataclass(frozen=True)
+class Movable:
+    """A kind of values that can be moved: its sliders, and the fields of the problem at other values of them."""
+
+    sliders: Callable[[OptimalControlProblem], Iterator[Slider]]
+    fields: Callable[[OptimalControlProblem, Values], Mapping[str, object]]
+
+
+def notches(low: float, value: float, high: float, step: float = 0.0) -> tuple[float, float, float]:
+    """Return the first and the last notch within limits, and the step (else a round one), with a notch at the value."""
+    step = step or _round_step((high - low) / NOTCHES)
+    below, above = (floor(distance / step + ROUNDING) for distance in (value - low, high - value))
+    return value - below * step, value + above * step, step
+
+
+def _round_step(size: float) -> float:
+    """Return the least of 1, 2, 5 times a power of ten that is no less."""
+    power = 10.0 ** floor(log10(size))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= size * (1 - ROUNDING))
+
+
+MOST_STATES = 12  # of problems with more, ends have no sliders
+WORDS = {"initial_state": "initial", "terminal_state": "terminal"}
+
+
+def _sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
+    """Yield the fixed components of ends."""
+    if problem.state_dim > MOST_STATES:
+        return
+    boxes, sizes = problem.state_boxes, stated_sizes(problem)[0]
+    for field, end in _boxes(problem):
+        for i, name in enumerate(problem.state_names):
+            (label, unit), value = split_unit(name), float(end.lower[i])
+            low, high = (float(bound[0 if field == "initial_state" else -1, i]) for bound in (boxes.lower, boxes.upper))
+            reach = max(2 * abs(value), float(sizes[i]))
+            low, high = (low if isfinite(low) else -reach), (high if isfinite(high) else reach)
+            if end.fixed[i] and low <= value <= high and low < high:
+                first, last, notch = notches(low, value, high)
+                yield Slider(f"{field}.{i}", field, f"{WORDS[field]} {label}", unit, first, last, notch, value, value)
+
+
+def ends_at(problem: OptimalControlProblem, moved: Values) -> dict[str, Box]:
+    """Return the ends of which a component is moved."""
+    ends = dict[str, Box]()
+    for field, end in _boxes(problem):
+        values = {i: moved[key] for i in range(problem.state_dim) if (key := f"{field}.{i}") in moved}
+        if values:
+            lower, upper = np.array(end.lower), np.array(end.upper)
+            lower[list(values)] = upper[list(values)] = list(values.values())
+            ends[field] = Box(lower, upper)
+    return ends
+
+
+def _boxes(problem: OptimalControlProblem) -> Iterator[tuple[str, Box]]:
+    """Yield the ends that are boxes."""
+    for field, end in zip(WORDS, (problem.initial_box, problem.terminal_box), strict=True):
+        if not getattr(problem, field).members:
+            yield field, end
+
+
+ENDS = Movable(_sliders, ends_at)
+
 
 AT_LEAST = "\N{GREATER-THAN OR EQUAL TO}"
 
