@@ -13,7 +13,15 @@ from benchmark_measures import Row
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.pages.figures.plot_data import CLASSICAL, COMPONENTS, MARKERS, ROW_HEIGHT, Note, new_figure, style_axes
+from lin_freq_ocp.pages.figures.plot_data import (
+    CLASSICAL,
+    COMPONENTS,
+    MARKERS,
+    ROW_HEIGHT,
+    Note,
+    new_figure,
+    style_axes,
+)
 
 COLORS = dict(zip(CONTENDERS, (COMPONENTS[0], COMPONENTS[1], CLASSICAL, COMPONENTS[2], COMPONENTS[3]), strict=True))
 LABEL_STEP = 11.0  # points between the labels of two lines that end close together

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import TypeVar
 
 import benchmark_record
-import lfo_check
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.proof import lfo_check
 from lin_freq_ocp.proof.enclosure import LONGEST_CHECK
 from lin_freq_ocp.proof.proof import proof_of, unchecked_proof
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from flint import arb, ctx
-from lfo_check import Failed, check
 
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.status import Status
@@ -29,6 +28,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.convex import LARGER_RISE, convex_problem, raised_by
 from lin_freq_ocp.proof.dual import Dual, dual_of, precision
 from lin_freq_ocp.proof.enclosure import Enclosure
+from lin_freq_ocp.proof.lfo_check import Failed, check
 from lin_freq_ocp.proof.lines import line
 from lin_freq_ocp.proof.point import Point, points
 from lin_freq_ocp.proof.statement import problem_lines

@@ -2,13 +2,13 @@
 
 import io
 
-import lfo_check
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.api import result as api
 from lin_freq_ocp.proof import enclosure as extra
+from lin_freq_ocp.proof import lfo_check
 from lin_freq_ocp.proof import proof as writer
 from lin_freq_ocp.proof.proof import proof_of
 
