@@ -1,12 +1,8 @@
-"""Sweeps in files: JSON lines that grow while points finish and are resumed from, a table, and a JSON object.
+"""Sweeps and answers to many problems in files: JSON lines that grow during a run, and from which it is resumed.
 
-The first line describes the sweep. A line per finished point follows, and a line with the grid whenever it is new. Each
-line is on the disk before the next begins; an incomplete last line is ignored.
-
-Answers to many problems in a file: JSON lines that grow while they are found, and are resumed from.
-
-The first line says of what; a line per answer follows, each on the disk before the next begins. An incomplete last
-line is ignored.
+The first line describes the run. A line per finished point or answer follows; in the file of a sweep also a line with
+the grid whenever that is new. Each line is on the disk before the next begins, and an incomplete last line is ignored.
+A finished sweep is also written as a table, and as a JSON object.
 """
 
 from __future__ import annotations
@@ -14,7 +10,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
@@ -24,13 +22,21 @@ from typing import get_type_hints
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, brief
-from lin_freq_ocp.base.atomic import write_text
+from lin_freq_ocp.base.atomic import locked, write_text, writing
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.grid import grid_points, point_key
 from lin_freq_ocp.batch.many import Item, ManyHead
 from lin_freq_ocp.batch.sweep import MEASURED, Row, SweepHead, SweepOutcome
 from lin_freq_ocp.batch.tasks import ERROR
-from lin_freq_ocp.files.reading import FileTable, FileValue, Log, parsed_json, read_bytes, read_text, require_keys
+from lin_freq_ocp.files.reading import (
+    FileTable,
+    FileValue,
+    parsed_json,
+    read_bytes,
+    read_text,
+    require_file,
+    require_keys,
+)
 from lin_freq_ocp.files.solution_files import header
 
 SCHEMA = 1  # version of the layout; a file with another version is refused
@@ -46,6 +52,43 @@ ROW_KINDS = {
 
 DIFFERENCES = (("problem", "another problem"), ("names", "other parameters"), ("options", "other options of solve"))
 ANOTHER_PATH = "Give another path, or remove the file."
+
+MANY_KIND = "lin-freq-ocp solve_many"
+MANY_HEAD_KEYS = ("kind", "schema", "version", "fingerprint", "options")
+NUMBERS = ("cost", "lower_bound", "gap", "seconds")
+ITEM_KEYS = ("key", "status", "proven", "message", *NUMBERS, "x", "u")
+
+
+class Log:
+    """A file of JSON lines that grows, for this process alone: what others append meanwhile would mix with it."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        if path.exists():
+            require_file(str(path), path)
+        with writing(path), ExitStack() as stack:
+            self._stream = stack.enter_context(path.open("ab"))
+            if not stack.enter_context(locked(self._stream, wait=False)):
+                advice = "Wait until it ends, or choose another folder or name."
+                raise ProblemError(str(path), "a file that another run is writing", "one of its own", advice)
+            self._open = stack.pop_all()
+
+    def truncate(self, size: int) -> None:
+        """Keep so many bytes: an incomplete last line is dropped."""
+        with writing(self._path):
+            self._stream.truncate(size)
+
+    def write(self, entry: Mapping[str, object]) -> None:
+        """Append a line; it is on the disk when this returns."""
+        with writing(self._path):
+            self._stream.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+
+    def close(self) -> None:
+        """Give the file free."""
+        with writing(self._path):
+            self._open.close()
 
 
 class SweepFile:
@@ -66,15 +109,15 @@ class SweepFile:
         """Return the finished points of the file, which gets its first line, or the grid if that is new."""
         first = {"kind": KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
         first |= {"problem": head.problem, "fingerprint": head.fingerprint, "names": sorted(head.names)}
-        lines = _lines(path)
-        rows = [row for row in _rows(lines) if row["status"] != ERROR]
+        lines = _sweep_lines(path)
+        rows = [row for row in _rows_of(lines) if row["status"] != ERROR]
         if lines:
             _require_same(path, lines[0], head)
         self._log.truncate(read_bytes(path).rfind(b"\n") + 1 if lines else 0)
         given = {name: list(values) for name, values in grid.items()}
         if not lines:
             self._log.write(first | {"options": dict(head.options), "grid": given})
-        elif list(_grid(lines).items()) != list(given.items()):
+        elif list(_last_grid(lines).items()) != list(given.items()):
             self._log.write({"grid": given})
         return rows
 
@@ -91,14 +134,80 @@ class SweepFile:
         self._log.close()
 
 
+def _sweep_lines(path: Path) -> list[FileTable]:
+    """Return all whole lines of a sweep's file; none, if not even the first is whole."""
+    head, *others = read_text(path).split("\n")
+    if not others and BEGINNING.startswith(head[: len(BEGINNING)]):
+        return []
+    if not head.startswith(BEGINNING):
+        raise _no_sweep_error(path)
+    lines = [_sweep_line(path, number, text) for number, text in enumerate([head, *others[:-1]], 1)]
+    require_keys(path.name, lines[0], HEAD_KEYS)
+    for key, kind in HEAD_KINDS.items():
+        _require_kind(path.name, lines[0], key, kind)
+    return lines
+
+
+def _no_sweep_error(path: Path) -> ProblemError:
+    return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")
+
+
+def _sweep_line(path: Path, number: int, text: str) -> FileTable:
+    line = parsed_json(f"{path}, line {number}", text)
+    location = f"{path.name}, line {number}"
+    require_keys(location, line, optional=() if not isinstance(line, dict) else line)
+    if "grid" in line:
+        _require_grid(location, line["grid"])
+    elif number > 1:
+        line.setdefault("bound", None)  # rows of earlier versions have none
+        require_keys(location, line, ("parameters", *MEASURED))
+        for key, kind in ROW_KINDS.items():
+            _require_kind(location, line, key, kind)
+    return line
+
+
+def _require_grid(location: str, grid: object) -> None:
+    if (
+        not isinstance(grid, dict)
+        or not grid
+        or not all(isinstance(values, list) and values for values in grid.values())
+    ):
+        raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
+
+
+def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
+    value = line[key]
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
+        raise ProblemError(f"{location}.{key}", brief(value), "what a sweep writes there")
+
+
+def _rows_of(lines: Sequence[FileTable]) -> list[FileValue]:
+    return [line for line in lines if "grid" not in line]
+
+
+def _require_same(path: Path, found: FileTable, head: SweepHead) -> None:
+    expected = {"problem": head.problem, "names": sorted(head.names), "options": dict(head.options)}
+    for key, difference in DIFFERENCES:
+        if found[key] != expected[key]:
+            got = f"a sweep of {difference} ({brief(found[key])})"
+            raise ProblemError(str(path), got, brief(expected[key]), ANOTHER_PATH)
+    if found["fingerprint"] != head.fingerprint:
+        same = f"{head.problem}, with the same data and fixed arguments"
+        raise ProblemError(str(path), f"a sweep of another problem, also called {head.problem}", same, ANOTHER_PATH)
+
+
+def _last_grid(lines: Sequence[FileTable]) -> FileTable:
+    return [line["grid"] for line in lines if "grid" in line][-1]
+
+
 def read_sweep(path: str | PathLike[str]) -> SweepOutcome:
     """Read the file of a sweep, complete or not, with its last grid; ProblemError if it is no such file, or damaged."""
     path = Path(path)
-    lines = _lines(path)
+    lines = _sweep_lines(path)
     if not lines:
-        raise _no_sweep(path)
-    grid = {name: tuple(values) for name, values in _grid(lines).items()}
-    rows = {point_key(row["parameters"]): row for row in _rows(lines)}
+        raise _no_sweep_error(path)
+    grid = {name: tuple(values) for name, values in _last_grid(lines).items()}
+    rows = {point_key(row["parameters"]): row for row in _rows_of(lines)}
     kept = tuple(rows[key] for key in grid_points(grid) if key in rows)
     return SweepOutcome(lines[0]["problem"], grid, kept, lines[0]["options"])
 
@@ -131,78 +240,6 @@ def sweep_summary(sweep: SweepOutcome) -> FileTable:
     }
 
 
-def _lines(path: Path) -> list[FileTable]:
-    """Return all whole lines of a sweep's file; none, if not even the first is whole."""
-    head, *others = read_text(path).split("\n")
-    if not others and BEGINNING.startswith(head[: len(BEGINNING)]):
-        return []
-    if not head.startswith(BEGINNING):
-        raise _no_sweep(path)
-    lines = [_line(path, number, text) for number, text in enumerate([head, *others[:-1]], 1)]
-    require_keys(path.name, lines[0], HEAD_KEYS)
-    for key, kind in HEAD_KINDS.items():
-        _require_kind(path.name, lines[0], key, kind)
-    return lines
-
-
-def _line(path: Path, number: int, text: str) -> FileTable:
-    line = parsed_json(f"{path}, line {number}", text)
-    location = f"{path.name}, line {number}"
-    require_keys(location, line, optional=() if not isinstance(line, dict) else line)
-    if "grid" in line:
-        _require_grid(location, line["grid"])
-    elif number > 1:
-        line.setdefault("bound", None)  # rows of earlier versions have none
-        require_keys(location, line, ("parameters", *MEASURED))
-        for key, kind in ROW_KINDS.items():
-            _require_kind(location, line, key, kind)
-    return line
-
-
-def _require_grid(location: str, grid: object) -> None:
-    if (
-        not isinstance(grid, dict)
-        or not grid
-        or not all(isinstance(values, list) and values for values in grid.values())
-    ):
-        raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
-
-
-def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
-    value = line[key]
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
-        raise ProblemError(f"{location}.{key}", brief(value), "what a sweep writes there")
-
-
-def _rows(lines: Sequence[FileTable]) -> list[FileValue]:
-    return [line for line in lines if "grid" not in line]
-
-
-def _grid(lines: Sequence[FileTable]) -> FileTable:
-    return [line["grid"] for line in lines if "grid" in line][-1]
-
-
-def _require_same(path: Path, found: FileTable, head: SweepHead) -> None:
-    expected = {"problem": head.problem, "names": sorted(head.names), "options": dict(head.options)}
-    for key, difference in DIFFERENCES:
-        if found[key] != expected[key]:
-            got = f"a sweep of {difference} ({brief(found[key])})"
-            raise ProblemError(str(path), got, brief(expected[key]), ANOTHER_PATH)
-    if found["fingerprint"] != head.fingerprint:
-        same = f"{head.problem}, with the same data and fixed arguments"
-        raise ProblemError(str(path), f"a sweep of another problem, also called {head.problem}", same, ANOTHER_PATH)
-
-
-def _no_sweep(path: Path) -> ProblemError:
-    return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")
-
-
-MANY_KIND = "lin-freq-ocp solve_many"
-MANY_HEAD_KEYS = ("kind", "schema", "version", "fingerprint", "options")
-NUMBERS = ("cost", "lower_bound", "gap", "seconds")
-ITEM_KEYS = ("key", "status", "proven", "message", *NUMBERS, "x", "u")
-
-
 class ManyFile:
     """A file that gets a line per answer; ``items`` are those of the file when it was opened, without errors."""
 
@@ -226,7 +263,7 @@ class ManyFile:
         lines = [parsed_json(f"{self._path}, line {i}", line) for i, line in enumerate(whole.decode().splitlines(), 1)]
         if lines:
             self._require_same(lines[0], first)
-        found = {line["key"]: _item(line) for line in map(self._checked, lines[1:])}
+        found = {line["key"]: _item_of_line(line) for line in map(self._checked, lines[1:])}
         self._log.truncate(len(whole))
         if not lines:
             self._log.write(first)
@@ -235,7 +272,7 @@ class ManyFile:
     def append(self, key: str, item: Item) -> None:
         """Write one answer; it is on the disk when this returns."""
         numbers = {name: getattr(item, name) for name in NUMBERS}
-        arrays = {name: _listed(getattr(item, name)) for name in ("x", "u")}
+        arrays = {name: _nested_list(getattr(item, name)) for name in ("x", "u")}
         self._log.write(
             {"key": key, "status": item.status, "proven": item.proven, "message": item.message, **numbers, **arrays}
         )
@@ -270,11 +307,11 @@ class ManyFile:
         self._log.close()
 
 
-def _listed(values: Array | None) -> list[list[float]] | None:
-    return None if values is None else values.tolist()
-
-
-def _item(line: FileTable) -> Item:
+def _item_of_line(line: FileTable) -> Item:
     given = {name: line[name] for name in ITEM_KEYS if name not in ("key", "x", "u")}
     x, u = (None if line[name] is None else np.array(line[name], dtype=np.float64) for name in ("x", "u"))
     return Item(**given, x=x, u=u)
+
+
+def _nested_list(values: Array | None) -> list[list[float]] | None:
+    return None if values is None else values.tolist()

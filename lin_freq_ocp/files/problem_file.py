@@ -1,8 +1,8 @@
-"""The problem file: a problem in TOML, with large arrays in an .npz beside it.
+"""The problem file: a problem in TOML, with large arrays in an .npz beside it, and the facts that show prints of it.
 
-The TOML file has ``{npz = "data.npz", key = "A"}`` in place of a large array.
-
-A problem before it is solved, as plain data: its facts, signals and parameters.
+In place of a large array the TOML file has a reference, ``{npz = "data.npz", key = "A"}``; a measured response may be a
+CSV file, ``{csv = "response.csv"}``. Before a problem is solved, its facts, its signals and the parameters that
+``--set`` can change are available as plain data.
 """
 
 from __future__ import annotations
@@ -47,6 +47,14 @@ MOST_BYTES = 2**22  # of a problem file: they take some 4 s to parse; larger arr
 INLINE_LIMIT = 400  # most numbers of one field that are written into the text itself
 _ROW = re.compile(r"\[\n((?:\s+[-+.\w]+,\n)+)\s*\]")
 
+SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)  # a heading of a numpydoc docstring
+ARRAY_REFERENCE = {"npz", "key"}  # keys of a table that stands for an array in another file
+# Keys that are not in a file.
+MEANINGS = {
+    "cutoff": "low pass of all controls [rad/sample], in place of control_spectrum",
+    "cutoff_hz": "low pass of all controls [Hz], in place of control_spectrum",
+}
+
 
 def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] | None = None) -> OptimalControlProblem:
     """Read a problem from a TOML file.
@@ -80,13 +88,68 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
     tables = read_tables(path)
     with naming(path):
         try:
-            return problem_from_tables(_resolved(_merged(tables, overrides or {}), path.parent))
+            return problem_from_tables(_resolve(_merge(tables, overrides or {}), path.parent))
         except ProblemError:
             raise
         except RecursionError:
             raise ProblemError("tables", "nested too deeply", "tables as the documentation has them") from None
         except (ValueError, OverflowError, MemoryError) as error:  # sizes no array can have, integers no float can
             raise ProblemError("values", f"what no array can hold ({error})", "smaller numbers and sizes") from None
+
+
+def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:
+    """Return the tables with every reference replaced by its array; only files inside ``folder`` are read."""
+    if isinstance(value, Mapping):
+        if "npz" in value:
+            return _load_reference(field, value, folder)
+        if set(value) == {"csv"}:
+            return read_response(_path_inside(f"{field}.csv", value["csv"], folder))
+        return {key: _resolve(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+    if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
+        return [_resolve(entry, folder, f"{field}[{i}]") for i, entry in enumerate(value)]
+    return value
+
+
+def _load_reference(field: str, reference: Mapping[str, FileValue], folder: Path) -> FileValue:
+    require_keys(field, reference, required=("npz", "key"))
+    path, key = _path_inside(f"{field}.npz", reference["npz"], folder), reference["key"]
+    with opened_npz(f"{field}.npz", path) as arrays:
+        if key not in arrays.files:
+            expected = f"the name of an array in {path.name}: {', '.join(arrays.files)}"
+            raise ProblemError(f"{field}.key", brief(key), expected, suggestion(key, arrays.files))
+        array = arrays[key]
+    if array.dtype.kind not in "iuf":
+        raise ProblemError(field, f"{array.dtype} in {path.name}", "an array of real numbers")
+    return array
+
+
+def _path_inside(field: str, name: FileValue, folder: Path) -> Path:
+    """Return the path of a named file, links followed, if it lies in the folder or below."""
+    expected = "the name of a file in the folder of the problem file, or below"
+    if not isinstance(name, str):
+        raise ProblemError(field, brief(name), expected)
+    as_written = PureWindowsPath(name)  # knows both separators and drives: a file means the same everywhere
+    if as_written.anchor or ".." in as_written.parts:
+        raise ProblemError(field, brief(name), expected)
+    try:
+        target = (folder / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, or a character no file name can have
+        raise ProblemError(field, f"{brief(name)} ({error})", expected) from None
+    if not target.is_relative_to(folder.resolve()):
+        raise ProblemError(field, f"{brief(name)}, a link to another folder", expected)
+    return target
+
+
+def _merge(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -> FileTable:
+    """Return the table with the overrides; None removes a key."""
+    merged = dict(table)
+    for key, value in overrides.items():
+        if isinstance(value, Mapping):
+            old = merged.get(key)
+            merged[key] = _merge(old if isinstance(old, Mapping) else {}, value)
+        else:
+            merged[key] = value
+    return {key: value for key, value in merged.items() if value is not None}
 
 
 def read_tables(path: Path) -> FileTable:
@@ -161,91 +224,27 @@ def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]
     """Return the contents of the files of ``write_problem``, by their names, the arrays first."""
     arrays: dict[str, ArrayLike] = {}
     beside = Path(name).stem + ARRAYS_SUFFIX
-    text = _ROW.sub(_on_one_line, tomli_w.dumps(_stored(PROBLEM.write("", problem), beside, arrays)))
+    text = _ROW.sub(_put_on_one_line, tomli_w.dumps(_store(PROBLEM.write("", problem), beside, arrays)))
     return ({beside: npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
 
 
-def _resolved(value: FileValue, folder: Path, field: str = "") -> FileValue:
-    """Return the tables with every reference replaced by its array; only files inside ``folder`` are read."""
-    if isinstance(value, Mapping):
-        if "npz" in value:
-            return _referenced(field, value, folder)
-        if set(value) == {"csv"}:
-            return read_response(_inside(f"{field}.csv", value["csv"], folder))
-        return {key: _resolved(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
-    if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
-        return [_resolved(entry, folder, f"{field}[{i}]") for i, entry in enumerate(value)]
-    return value
+def _put_on_one_line(row: re.Match[str]) -> str:
+    """Put a row of numbers on one line; strings have no line breaks, but escapes."""
+    return "[" + " ".join(row[1].split()).removesuffix(",") + "]"
 
 
-def _stored(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field: str = "") -> FileValue:
+def _store(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field: str = "") -> FileValue:
     """Return the tables with arrays as lists; large arrays go to ``arrays``, and are replaced by references."""
     if isinstance(value, Mapping):
-        return {key: _stored(entry, npz_name, arrays, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+        return {key: _store(entry, npz_name, arrays, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list):
-        return [_stored(entry, npz_name, arrays, f"{field}[{i}]") for i, entry in enumerate(value)]
+        return [_store(entry, npz_name, arrays, f"{field}[{i}]") for i, entry in enumerate(value)]
     if not isinstance(value, np.ndarray):
         return value
     if value.size <= INLINE_LIMIT:
         return value.tolist()
     arrays[field] = value
     return {"npz": npz_name, "key": field}
-
-
-def _referenced(field: str, reference: Mapping[str, FileValue], folder: Path) -> FileValue:
-    require_keys(field, reference, required=("npz", "key"))
-    path, key = _inside(f"{field}.npz", reference["npz"], folder), reference["key"]
-    with opened_npz(f"{field}.npz", path) as arrays:
-        if key not in arrays.files:
-            expected = f"the name of an array in {path.name}: {', '.join(arrays.files)}"
-            raise ProblemError(f"{field}.key", brief(key), expected, suggestion(key, arrays.files))
-        array = arrays[key]
-    if array.dtype.kind not in "iuf":
-        raise ProblemError(field, f"{array.dtype} in {path.name}", "an array of real numbers")
-    return array
-
-
-def _inside(field: str, name: FileValue, folder: Path) -> Path:
-    """Return the path of a named file, links followed, if it lies in the folder or below."""
-    expected = "the name of a file in the folder of the problem file, or below"
-    if not isinstance(name, str):
-        raise ProblemError(field, brief(name), expected)
-    as_written = PureWindowsPath(name)  # knows both separators and drives: a file means the same everywhere
-    if as_written.anchor or ".." in as_written.parts:
-        raise ProblemError(field, brief(name), expected)
-    try:
-        target = (folder / name).resolve()
-    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, or a character no file name can have
-        raise ProblemError(field, f"{brief(name)} ({error})", expected) from None
-    if not target.is_relative_to(folder.resolve()):
-        raise ProblemError(field, f"{brief(name)}, a link to another folder", expected)
-    return target
-
-
-def _merged(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -> FileTable:
-    """Return the table with the overrides; None removes a key."""
-    merged = dict(table)
-    for key, value in overrides.items():
-        if isinstance(value, Mapping):
-            old = merged.get(key)
-            merged[key] = _merged(old if isinstance(old, Mapping) else {}, value)
-        else:
-            merged[key] = value
-    return {key: value for key, value in merged.items() if value is not None}
-
-
-def _on_one_line(row: re.Match[str]) -> str:
-    """Put a row of numbers on one line; strings have no line breaks, but escapes."""
-    return "[" + " ".join(row[1].split()).removesuffix(",") + "]"
-
-
-SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)  # a heading of a numpydoc docstring
-ARRAY_REFERENCE = {"npz", "key"}  # keys of a table that stands for an array in another file
-# Keys that are not in a file.
-MEANINGS = {
-    "cutoff": "low pass of all controls [rad/sample], in place of control_spectrum",
-    "cutoff_hz": "low pass of all controls [Hz], in place of control_spectrum",
-}
 
 
 @dataclass(frozen=True)
@@ -267,22 +266,56 @@ def description_summary(problem: OptimalControlProblem, about: str, parameters: 
             "about": about or None,
             "facts": [{"what": what, "words": words} for what, words in problem_facts(problem, problem.gap)],
             "states": [
-                _signal(name, states, i) | {"initial": _pair(bounds[0], i), "terminal": _pair(bounds[1], i)}
+                _signal_facts(name, states, i)
+                | {"initial": _end_bounds(bounds[0], i), "terminal": _end_bounds(bounds[1], i)}
                 for i, name in enumerate(problem.state_names)
             ],
-            "controls": [_signal(name, problem.control_tube, j) for j, name in enumerate(problem.control_names)],
+            "controls": [_signal_facts(name, problem.control_tube, j) for j, name in enumerate(problem.control_names)],
             "parameters": [asdict(parameter) for parameter in parameters],
         }
     )
 
 
+def _signal_facts(name: str, bounds: Box, i: int) -> FileTable:
+    plain_name, unit = split_unit(name)
+    return {
+        "name": plain_name,
+        "unit": unit or None,
+        "lower": _over_time(bounds.lower[:, i]),
+        "upper": _over_time(bounds.upper[:, i]),
+    }
+
+
+def _over_time(bounds: Array) -> float | list[float]:
+    """Return a bound, or one per time if it depends on time."""
+    return bounds.tolist() if (bounds != bounds[0]).any() else float(bounds[0])
+
+
+def _end_bounds(end: Box, i: int) -> list[float]:
+    return [float(end.lower[i]), float(end.upper[i])]
+
+
 def parameters_of_function(function: Callable[..., object], settings: Mapping[str, FileValue]) -> list[Parameter]:
     """Return the keywords of a function with their defaults and documentation."""
-    about = _documented(inspect.getdoc(function) or "")
+    about = _parameter_texts(inspect.getdoc(function) or "")
     return [
         Parameter(name, given.default, settings.get(name, given.default), about.get(name, ""))
         for name, given in inspect.signature(function).parameters.items()
     ]
+
+
+def _parameter_texts(docstring: str) -> dict[str, str]:
+    """Return the text of each name in the section Parameters of a numpydoc docstring."""
+    parts = SECTION.split(docstring)
+    sections = dict(zip(parts[1::2], parts[2::2], strict=True))
+    about: dict[str, str] = {}
+    names: list[str] = []
+    for line in sections.get("Parameters", "").splitlines():
+        if line[:1].strip():
+            names = [name.strip() for name in line.partition(" : ")[0].split(",")]
+        else:
+            about |= {name: f"{about.get(name, '')} {line.strip()}".strip() for name in names}
+    return about
 
 
 def about_function(function: Callable[..., object]) -> str:
@@ -310,36 +343,3 @@ def _leaves(tables: Mapping[str, FileValue], within: str = "") -> FileTable:
         else:
             leaves[within + key] = value
     return leaves
-
-
-def _documented(docstring: str) -> dict[str, str]:
-    """Return the text of each name in the section Parameters of a numpydoc docstring."""
-    parts = SECTION.split(docstring)
-    sections = dict(zip(parts[1::2], parts[2::2], strict=True))
-    about: dict[str, str] = {}
-    names: list[str] = []
-    for line in sections.get("Parameters", "").splitlines():
-        if line[:1].strip():
-            names = [name.strip() for name in line.partition(" : ")[0].split(",")]
-        else:
-            about |= {name: f"{about.get(name, '')} {line.strip()}".strip() for name in names}
-    return about
-
-
-def _signal(name: str, bounds: Box, i: int) -> FileTable:
-    plain_name, unit = split_unit(name)
-    return {
-        "name": plain_name,
-        "unit": unit or None,
-        "lower": _over_time(bounds.lower[:, i]),
-        "upper": _over_time(bounds.upper[:, i]),
-    }
-
-
-def _over_time(bounds: Array) -> float | list[float]:
-    """Return a bound, or one per time if it depends on time."""
-    return bounds.tolist() if (bounds != bounds[0]).any() else float(bounds[0])
-
-
-def _pair(end: Box, i: int) -> list[float]:
-    return [float(end.lower[i]), float(end.upper[i])]

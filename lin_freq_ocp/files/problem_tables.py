@@ -1,6 +1,8 @@
 """A problem as plain tables, and back: the layout of the problem file, without the file.
 
-Dynamics as tables: A and B of a linear model, one table for each mode of a piecewise model, or formulas.
+Each class has one record, from which its reader and its writer follow: first the kinds of dynamics (A and B of a linear
+model, one table for each mode of a piecewise model, formulas, a frequency response, a pulse train), then sets, bands,
+frequency constraints, costs and joint rows, and last the problem itself.
 """
 
 from __future__ import annotations
@@ -57,7 +59,7 @@ def without_zeros(first: Array, second: Array) -> tuple[Array | None, Array | No
     return left, second if left is None else right
 
 
-def _mode(mode: AffineMode) -> FileTable:
+def _mode_values(mode: AffineMode) -> FileTable:
     linear, region = mode.linear, mode.region
     table = {"name": mode.name or None, "A": linear.A, "B": linear.B, "offset": linear.offset}
     G, H = without_zeros(region.C, region.D)
@@ -71,7 +73,7 @@ def _from_formulas(
     f: FileValue, control_dim: FileValue, let: FileValue = None, domain: FileValue = (), **labels: FileValue
 ) -> PiecewiseSmoothDynamics:
     n, m = _dimensions(f, control_dim)
-    mode = _parsed("dynamics", SmoothMode(f, domain=domain), _known(let, n, m), n, m)
+    mode = _parse_formulas("dynamics", SmoothMode(f, domain=domain), _definitions(let, n, m), n, m)
     return PiecewiseSmoothDynamics.from_formulas(mode.f, n, m, domain=mode.domain, **labels)
 
 
@@ -79,8 +81,8 @@ def _from_modes(
     modes: list[SmoothMode], control_dim: FileValue, let: FileValue = None, **labels: FileValue
 ) -> PiecewiseSmoothDynamics:
     n, m = _dimensions(modes[0].f, control_dim)
-    known = _known(let, n, m)
-    parsed = [_parsed(f"dynamics.modes[{i}]", mode, known, n, m) for i, mode in enumerate(modes)]
+    known = _definitions(let, n, m)
+    parsed = [_parse_formulas(f"dynamics.modes[{i}]", mode, known, n, m) for i, mode in enumerate(modes)]
     return PiecewiseSmoothDynamics(parsed, n, m, **labels)
 
 
@@ -133,11 +135,11 @@ def _dimensions(f: object, control_dim: FileValue) -> tuple[int, int]:
     return max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
 
 
-def _known(let: FileValue, n: int, m: int) -> dict[str, Formula]:
+def _definitions(let: FileValue, n: int, m: int) -> dict[str, Formula]:
     return defined("dynamics.let", {} if let is None else let, (n, m))
 
 
-def _parsed(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: int, m: int) -> SmoothMode:
+def _parse_formulas(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: int, m: int) -> SmoothMode:
     """Return the mode with its texts parsed; its class refuses other values."""
     parsed: FileTable = {}
     for key in FORMULA_KEYS:
@@ -150,7 +152,7 @@ def _parsed(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: in
     return replace(mode, **parsed)
 
 
-def _smooth(dynamics: PiecewiseSmoothDynamics) -> FileTable:
+def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     """Return the keys of dynamics by formulas, with ``let`` if formulas are long or share subexpressions."""
     formulas: list[Formula] = []
     for i, mode in enumerate(dynamics.modes):
@@ -169,12 +171,12 @@ def _smooth(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     return names | {"let": definitions or None, "modes": modes}
 
 
-def _smooth_mode(mode: SmoothMode) -> FileTable:
+def _smooth_mode_values(mode: SmoothMode) -> FileTable:
     return {key: getattr(mode, key) or None for key in ("name", *FORMULA_KEYS)}
 
 
-AFFINE_MODE = Record(AffineMode, own=MODE, values=_mode, offset=nonzero(1))
-SMOOTH_MODE = Record(SmoothMode, values=_smooth_mode)
+AFFINE_MODE = Record(AffineMode, own=MODE, values=_mode_values, offset=nonzero(1))
+SMOOTH_MODE = Record(SmoothMode, values=_smooth_mode_values)
 
 LINEAR = Record(
     _linear,
@@ -187,7 +189,7 @@ SMOOTH_MODES = Record(
     _from_modes,
     like=_labels,
     classes=(PiecewiseSmoothDynamics,),
-    values=_smooth,
+    values=_smooth_values,
     modes=Tables(SMOOTH_MODE, single=False),
 )
 SMOOTH = Record(_from_formulas, like=_labels)
@@ -206,7 +208,7 @@ RECORDS: dict[type, Record] = {
 }
 
 
-def _read(location: str, given: FileValue) -> Dynamics:
+def _read_dynamics(location: str, given: FileValue) -> Dynamics:
     keys = given if isinstance(given, Mapping) else {}
     modes = keys.get("modes")
     if "table" in keys:
@@ -222,7 +224,7 @@ def _read(location: str, given: FileValue) -> Dynamics:
     return (PIECEWISE_AFFINE if "modes" in keys else LINEAR).read(location, given)
 
 
-def _write(location: str, value: Dynamics) -> FileTable:
+def _write_dynamics(location: str, value: Dynamics) -> FileTable:
     """Return the table of dynamics, of another class that of their standard form."""
     record = entry_for(RECORDS, value)
     return record.write(location, value if record.holds(value) else value.standard_form)
@@ -230,7 +232,7 @@ def _write(location: str, value: Dynamics) -> FileTable:
 
 # Dynamics of every kind: a table with ``A`` and ``B``, with formulas ``f``, with ``modes`` of either form, or with
 # ``orders`` of a pulse train.
-DYNAMICS = Value(_read, _write)
+DYNAMICS = Value(_read_dynamics, _write_dynamics)
 
 
 SCHEMA = 2  # version of the layout; earlier ones are read, as what was added since is optional
@@ -309,7 +311,7 @@ BANDS.records |= {
 }
 
 
-def _bound(bound: MagnitudeBound | EnergyBound) -> FileTable:
+def _bound_values(bound: MagnitudeBound | EnergyBound) -> FileTable:
     """Return the keys of a bound: bins as a stop band, and a component only where the band does not have it."""
     return {
         "limit": bound.limit,
@@ -328,8 +330,10 @@ NO_LOWER = checked(lambda given: False, "an upper limit", NO_LOWER_MASK)
 SPECTRUM = Kinds("frequency constraint")
 SPECTRUM.records |= BANDS.records
 SPECTRUM.records |= {
-    "magnitude_bound": Record(MagnitudeBound, own="stop_band", values=_bound, bins=BINS, band=BANDS, at_least=NO_LOWER),
-    "energy_bound": Record(EnergyBound, own="stop_band", values=_bound, bins=BINS, band=BANDS),
+    "magnitude_bound": Record(
+        MagnitudeBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS, at_least=NO_LOWER
+    ),
+    "energy_bound": Record(EnergyBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS),
     "linear_constraint": Record(LinearConstraint),
     "residual_vibration": Record(ResidualVibration),
 }
@@ -352,7 +356,7 @@ def _cost(norms: FileValue = None, **terms: FileValue) -> Cost:
     return CostSum([quadratic, *(norms if isinstance(norms, list) else [norms])])
 
 
-def _terms(cost: Cost) -> FileTable:
+def _cost_values(cost: Cost) -> FileTable:
     terms = {key: getattr(cost.quadratic, key) for key in COST.optional if key != "norms"}
     return terms | {"norms": cost.norms}
 
@@ -360,26 +364,26 @@ def _terms(cost: Cost) -> FileTable:
 COST = Record(
     _cost,
     like=QuadraticCost,
-    values=_terms,
+    values=_cost_values,
     norms=Tables(NORM_COSTS),
     **dict.fromkeys(("Q", "R", "S", "P"), nonzero(2)),
     **dict.fromkeys(("q", "r", "p", "x_ref", "u_ref"), nonzero(1)),
 )
 
 
-def _rows(rows: StageRows) -> FileTable:
+def _row_values(rows: StageRows) -> FileTable:
     C, D = without_zeros(rows.C, rows.D)
     return {"name": rows.name, "C": C, "D": D, "e": rows.e, "penalty": rows.penalty}
 
 
-STAGE_ROWS = Record(StageRows, own="stage_rows", required=["e"], values=_rows)
+STAGE_ROWS = Record(StageRows, own="stage_rows", required=["e"], values=_row_values)
 
 
 def _problem(schema: int, **fields: FileValue) -> OptimalControlProblem:
     return OptimalControlProblem(**fields)
 
 
-def _fields(problem: OptimalControlProblem) -> FileTable:
+def _problem_values(problem: OptimalControlProblem) -> FileTable:
     """Return the keys of a problem in the order of the file; a list of boxes becomes one box with bounds per time."""
     keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
     fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key != "schema"}
@@ -399,7 +403,7 @@ def _fields(problem: OptimalControlProblem) -> FileTable:
 PROBLEM = Record(
     _problem,
     like=OptimalControlProblem,
-    values=_fields,
+    values=_problem_values,
     schema=checked(lambda given: readable(given, SCHEMA), versions(SCHEMA), OTHER_VERSION),
     name=checked(lambda given: isinstance(given, str), "text in quotes"),
     dynamics=DYNAMICS,
