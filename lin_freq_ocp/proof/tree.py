@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.proof.dual import inside, signal_lines
+from lin_freq_ocp.proof.dual import domain_multipliers, signal_lines
 from lin_freq_ocp.proof.lines import Text, Value, encoded, line
 from lin_freq_ocp.proof.statement import multiplier_lines
 
@@ -62,7 +62,7 @@ def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[Node]:
 
 
 def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> OptimalControlProblem:
-    """Return the linear problem of a mode sequence, with as few rows as can be: a point needs room to each.
+    """Return the linear problem of a mode sequence, with as few rows as can be: a point must be strictly inside of each.
 
     Rows of a single control are bounds, which may fix it (a level); those that a fixed x_0 decides are left out.
     """
@@ -118,7 +118,10 @@ def _leaf_lines(
     yield line(section="dual", node=number, cost=int(given.eta_C > 0))
     yield from signal_lines(0, problem.in_time(given.rho_x)[: problem.state_samples])
     yield from signal_lines(problem.state_dim, time_signal(given.rho_u, T))
-    weights = [inside(term, given.stage.get(term.name, np.zeros(term.shape)), given.eta_C) for term in problem.terms]
+    weights = [
+        domain_multipliers(term, given.stage.get(term.name, np.zeros(term.shape)), given.eta_C)
+        for term in problem.terms
+    ]
     yield from multiplier_lines(problem.terms, weights)
     yield line(t=T, z=at.end, eta=eta[T - 1])
     bounded = np.isfinite(problem.piecewise.arrays(T).h)
