@@ -38,67 +38,6 @@ FIRST_SECONDS, BETWEEN_SECONDS = 0.5, 0.2  # before the line is shown, and from 
 Given = ParamSpec("Given")
 Bundle = dict[str, str]  # the same content in several media types
 
-
-class Handle(Protocol):
-    """What changes a displayed line."""
-
-    def update(self, bundle: Bundle, *, raw: bool) -> object:
-        """Show something else in its place."""
-
-
-class Line:
-    """A line below the cell that runs: quick calls never show it, and it is emptied in the end."""
-
-    def __init__(self):
-        self._next, self._handle = now() + FIRST_SECONDS, None
-
-    def show(self, text: str) -> None:
-        """Show a text, unless the last was shown just now."""
-        if now() < self._next:
-            return
-        self._next = now() + BETWEEN_SECONDS
-        bundle = {"text/plain": text, "text/html": f"<progress></progress> {escape(text)}"}
-        if self._handle is None:
-            self._handle: Handle | None = import_module("IPython.display").display(bundle, raw=True, display_id=True)
-        else:
-            self._handle.update(bundle, raw=True)
-
-    def clear(self) -> None:
-        """Leave nothing of it."""
-        if self._handle is not None:
-            self._handle.update({}, raw=True)
-
-
-@contextmanager
-def reporting(
-    given: Callable[Given, None] | None, words: Callable[Given, str]
-) -> Generator[Callable[Given, None] | None]:
-    """Yield a given report of progress; without one, in a notebook, what shows its words, else None."""
-    if given is not None or not in_notebook():
-        yield given
-        return
-    line = Line()
-
-    def report(*args: Given.args, **kwargs: Given.kwargs) -> None:
-        line.show(words(*args, **kwargs))
-
-    try:
-        yield report
-    finally:
-        line.clear()
-
-
-def in_notebook() -> bool:
-    """Whether a Jupyter kernel runs this: IPython in a terminal has none, and a worker of a pool is not the kernel."""
-    ipython = sys.modules.get("IPython")
-    return ipython is not None and hasattr(ipython.get_ipython(), "kernel") and parent_process() is None
-
-
-def counted(done: int, count: int) -> str:
-    """Return how many are solved of how many."""
-    return f"{done} of {count} solved"
-
-
 EXPLAIN_SECONDS = 5.0  # of processor time for the explanation of an infeasible problem
 
 # The errors of statuses that are no answer.
@@ -216,20 +155,6 @@ def raise_for(result: Result) -> None:
         raise ERRORS[result.status](_complaint(result), result)
 
 
-def explained(
-    result: Result, seconds_left: float | None = None, processor_time: float | None = EXPLAIN_SECONDS
-) -> Result:
-    """Return an infeasible result with its explanation, if it is found in these limits; None for no limit."""
-    from lin_freq_ocp.explanation.explanation import explain  # few problems are infeasible
-
-    if seconds_left is not None and seconds_left <= 0:
-        return result
-    try:
-        return replace(result, explanation=explain(result.problem, seconds_left, processor_time))
-    except LinFreqOCPError:  # the proof stands without it
-        return result
-
-
 def _complaint(result: Result) -> str:
     name = result.problem.name or "the problem"
     if result.status == Status.INFEASIBLE:
@@ -263,3 +188,77 @@ def _reached(result: Result) -> str:
     figures = {"cost": result.cost, "lower bound": result.lower_bound, "gap": result.gap}
     texts = [f"{name} {'unknown' if value is None else format(value, '.6g')}" for name, value in figures.items()]
     return f"the best point is in .result: {', '.join(texts)}"
+
+
+def explained(
+    result: Result, seconds_left: float | None = None, processor_time: float | None = EXPLAIN_SECONDS
+) -> Result:
+    """Return an infeasible result with its explanation, if it is found in these limits; None for no limit."""
+    from lin_freq_ocp.explanation.explanation import explain  # few problems are infeasible
+
+    if seconds_left is not None and seconds_left <= 0:
+        return result
+    try:
+        return replace(result, explanation=explain(result.problem, seconds_left, processor_time))
+    except LinFreqOCPError:  # the proof stands without it
+        return result
+
+
+@contextmanager
+def reporting(
+    given: Callable[Given, None] | None, words: Callable[Given, str]
+) -> Generator[Callable[Given, None] | None]:
+    """Yield a given report of progress; without one, in a notebook, what shows its words, else None."""
+    if given is not None or not in_notebook():
+        yield given
+        return
+    line = Line()
+
+    def report(*args: Given.args, **kwargs: Given.kwargs) -> None:
+        line.show(words(*args, **kwargs))
+
+    try:
+        yield report
+    finally:
+        line.clear()
+
+
+class Handle(Protocol):
+    """What changes a displayed line."""
+
+    def update(self, bundle: Bundle, *, raw: bool) -> object:
+        """Show something else in its place."""
+
+
+class Line:
+    """A line below the cell that runs: quick calls never show it, and it is emptied in the end."""
+
+    def __init__(self):
+        self._next, self._handle = now() + FIRST_SECONDS, None
+
+    def show(self, text: str) -> None:
+        """Show a text, unless the last was shown just now."""
+        if now() < self._next:
+            return
+        self._next = now() + BETWEEN_SECONDS
+        bundle = {"text/plain": text, "text/html": f"<progress></progress> {escape(text)}"}
+        if self._handle is None:
+            self._handle: Handle | None = import_module("IPython.display").display(bundle, raw=True, display_id=True)
+        else:
+            self._handle.update(bundle, raw=True)
+
+    def clear(self) -> None:
+        """Leave nothing of it."""
+        if self._handle is not None:
+            self._handle.update({}, raw=True)
+
+
+def in_notebook() -> bool:
+    """Whether a Jupyter kernel runs this: IPython in a terminal has none, and a worker of a pool is not the kernel."""
+    ipython = sys.modules.get("IPython")
+    return ipython is not None and hasattr(ipython.get_ipython(), "kernel") and parent_process() is None
+
+
+def counted(done: int, count: int) -> str:
+    """Return how many are solved of how many."""
+    return f"{done} of {count} solved"

@@ -33,139 +33,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 UNSOLVED = "unsolved"  # status of what Ctrl-C left
 
-
-@dataclass(frozen=True, eq=False)
-class Item:
-    """The answer to one of many problems, as plain data; None where there is nothing.
-
-    ``proven`` says that its cost is within 1e-6 of a rigorous bound, or infeasibility is proven. ``x`` (T+1, n) and
-    ``u`` (T, m) are the trajectory. ``lost`` says that its worker ended before the answer.
-    """
-
-    status: str
-    proven: bool = False
-    cost: float | None = None
-    lower_bound: float | None = None
-    gap: float | None = None
-    message: str = ""
-    seconds: float | None = None
-    x: Array | None = field(default=None, repr=False)
-    u: Array | None = field(default=None, repr=False)
-    lost: bool = field(default=False, repr=False)
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Items by their keys, and whether Ctrl-C came before all were solved."""
-
-    items: Mapping[str, Item]
-    interrupted: bool = False
-
-
-def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> Part:
-    """Solve problems one after another, each from the one before; what fails is an item of its own."""
-    items, interrupted = dict[str, Item](), False
-    try:
-        items, interrupted = _together(again, changes) if time_limit is None else ({}, False)
-        for key in changes if not interrupted else ():
-            if key not in items:
-                items[key] = _judged_alone(again, changes[key], time_limit)
-    except KeyboardInterrupt:
-        interrupted = True
-    return Part({key: items[key] for key in changes if key in items}, interrupted)
-
-
-def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
-    """Return what the Fourier-domain method solves at once, if the bound of all proves it, and whether Ctrl-C came."""
-    states = [change.initial_state for change in changes.values() if change.references is None]
-    if not again.linear or not again.spectral or len(states) < len(changes) or states[0] is None:
-        return {}, False
-    if not judged_together(again.problem):
-        return {}, False
-    started = now()
-    located = again.located(next(iter(changes.values())).of(again.problem))
-    if located.kept is None:
-        return {}, False
-    translation, starts = located.translation, np.array(states, dtype=np.float64) - located.origin
-    found = located.kept.together(starts)
-    which = np.zeros(0, dtype=np.intp) if found is None else np.flatnonzero(found.found)
-    if found is None or not len(which):
-        return {}, found is not None and found.interrupted
-    signals = (part[which] for part in (found.x, found.u, found.eta, found.mu, found.nu))
-    judged = verdicts(translation.problem, starts[which], Extremals(*signals, rho_u=found.rho_u[which]))
-    each, keys = (now() - started) / len(changes), list(changes)
-    items = {
-        keys[i]: Item(
-            status=str(Status.OPTIMAL),
-            proven=True,
-            cost=float(judged.costs[k]) + translation.cost,
-            lower_bound=float(judged.bounds[k]) + translation.cost,
-            gap=float(judged.gaps[k]),
-            seconds=each,
-            x=found.x[i] + located.origin,
-            u=found.u[i],
-        )
-        for k, i in enumerate(which)
-        if judged.proven[k]
-    }
-    return items, found.interrupted
-
-
-def _judged_alone(again: Repeated, change: Change, time_limit: float | None) -> Item:
-    started = now()
-    if again.excluded(change):
-        message = "proven by a rigorous ray of another initial state"
-        return Item(str(Status.INFEASIBLE), proven=True, message=message, seconds=now() - started)
-    try:
-        outcome = again.solve(change, time_limit)
-    except LinFreqOCPError as error:
-        return Item(ERROR, message=str(error), seconds=now() - started)
-    if outcome.interrupted:
-        raise KeyboardInterrupt
-    if change.references is None:
-        again.keep(outcome)
-    return item_of(outcome, now() - started)
-
-
-def item_of(outcome: Outcome, seconds: float) -> Item:
-    """Return an outcome as an item; figures are of points that satisfy every constraint."""
-    trajectory = outcome.trajectory if outcome.primal else None
-    solved = outcome.certificate is not None and outcome.certificate.globally_optimal
-    infeasible = outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED) and outcome.dual
-    return Item(
-        status=str(outcome.status),
-        proven=solved or infeasible,
-        cost=outcome.cost if outcome.primal else None,
-        lower_bound=outcome.lower_bound,
-        gap=outcome.gap if outcome.primal else None,
-        message=outcome.message,
-        seconds=seconds,
-        x=None if trajectory is None else trajectory.x,
-        u=None if trajectory is None else trajectory.u,
-    )
-
-
 BLOCK = 1000  # states among which the nearest is looked for: 1000 steps of some 20 microseconds
-
-
-def tour(states: Array) -> Indices:
-    """Return an order of states (N, n), each near the one before, measured in their own spread."""
-    spread = states.std(0)
-    scaled = (states - states.mean(0)) / np.where(spread > 0, spread, 1.0)
-    along = np.argsort(scaled[:, int(np.argmax(np.abs(scaled).max(0)))], kind="stable")
-    blocks = [along[first : first + BLOCK] for first in range(0, len(along), BLOCK)]
-    return np.concatenate([block[_nearest(scaled[block])] for block in blocks])
-
-
-def _nearest(points: Array) -> Indices:
-    """Return an order that begins at the first point and goes on to the nearest that is left."""
-    order, left = np.zeros(len(points), dtype=np.intp), np.ones(len(points), dtype=bool)
-    for step in range(1, len(points)):
-        left[order[step - 1]] = False
-        distance = ((points - points[order[step - 1]]) ** 2).sum(1)
-        order[step] = np.argmin(np.where(left, distance, np.inf))
-    return order
-
 
 HERE, SENT = 25, 100  # problems of a part: here, what Ctrl-C waits for; on an executor, what a set-up is shared by
 
@@ -302,6 +170,64 @@ def solved_many(
     return ManyOutcome(problem, tuple(changes), items, again, interrupted)
 
 
+def _key(change: Change | ProblemError) -> str:
+    return "" if isinstance(change, ProblemError) else fingerprint((change.initial_state, change.references))
+
+
+def _method_name(method: str | Method) -> str:
+    return method if isinstance(method, str) else repr(method)
+
+
+def _parts(
+    again: Repeated, changes: Mapping[str, Change], time_limit: float | None, executor: Executor | None
+) -> Iterator[Part]:
+    """Yield what is solved; problems of a part that is lost are given out again one by one."""
+    if executor is None:
+        with one_blas_thread():
+            for part in _split(changes, HERE).values():
+                yield solve_part(again, part, time_limit)
+        return
+    work = Work(partial(_solve_sent, again.problem, again.name, time_limit), _lost, lambda part: part.interrupted)
+    lost = dict[str, Change]()
+    for size in (SENT, 1):
+        with closing(finished(work, _split(changes if size > 1 else lost, size), executor)) as parts:
+            for _, part in parts:
+                if size > 1:
+                    lost |= {key: changes[key] for key, item in part.items.items() if item.lost}
+                yield Part({key: item for key, item in part.items.items() if size == 1 or key not in lost})
+
+
+def _split(changes: Mapping[str, Change], size: int) -> dict[str, dict[str, Change]]:
+    entries = list(changes.items())
+    return {str(first): dict(entries[first : first + size]) for first in range(0, len(entries), size)}
+
+
+def _solve_sent(
+    problem: OptimalControlProblem,
+    method: str | Method,
+    time_limit: float | None,
+    changes: Mapping[str, Change],
+    attempt: int,
+) -> Part:
+    """Solve a part in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
+    with one_blas_thread():
+        return solve_part(Repeated(problem, method), changes, time_limit)
+
+
+def _lost(changes: Mapping[str, Change], reason: str) -> Part:
+    return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in changes})
+
+
+def _in_order(changes: Mapping[str, Change], found: Mapping[str, Item]) -> dict[str, Change]:
+    """Return what is not solved, each near the one before."""
+    left = {key: change for key, change in changes.items() if key not in found}
+    states = [change.initial_state for change in left.values()]
+    if not states or states[0] is None:
+        return left
+    keys = list(left)
+    return {keys[i]: left[keys[i]] for i in tour(np.array(states, dtype=np.float64))}
+
+
 def changes_of(
     problem: OptimalControlProblem, states: object, references: References | Sequence[References] | None
 ) -> list[Change | ProblemError]:
@@ -352,59 +278,131 @@ def _change(
     return Change(point, references=references)
 
 
-def _key(change: Change | ProblemError) -> str:
-    return "" if isinstance(change, ProblemError) else fingerprint((change.initial_state, change.references))
+@dataclass(frozen=True, eq=False)
+class Item:
+    """The answer to one of many problems, as plain data; None where there is nothing.
+
+    ``proven`` says that its cost is within 1e-6 of a rigorous bound, or infeasibility is proven. ``x`` (T+1, n) and
+    ``u`` (T, m) are the trajectory. ``lost`` says that its worker ended before the answer.
+    """
+
+    status: str
+    proven: bool = False
+    cost: float | None = None
+    lower_bound: float | None = None
+    gap: float | None = None
+    message: str = ""
+    seconds: float | None = None
+    x: Array | None = field(default=None, repr=False)
+    u: Array | None = field(default=None, repr=False)
+    lost: bool = field(default=False, repr=False)
 
 
-def _method_name(method: str | Method) -> str:
-    return method if isinstance(method, str) else repr(method)
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Items by their keys, and whether Ctrl-C came before all were solved."""
+
+    items: Mapping[str, Item]
+    interrupted: bool = False
 
 
-def _in_order(changes: Mapping[str, Change], found: Mapping[str, Item]) -> dict[str, Change]:
-    """Return what is not solved, each near the one before."""
-    left = {key: change for key, change in changes.items() if key not in found}
-    states = [change.initial_state for change in left.values()]
-    if not states or states[0] is None:
-        return left
-    keys = list(left)
-    return {keys[i]: left[keys[i]] for i in tour(np.array(states, dtype=np.float64))}
+def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> Part:
+    """Solve problems one after another, each from the one before; what fails is an item of its own."""
+    items, interrupted = dict[str, Item](), False
+    try:
+        items, interrupted = _together(again, changes) if time_limit is None else ({}, False)
+        for key in changes if not interrupted else ():
+            if key not in items:
+                items[key] = _judged_alone(again, changes[key], time_limit)
+    except KeyboardInterrupt:
+        interrupted = True
+    return Part({key: items[key] for key in changes if key in items}, interrupted)
 
 
-def _parts(
-    again: Repeated, changes: Mapping[str, Change], time_limit: float | None, executor: Executor | None
-) -> Iterator[Part]:
-    """Yield what is solved; problems of a part that is lost are given out again one by one."""
-    if executor is None:
-        with one_blas_thread():
-            for part in _split(changes, HERE).values():
-                yield solve_part(again, part, time_limit)
-        return
-    work = Work(partial(_solve_sent, again.problem, again.name, time_limit), _lost, lambda part: part.interrupted)
-    lost = dict[str, Change]()
-    for size in (SENT, 1):
-        with closing(finished(work, _split(changes if size > 1 else lost, size), executor)) as parts:
-            for _, part in parts:
-                if size > 1:
-                    lost |= {key: changes[key] for key, item in part.items.items() if item.lost}
-                yield Part({key: item for key, item in part.items.items() if size == 1 or key not in lost})
+def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
+    """Return what the Fourier-domain method solves at once, if the bound of all proves it, and whether Ctrl-C came."""
+    states = [change.initial_state for change in changes.values() if change.references is None]
+    if not again.linear or not again.spectral or len(states) < len(changes) or states[0] is None:
+        return {}, False
+    if not judged_together(again.problem):
+        return {}, False
+    started = now()
+    located = again.located(next(iter(changes.values())).of(again.problem))
+    if located.kept is None:
+        return {}, False
+    translation, starts = located.translation, np.array(states, dtype=np.float64) - located.origin
+    found = located.kept.together(starts)
+    which = np.zeros(0, dtype=np.intp) if found is None else np.flatnonzero(found.found)
+    if found is None or not len(which):
+        return {}, found is not None and found.interrupted
+    signals = (part[which] for part in (found.x, found.u, found.eta, found.mu, found.nu))
+    judged = verdicts(translation.problem, starts[which], Extremals(*signals, rho_u=found.rho_u[which]))
+    each, keys = (now() - started) / len(changes), list(changes)
+    items = {
+        keys[i]: Item(
+            status=str(Status.OPTIMAL),
+            proven=True,
+            cost=float(judged.costs[k]) + translation.cost,
+            lower_bound=float(judged.bounds[k]) + translation.cost,
+            gap=float(judged.gaps[k]),
+            seconds=each,
+            x=found.x[i] + located.origin,
+            u=found.u[i],
+        )
+        for k, i in enumerate(which)
+        if judged.proven[k]
+    }
+    return items, found.interrupted
 
 
-def _lost(changes: Mapping[str, Change], reason: str) -> Part:
-    return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in changes})
+def _judged_alone(again: Repeated, change: Change, time_limit: float | None) -> Item:
+    started = now()
+    if again.excluded(change):
+        message = "proven by a rigorous ray of another initial state"
+        return Item(str(Status.INFEASIBLE), proven=True, message=message, seconds=now() - started)
+    try:
+        outcome = again.solve(change, time_limit)
+    except LinFreqOCPError as error:
+        return Item(ERROR, message=str(error), seconds=now() - started)
+    if outcome.interrupted:
+        raise KeyboardInterrupt
+    if change.references is None:
+        again.keep(outcome)
+    return item_of(outcome, now() - started)
 
 
-def _split(changes: Mapping[str, Change], size: int) -> dict[str, dict[str, Change]]:
-    entries = list(changes.items())
-    return {str(first): dict(entries[first : first + size]) for first in range(0, len(entries), size)}
+def tour(states: Array) -> Indices:
+    """Return an order of states (N, n), each near the one before, measured in their own spread."""
+    spread = states.std(0)
+    scaled = (states - states.mean(0)) / np.where(spread > 0, spread, 1.0)
+    along = np.argsort(scaled[:, int(np.argmax(np.abs(scaled).max(0)))], kind="stable")
+    blocks = [along[first : first + BLOCK] for first in range(0, len(along), BLOCK)]
+    return np.concatenate([block[_nearest(scaled[block])] for block in blocks])
 
 
-def _solve_sent(
-    problem: OptimalControlProblem,
-    method: str | Method,
-    time_limit: float | None,
-    changes: Mapping[str, Change],
-    attempt: int,
-) -> Part:
-    """Solve a part in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
-    with one_blas_thread():
-        return solve_part(Repeated(problem, method), changes, time_limit)
+def _nearest(points: Array) -> Indices:
+    """Return an order that begins at the first point and goes on to the nearest that is left."""
+    order, left = np.zeros(len(points), dtype=np.intp), np.ones(len(points), dtype=bool)
+    for step in range(1, len(points)):
+        left[order[step - 1]] = False
+        distance = ((points - points[order[step - 1]]) ** 2).sum(1)
+        order[step] = np.argmin(np.where(left, distance, np.inf))
+    return order
+
+
+def item_of(outcome: Outcome, seconds: float) -> Item:
+    """Return an outcome as an item; figures are of points that satisfy every constraint."""
+    trajectory = outcome.trajectory if outcome.primal else None
+    solved = outcome.certificate is not None and outcome.certificate.globally_optimal
+    infeasible = outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED) and outcome.dual
+    return Item(
+        status=str(outcome.status),
+        proven=solved or infeasible,
+        cost=outcome.cost if outcome.primal else None,
+        lower_bound=outcome.lower_bound,
+        gap=outcome.gap if outcome.primal else None,
+        message=outcome.message,
+        seconds=seconds,
+        x=None if trajectory is None else trajectory.x,
+        u=None if trajectory is None else trajectory.u,
+    )

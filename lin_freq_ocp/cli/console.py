@@ -34,8 +34,172 @@ if TYPE_CHECKING:
     from lin_freq_ocp.certificate.verdict import Certificate
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-
 Command = TypeVar("Command", bound=Callable[..., object])
+settings_option = click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
+)
+backend_option = click.option(
+    "--backend", default="auto", show_default=True, help="clarabel, osqp, qpsolvers:NAME; scip, daqp."
+)
+METHOD_HELP = "auto; spectral, structured or convex; for modes branch_and_bound, enumerate or miqp; smooth: nonsmooth."
+method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
+tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
+time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
+
+LONGEST_WORD = 16  # longer words may be broken: names of files, for instance
+ROOMY = 60  # columns from which on a term stands beside its text, and not above it
+FIRST = 16  # least width of the first column, which says what a row is, where a table is shown in several
+BETWEEN, INDENT = 1, 2  # blank columns between the columns of a narrow table, and before a text below its term
+
+PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
+PAGE = ConsoleDimensions(width=200, height=100)  # of a file or a pipe, where no table needs to be cut off
+
+
+class PatientConsole(Console):
+    """A console whose reader may close the pipe early, as ``head`` does: the rest is dropped, the status is kept."""
+
+    def on_broken_pipe(self) -> None:
+        """Drop the rest."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+out, err = PatientConsole(), Console(stderr=True)
+
+
+def written(status: int, *writes: Callable[[], object]) -> int:
+    """Write files after the answer is printed; a failure is reported, and the status is that of bad input."""
+    for write in writes:
+        try:
+            write()
+        except (LinFreqOCPError, OSError) as error:
+            complain(error)
+            status = BAD_INPUT
+    return status
+
+
+def complain(error: Exception | str) -> None:
+    """Print an error on stderr."""
+    err.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
+
+
+def error_status(error: BaseException) -> int:
+    """Return the exit status of an error that has no result."""
+    if isinstance(error, (click.Abort, KeyboardInterrupt)) or _interrupted(error):
+        return INTERRUPTED
+    if isinstance(error, MemoryError):
+        return NOT_PROVEN
+    return BAD_INPUT if isinstance(error, (LinFreqOCPError, OSError, click.ClickException)) else FAULT
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused an error: compiled code turns it into errors of its own."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def error_message(error: Exception) -> str:
+    """Return the message of an error; an unexpected error is a fault of this program, with a request to report it."""
+    if isinstance(error, MemoryError):
+        return f"not enough memory for a problem of this size ({error})."
+    if error_status(error) != FAULT:
+        return str(error)
+    from lin_freq_ocp.files.run_file import described
+
+    what = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
+    location = next(iter(described(error)["places"][::-1]), "no place")
+    return (
+        f"a fault of lin-freq-ocp, not of what it was given: {what} (at {location}). "
+        "Please report it, with the file that 'lin-freq-ocp solve ... --dump FILE.zip' writes."
+    )
+
+
+def exit_status(result: Result) -> int:
+    """Return the exit status of a result."""
+    if result.interrupted:
+        return INTERRUPTED
+    if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
+        return NO_SOLUTION
+    if result.tree is not None:  # with modes, an extremal need not be optimal: the gap counts
+        return PROVEN if result.status == Status.OPTIMAL else NOT_PROVEN
+    return NOT_PROVEN if result.certificate is None else certificate_status(result.certificate)
+
+
+def certificate_status(certificate: Certificate) -> int:
+    """Return the exit status of a certificate."""
+    extremal = certificate.pmp == "satisfied" and certificate.normal
+    return PROVEN if extremal or certificate.globally_optimal else NOT_PROVEN
+
+
+def say(text: str) -> None:
+    """Print a line on stdout; where the reader has closed the pipe, drop it: click would exit with the status 1."""
+    try:
+        click.echo(text)
+    except BrokenPipeError:
+        out.on_broken_pipe()
+
+
+def print_lines(text: str) -> None:
+    """Print lines on stdout, broken on a terminal only."""
+    out.print(text, markup=False, highlight=False, soft_wrap=not out.is_terminal)
+
+
+def print_json(summary: Mapping[str, object]) -> None:
+    """Print one JSON object on stdout."""
+    from lin_freq_ocp.files.summary import to_json
+
+    say(to_json(summary))
+
+
+def print_table(table: Table, spare: Sequence[str] = ()) -> None:
+    """Print a table on stdout; where it is too wide, ``spare`` columns are dropped first."""
+    from lin_freq_ocp.cli.console import fitted
+
+    out.print(fitted(table, out.width, spare))
+
+
+def print_conflict(result: Result) -> None:
+    """Print the constraints in conflict, and the changes that would help."""
+    for part in result.conflict or ():
+        print_lines(f"conflict  {part}")
+    if result.explanation is not None:
+        print_lines(str(result.explanation))
+
+
+def print_certificate(problem: OptimalControlProblem, certificate: Certificate | None) -> None:
+    """Print the conditions and the bound, if there is a certificate."""
+    if certificate is not None:
+        from lin_freq_ocp.pages.report.tables import certificate_table
+
+        print_table(certificate_table(problem, certificate), ("scale", "tolerance", "residual", "worst at"))
+
+
+def progress(what: str) -> AbstractContextManager[object]:
+    """Show the current work, on a terminal."""
+    return err.status(escape(what)) if err.is_terminal else nullcontext()
+
+
+@contextmanager
+def search_progress(what: str) -> Generator[Callable[[object], None] | None]:
+    """Show the current work, on a terminal, and yield a function that shows the progress of a search."""
+    if not err.is_terminal:
+        yield None
+        return
+    with err.status(escape(what)) as status:
+        yield lambda reached: status.update(escape(f"{what}: {reached}"))
+
+
+def fit_console() -> None:
+    """Take the width from COLUMNS; without it, a file or a pipe has room for whole tables."""
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdigit() and int(columns):
+        out.width = int(columns)
+    elif not out.is_terminal:
+        out.size = PAGE
 
 
 def complete_problem(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -53,17 +217,6 @@ def first_line_of(function: Callable[..., object]) -> str:
 
 
 problem_argument = click.argument("problem", metavar="NAME|FILE.toml", shell_complete=complete_problem)
-settings_option = click.option(
-    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
-)
-backend_option = click.option(
-    "--backend", default="auto", show_default=True, help="clarabel, osqp, qpsolvers:NAME; scip, daqp."
-)
-METHOD_HELP = "auto; spectral, structured or convex; for modes branch_and_bound, enumerate or miqp; smooth: nonsmooth."
-method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
-tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
-time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
 
 
 def solve_options(command: Command) -> Command:
@@ -71,20 +224,6 @@ def solve_options(command: Command) -> Command:
     for option in (tolerance_option, time_limit_option, backend_option, method_option, settings_option):
         command = option(command)
     return command
-
-
-LONGEST_WORD = 16  # longer words may be broken: names of files, for instance
-ROOMY = 60  # columns from which on a term stands beside its text, and not above it
-FIRST = 16  # least width of the first column, which says what a row is, where a table is shown in several
-BETWEEN, INDENT = 1, 2  # blank columns between the columns of a narrow table, and before a text below its term
-
-
-@dataclass(frozen=True)
-class _Width:
-    """Width of a column without any line break, and its least: the longest word, or all of a number."""
-
-    least: int
-    natural: int
 
 
 def fitted(table: Table, width: int, spare: Sequence[str] = ()) -> RenderableType:
@@ -115,26 +254,6 @@ def fitted(table: Table, width: int, spare: Sequence[str] = ()) -> RenderableTyp
     return Group(*parts)
 
 
-def terms(rows: Sequence[tuple[str, str]], width: int) -> RenderableType:
-    """Return terms with their texts beside them, or below them where there is not the room."""
-    if width >= ROOMY:
-        grid = Table.grid(padding=(0, 2))
-        grid.add_column(no_wrap=True)
-        grid.add_column()
-        for term, text in rows:
-            grid.add_row(Text(term, style="bold"), Text(text))
-        return grid
-    lines = list[RenderableType]()
-    for term, text in rows:
-        lines.append(Text(term, style="bold"))
-        lines += [Padding(Text(text), (0, 0, 0, INDENT))] if text else []
-    return Group(*lines)
-
-
-def _plain(cell: RenderableType) -> str:
-    return cell.plain if isinstance(cell, Text) else str(cell)
-
-
 def _width(column: Column) -> _Width:
     """Return how wide a column is; a heading may be broken between words in any column."""
     cells, heading = [_plain(cell) for cell in column.cells], _plain(column.header)
@@ -146,19 +265,20 @@ def _width(column: Column) -> _Width:
     return _Width(least, natural)
 
 
+@dataclass(frozen=True)
+class _Width:
+    """Width of a column without any line break, and its least: the longest word, or all of a number."""
+
+    least: int
+    natural: int
+
+
+def _plain(cell: RenderableType) -> str:
+    return cell.plain if isinstance(cell, Text) else str(cell)
+
+
 def _least(widths: Sequence[_Width], columns: Sequence[int]) -> int:
     return sum(widths[i].least for i in columns) + BETWEEN * (len(columns) - 1)
-
-
-def _chunks(widths: Sequence[_Width], columns: Sequence[int], width: int) -> list[list[int]]:
-    """Return the columns of each table: the first, and as many of the others as there is room for, at least one."""
-    first, *others = columns
-    chunks = [[first]]
-    for i in others:
-        if len(chunks[-1]) > 1 and _least(widths, [*chunks[-1], i]) > width:
-            chunks.append([first])
-        chunks[-1].append(i)
-    return chunks
 
 
 def _part(table: Table, columns: Sequence[int], widths: Sequence[_Width], width: int) -> Table:
@@ -183,151 +303,28 @@ def _part(table: Table, columns: Sequence[int], widths: Sequence[_Width], width:
     return part
 
 
-PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
-PAGE = ConsoleDimensions(width=200, height=100)  # of a file or a pipe, where no table needs to be cut off
+def _chunks(widths: Sequence[_Width], columns: Sequence[int], width: int) -> list[list[int]]:
+    """Return the columns of each table: the first, and as many of the others as there is room for, at least one."""
+    first, *others = columns
+    chunks = [[first]]
+    for i in others:
+        if len(chunks[-1]) > 1 and _least(widths, [*chunks[-1], i]) > width:
+            chunks.append([first])
+        chunks[-1].append(i)
+    return chunks
 
 
-class PatientConsole(Console):
-    """A console whose reader may close the pipe early, as ``head`` does: the rest is dropped, the status is kept."""
-
-    def on_broken_pipe(self) -> None:
-        """Drop the rest."""
-        self.quiet = True
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-out, err = PatientConsole(), Console(stderr=True)
-
-
-def written(status: int, *writes: Callable[[], object]) -> int:
-    """Write files after the answer is printed; a failure is reported, and the status is that of bad input."""
-    for write in writes:
-        try:
-            write()
-        except (LinFreqOCPError, OSError) as error:
-            complain(error)
-            status = BAD_INPUT
-    return status
-
-
-def error_status(error: BaseException) -> int:
-    """Return the exit status of an error that has no result."""
-    if isinstance(error, (click.Abort, KeyboardInterrupt)) or _interrupted(error):
-        return INTERRUPTED
-    if isinstance(error, MemoryError):
-        return NOT_PROVEN
-    return BAD_INPUT if isinstance(error, (LinFreqOCPError, OSError, click.ClickException)) else FAULT
-
-
-def error_message(error: Exception) -> str:
-    """Return the message of an error; an unexpected error is a fault of this program, with a request to report it."""
-    if isinstance(error, MemoryError):
-        return f"not enough memory for a problem of this size ({error})."
-    if error_status(error) != FAULT:
-        return str(error)
-    from lin_freq_ocp.files.run_file import described
-
-    what = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
-    location = next(iter(described(error)["places"][::-1]), "no place")
-    return (
-        f"a fault of lin-freq-ocp, not of what it was given: {what} (at {location}). "
-        "Please report it, with the file that 'lin-freq-ocp solve ... --dump FILE.zip' writes."
-    )
-
-
-def _interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error: compiled code turns it into errors of its own."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
-
-
-def complain(error: Exception | str) -> None:
-    """Print an error on stderr."""
-    err.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
-
-
-def progress(what: str) -> AbstractContextManager[object]:
-    """Show the current work, on a terminal."""
-    return err.status(escape(what)) if err.is_terminal else nullcontext()
-
-
-@contextmanager
-def search_progress(what: str) -> Generator[Callable[[object], None] | None]:
-    """Show the current work, on a terminal, and yield a function that shows the progress of a search."""
-    if not err.is_terminal:
-        yield None
-        return
-    with err.status(escape(what)) as status:
-        yield lambda reached: status.update(escape(f"{what}: {reached}"))
-
-
-def say(text: str) -> None:
-    """Print a line on stdout; where the reader has closed the pipe, drop it: click would exit with the status 1."""
-    try:
-        click.echo(text)
-    except BrokenPipeError:
-        out.on_broken_pipe()
-
-
-def print_json(summary: Mapping[str, object]) -> None:
-    """Print one JSON object on stdout."""
-    from lin_freq_ocp.files.summary import to_json
-
-    say(to_json(summary))
-
-
-def fit_console() -> None:
-    """Take the width from COLUMNS; without it, a file or a pipe has room for whole tables."""
-    columns = os.environ.get("COLUMNS", "")
-    if columns.isdigit() and int(columns):
-        out.width = int(columns)
-    elif not out.is_terminal:
-        out.size = PAGE
-
-
-def print_table(table: Table, spare: Sequence[str] = ()) -> None:
-    """Print a table on stdout; where it is too wide, ``spare`` columns are dropped first."""
-    from lin_freq_ocp.cli.console import fitted
-
-    out.print(fitted(table, out.width, spare))
-
-
-def print_lines(text: str) -> None:
-    """Print lines on stdout, broken on a terminal only."""
-    out.print(text, markup=False, highlight=False, soft_wrap=not out.is_terminal)
-
-
-def exit_status(result: Result) -> int:
-    """Return the exit status of a result."""
-    if result.interrupted:
-        return INTERRUPTED
-    if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
-        return NO_SOLUTION
-    if result.tree is not None:  # with modes, an extremal need not be optimal: the gap counts
-        return PROVEN if result.status == Status.OPTIMAL else NOT_PROVEN
-    return NOT_PROVEN if result.certificate is None else certificate_status(result.certificate)
-
-
-def certificate_status(certificate: Certificate) -> int:
-    """Return the exit status of a certificate."""
-    extremal = certificate.pmp == "satisfied" and certificate.normal
-    return PROVEN if extremal or certificate.globally_optimal else NOT_PROVEN
-
-
-def print_conflict(result: Result) -> None:
-    """Print the constraints in conflict, and the changes that would help."""
-    for part in result.conflict or ():
-        print_lines(f"conflict  {part}")
-    if result.explanation is not None:
-        print_lines(str(result.explanation))
-
-
-def print_certificate(problem: OptimalControlProblem, certificate: Certificate | None) -> None:
-    """Print the conditions and the bound, if there is a certificate."""
-    if certificate is not None:
-        from lin_freq_ocp.pages.report.tables import certificate_table
-
-        print_table(certificate_table(problem, certificate), ("scale", "tolerance", "residual", "worst at"))
+def terms(rows: Sequence[tuple[str, str]], width: int) -> RenderableType:
+    """Return terms with their texts beside them, or below them where there is not the room."""
+    if width >= ROOMY:
+        grid = Table.grid(padding=(0, 2))
+        grid.add_column(no_wrap=True)
+        grid.add_column()
+        for term, text in rows:
+            grid.add_row(Text(term, style="bold"), Text(text))
+        return grid
+    lines = list[RenderableType]()
+    for term, text in rows:
+        lines.append(Text(term, style="bold"))
+        lines += [Padding(Text(text), (0, 0, 0, INDENT))] if text else []
+    return Group(*lines)

@@ -36,6 +36,8 @@ from lin_freq_ocp.files.problem_file import (
 if TYPE_CHECKING:
     from lin_freq_ocp.files.problem_file import Parameter
 
+LONGEST_VALUE = 50  # characters of a value that are shown
+
 
 @click.command("list")
 def list_command() -> int:
@@ -44,20 +46,6 @@ def list_command() -> int:
 
     out.print(terms([(name, first_line_of(builder)) for name, builder in library.PROBLEMS.items()], out.width))
     return PROVEN
-
-
-@click.command("init")
-@click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
-def init_command(file: Path) -> int:
-    """Write a commented problem file to start from."""
-    from lin_freq_ocp.files.problem_file import init_problem_file
-
-    init_problem_file(file)
-    say(f"wrote {file}; next: lin-freq-ocp solve {file}")
-    return PROVEN
-
-
-LONGEST_VALUE = 50  # characters of a value that are shown
 
 
 @click.command("show")
@@ -93,6 +81,21 @@ def _assignment(parameter: Parameter) -> str:
     return f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})")
 
 
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
+
+
+@click.command("init")
+@click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
+def init_command(file: Path) -> int:
+    """Write a commented problem file to start from."""
+    from lin_freq_ocp.files.problem_file import init_problem_file
+
+    init_problem_file(file)
+    say(f"wrote {file}; next: lin-freq-ocp solve {file}")
+    return PROVEN
+
+
 def as_toml(value: object) -> str:
     """Return a value as it is written after --set, in one line."""
     text = " ".join(tomli_w.dumps({"_": [[_without_null(value)]]}).split())  # nested, for inline tables
@@ -105,7 +108,3 @@ def _without_null(value: object) -> object:
     if isinstance(value, (list, tuple)):
         return [_without_null(entry) for entry in value]
     return "none" if value is None else value
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."

@@ -106,11 +106,13 @@ class Outputs:
         return writes
 
 
-def output_options(command: Command) -> Command:
-    """Add the options of all outputs to a command."""
-    for name, text in reversed(HELP.items()):
-        command = click.option(f"--{name}", type=click.Path(path_type=Path), help=text)(command)
-    return command
+def _require_picture(file: Path) -> None:
+    from matplotlib.figure import Figure  # here, because it takes long to import
+
+    kinds = Figure().canvas.get_supported_filetypes()
+    if file.suffix.lower().removeprefix(".") not in kinds:
+        got = f"a name that ends in {file.suffix}" if file.suffix else "a name without a suffix"
+        raise ProblemError(f"--plot {file}", got, f"one that ends in .{', .'.join(kinds)}")
 
 
 def _draw(result: Result, file: Path) -> None:
@@ -119,13 +121,11 @@ def _draw(result: Result, file: Path) -> None:
         figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
 
 
-def _require_picture(file: Path) -> None:
-    from matplotlib.figure import Figure  # here, because it takes long to import
-
-    kinds = Figure().canvas.get_supported_filetypes()
-    if file.suffix.lower().removeprefix(".") not in kinds:
-        got = f"a name that ends in {file.suffix}" if file.suffix else "a name without a suffix"
-        raise ProblemError(f"--plot {file}", got, f"one that ends in .{', .'.join(kinds)}")
+def output_options(command: Command) -> Command:
+    """Add the options of all outputs to a command."""
+    for name, text in reversed(HELP.items()):
+        command = click.option(f"--{name}", type=click.Path(path_type=Path), help=text)(command)
+    return command
 
 
 @click.command("solve")
@@ -200,23 +200,6 @@ def certify_command(
     return certificate_status(certificate)
 
 
-@click.command("rerun")
-@click.argument("file", metavar="FILE.zip")
-@json_option
-def rerun_command(file: str, as_json: bool) -> int:
-    """Repeat what solve --dump wrote; show what it ended with then and now, and what differs."""
-    run = load_run(file)
-    with progress(f"solving {run.problem.name or file}"):
-        comparison = rerun(run)
-    if as_json:
-        print_json(rerun_summary(comparison))
-    else:
-        print_lines(str(comparison))
-    if comparison.error is not None:
-        return error_status(comparison.error)
-    return NOT_PROVEN if comparison.result is None else exit_status(comparison.result)
-
-
 def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:
     """Print whether the multipliers are unique, or the direction that excludes any, and the conditions at borders."""
     descent = certificate.descent
@@ -236,3 +219,20 @@ def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, c
             say(f"multipliers {uniqueness(problem, trajectory)}")
         except UnsupportedError:  # too many to count in a moment
             return
+
+
+@click.command("rerun")
+@click.argument("file", metavar="FILE.zip")
+@json_option
+def rerun_command(file: str, as_json: bool) -> int:
+    """Repeat what solve --dump wrote; show what it ended with then and now, and what differs."""
+    run = load_run(file)
+    with progress(f"solving {run.problem.name or file}"):
+        comparison = rerun(run)
+    if as_json:
+        print_json(rerun_summary(comparison))
+    else:
+        print_lines(str(comparison))
+    if comparison.error is not None:
+        return error_status(comparison.error)
+    return NOT_PROVEN if comparison.result is None else exit_status(comparison.result)

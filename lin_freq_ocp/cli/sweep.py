@@ -58,56 +58,6 @@ from lin_freq_ocp.files.batch_files import sweep_summary
 from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.files.summary import SCHEMA, result_summary
 
-
-@click.command("minimum-time")
-@problem_argument
-@click.option("--horizons", nargs=2, type=int, required=True, metavar="LO HI", help="The range, both ends included.")
-@solve_options
-@json_option
-def minimum_time_command(
-    problem: str,
-    horizons: tuple[int, int],
-    settings: tuple[str, ...],
-    method: str,
-    backend: str,
-    time_limit: float | None,
-    tolerance: float | None,
-    as_json: bool,
-) -> int:
-    """Find the least horizon at which a problem is feasible, and prove that one step less is not."""
-    given = parsed_settings(settings)
-    source = ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
-    with search_progress("looking for the least horizon") as report:
-        tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
-        found = minimum_time(source, horizons, method, backend, time_limit, tolerance, throw=False, progress=tell)
-    if as_json:
-        print_json(_summary(found))
-    else:
-        print_lines(str(found))
-        if found.result is not None:
-            print_certificate(found.result.problem, found.result.certificate)
-    if found.interrupted:
-        return INTERRUPTED
-    return NOT_PROVEN if not found.proven else NO_SOLUTION if found.horizon is None else PROVEN
-
-
-def _summary(found: MinimumTime) -> FileTable:
-    """Return the JSON object; ``result`` is that of ``lin-freq-ocp solve --json``."""
-    return {
-        "schema": SCHEMA,
-        "version": __version__,
-        "horizon": found.horizon,
-        "horizons": list(found.horizons),
-        "monotone": found.monotone,
-        "reason": found.reason,
-        "proven": found.proven,
-        "proof": found.proof,
-        "verdicts": {str(T): verdict for T, verdict in found.verdicts.items()},
-        "interrupted": found.interrupted,
-        "result": None if found.result is None else result_summary(found.result),
-    }
-
-
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")  # from:to:count, linear, both ends included
 GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"
 
@@ -175,6 +125,79 @@ def _pool(workers: int) -> Generator[WorkerPool | None]:
     pool.shutdown()
 
 
+@contextmanager
+def _bar() -> Generator[Callable[[int, int], None] | None]:
+    """Show on a terminal how many points are finished."""
+    if not err.is_terminal:
+        yield None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("sweeping"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _draw(found: Sweep, path: Path) -> None:
+    try:
+        figure = found.plot()
+    except ProblemError as error:
+        complain(f"no figure: {error}")
+        return
+    with replacing(path) as stream:
+        figure.savefig(stream, format="png", dpi=150)
+
+
+@click.command("minimum-time")
+@problem_argument
+@click.option("--horizons", nargs=2, type=int, required=True, metavar="LO HI", help="The range, both ends included.")
+@solve_options
+@json_option
+def minimum_time_command(
+    problem: str,
+    horizons: tuple[int, int],
+    settings: tuple[str, ...],
+    method: str,
+    backend: str,
+    time_limit: float | None,
+    tolerance: float | None,
+    as_json: bool,
+) -> int:
+    """Find the least horizon at which a problem is feasible, and prove that one step less is not."""
+    given = parsed_settings(settings)
+    source = ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
+    with search_progress("looking for the least horizon") as report:
+        tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
+        found = minimum_time(source, horizons, method, backend, time_limit, tolerance, throw=False, progress=tell)
+    if as_json:
+        print_json(_summary(found))
+    else:
+        print_lines(str(found))
+        if found.result is not None:
+            print_certificate(found.result.problem, found.result.certificate)
+    if found.interrupted:
+        return INTERRUPTED
+    return NOT_PROVEN if not found.proven else NO_SOLUTION if found.horizon is None else PROVEN
+
+
+def _summary(found: MinimumTime) -> FileTable:
+    """Return the JSON object; ``result`` is that of ``lin-freq-ocp solve --json``."""
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "horizon": found.horizon,
+        "horizons": list(found.horizons),
+        "monotone": found.monotone,
+        "reason": found.reason,
+        "proven": found.proven,
+        "proof": found.proof,
+        "verdicts": {str(T): verdict for T, verdict in found.verdicts.items()},
+        "interrupted": found.interrupted,
+        "result": None if found.result is None else result_summary(found.result),
+    }
+
+
 def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValue]]:
     """Return the values of each parameter, a list or a range; "none" is None, as in --set."""
     result: dict[str, list[FileValue]] = {}
@@ -211,27 +234,3 @@ def _range(first: str, last: str, count: str) -> list[float] | list[int]:
     whole = [round(value) for value in values]
     written = not any(mark in first + last for mark in ".eE")
     return whole if written and whole == values else values
-
-
-def _draw(found: Sweep, path: Path) -> None:
-    try:
-        figure = found.plot()
-    except ProblemError as error:
-        complain(f"no figure: {error}")
-        return
-    with replacing(path) as stream:
-        figure.savefig(stream, format="png", dpi=150)
-
-
-@contextmanager
-def _bar() -> Generator[Callable[[int, int], None] | None]:
-    """Show on a terminal how many points are finished."""
-    if not err.is_terminal:
-        yield None
-        return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("sweeping"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=err, transient=True) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -48,71 +48,10 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 INSENSITIVITY = 0.05  # V of EI: the customary 5 %
 
-
-def zero_vibration(K: float) -> Array:
-    """Return the amplitudes of ZV, not scaled."""
-    return np.array([1.0, K])
-
-
-def zero_derivative(K: float) -> Array:
-    """Return the amplitudes of ZVD, not scaled."""
-    return np.array([1.0, 2 * K, K**2])
-
-
-def extra_insensitive(K: float) -> Array:
-    """Return the amplitudes of EI, not scaled."""
-    V = INSENSITIVITY
-    return np.array([(1 + V) / 4, (1 - V) / 2 * K, (1 + V) / 4 * K**2])
-
-
-SHAPERS: dict[str, Callable[[float], Array]] = {"ZV": zero_vibration, "ZVD": zero_derivative, "EI": extra_insensitive}
-
-
-def impulses(name: str, box: PlantBox) -> Array:
-    """Return the impulses of a shaper for the middle of a box of modes, on the samples; their sum is one."""
-    frequency, damping = (box.low + box.high) / 2
-    root = float(np.sqrt(1 - damping**2))
-    amplitudes = SHAPERS[name](float(np.exp(-np.pi * damping / root)))
-    half_period = 1 / (2 * frequency * root * box.sampling_time)
-    at = np.rint(half_period * np.arange(len(amplitudes))).astype(int)
-    found = np.zeros(at[-1] + 1)
-    np.add.at(found, at, amplitudes / amplitudes.sum())
-    return found
-
-
-def shaped(name: str, box: PlantBox, u: Array) -> Array:
-    """Return controls (T, m), each convolved with the impulses of a shaper, and longer by their length less one."""
-    given = impulses(name, box)
-    return np.stack([np.convolve(column, given) for column in u.T], axis=1)
-
-
-def described(name: str, box: PlantBox) -> str:
-    """Return the impulses of a shaper in words."""
-    given = impulses(name, box)
-    at = np.flatnonzero(given)
-    return ", ".join(f"{given[t]:.4g} at t = {t}" for t in at)
-
-
 FREQUENCIES, DAMPINGS = 401, 9  # at which the vibration is shown, and over which its largest value is taken
 BESIDE = 1.5  # widths of the box that are shown on each of its sides
 LEAST_BESIDE = 0.25  # of its highest frequency, if it is narrow
 ABOVE = 3.0  # limits that fit into the picture
-
-
-def frequencies_around(box: PlantBox) -> Array:
-    """Return the natural frequencies at which vibrations are shown, in Hz."""
-    low, high = float(box.low[0]), float(box.high[0])
-    beside = max(BESIDE * (high - low), LEAST_BESIDE * high)
-    return np.linspace(max(low - beside, 0.05 * low), high + beside, FREQUENCIES)
-
-
-def vibration(box: PlantBox, trajectory: Trajectory, frequencies: Array) -> Array:
-    """Return what a trajectory leaves at natural frequencies, the largest over the box's damping ratios."""
-    dampings = np.linspace(box.low[1], box.high[1], DAMPINGS)
-    modes = np.stack(np.meshgrid(frequencies, dampings, indexing="ij"), axis=-1).reshape(-1, 2)
-    signal = box.map.signal(trajectory.x, trajectory.u)
-    return np.abs(box.map.placed(modes).transform(signal)).reshape(len(frequencies), -1).max(axis=1)
-
 
 OURS, UNSHAPED = "optimal", "unshaped"
 LONGEST = 4  # times the shortest profile: longer profiles are not tried
@@ -174,26 +113,6 @@ class Moves:
         return (self.unshaped, *self.shaped, self.ours)
 
 
-def boxes_of(problem: OptimalControlProblem) -> tuple[PlantBox, ...]:
-    """Return the boxes of modes that controls must not leave ringing."""
-    terms = everywhere_of(problem, PlantBox)
-    return tuple(box for term, box in terms if term.kind == TermKind.CONTROL_SPECTRUM)
-
-
-def why_not_shaped(problem: OptimalControlProblem) -> str:
-    """Say why input shapers are no competitors of a problem with a bound on residual vibrations; else nothing."""
-    boxes = boxes_of(problem)
-    if not boxes:
-        return "no control has a bound on its residual vibration"
-    if any((box.low != boxes[0].low).any() or (box.high != boxes[0].high).any() for box in boxes):
-        return "the controls have boxes of modes that differ"
-    try:
-        stated(problem, problem.horizon + 1)
-    except ProblemError as error:
-        return f"{error.field}: it depends on time"
-    return "; ".join(obstacles(lambda _: problem, 1, problem.horizon, same_data=True))
-
-
 def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence[str]) -> Moves:
     """Return the shortest moves of a problem for which ``why_not_shaped`` says nothing."""
     free = replace(problem, control_spectrum=None)
@@ -220,6 +139,13 @@ def _of_search(name: str, description: str, search: Search, problem: OptimalCont
     return _move(name, description, MeasuredTrajectory(name, stated(problem, len(trajectory.u)), trajectory))
 
 
+def _move(name: str, description: str, measured: MeasuredTrajectory) -> Move:
+    x, u = measured.trajectory.x, measured.trajectory.u
+    boxes = boxes_of(measured.problem)
+    peaks = tuple(proven_peak(box, box.map.signal(x, u)) for box in boxes)
+    return Move(name, description, measured, len(u), boxes[0].sampling_time, peaks)
+
+
 def _shaped_move(
     name: str, problem: OptimalControlProblem, plan: Callable[[int], Trajectory | None], shortest: int
 ) -> Move:
@@ -240,8 +166,80 @@ def _shaped_move(
     return Move(name, description, None, LONGEST * shortest + longer - 1, box.sampling_time)
 
 
-def _move(name: str, description: str, measured: MeasuredTrajectory) -> Move:
-    x, u = measured.trajectory.x, measured.trajectory.u
-    boxes = boxes_of(measured.problem)
-    peaks = tuple(proven_peak(box, box.map.signal(x, u)) for box in boxes)
-    return Move(name, description, measured, len(u), boxes[0].sampling_time, peaks)
+def why_not_shaped(problem: OptimalControlProblem) -> str:
+    """Say why input shapers are no competitors of a problem with a bound on residual vibrations; else nothing."""
+    boxes = boxes_of(problem)
+    if not boxes:
+        return "no control has a bound on its residual vibration"
+    if any((box.low != boxes[0].low).any() or (box.high != boxes[0].high).any() for box in boxes):
+        return "the controls have boxes of modes that differ"
+    try:
+        stated(problem, problem.horizon + 1)
+    except ProblemError as error:
+        return f"{error.field}: it depends on time"
+    return "; ".join(obstacles(lambda _: problem, 1, problem.horizon, same_data=True))
+
+
+def boxes_of(problem: OptimalControlProblem) -> tuple[PlantBox, ...]:
+    """Return the boxes of modes that controls must not leave ringing."""
+    terms = everywhere_of(problem, PlantBox)
+    return tuple(box for term, box in terms if term.kind == TermKind.CONTROL_SPECTRUM)
+
+
+def zero_vibration(K: float) -> Array:
+    """Return the amplitudes of ZV, not scaled."""
+    return np.array([1.0, K])
+
+
+def zero_derivative(K: float) -> Array:
+    """Return the amplitudes of ZVD, not scaled."""
+    return np.array([1.0, 2 * K, K**2])
+
+
+def extra_insensitive(K: float) -> Array:
+    """Return the amplitudes of EI, not scaled."""
+    V = INSENSITIVITY
+    return np.array([(1 + V) / 4, (1 - V) / 2 * K, (1 + V) / 4 * K**2])
+
+
+SHAPERS: dict[str, Callable[[float], Array]] = {"ZV": zero_vibration, "ZVD": zero_derivative, "EI": extra_insensitive}
+
+
+def impulses(name: str, box: PlantBox) -> Array:
+    """Return the impulses of a shaper for the middle of a box of modes, on the samples; their sum is one."""
+    frequency, damping = (box.low + box.high) / 2
+    root = float(np.sqrt(1 - damping**2))
+    amplitudes = SHAPERS[name](float(np.exp(-np.pi * damping / root)))
+    half_period = 1 / (2 * frequency * root * box.sampling_time)
+    at = np.rint(half_period * np.arange(len(amplitudes))).astype(int)
+    found = np.zeros(at[-1] + 1)
+    np.add.at(found, at, amplitudes / amplitudes.sum())
+    return found
+
+
+def shaped(name: str, box: PlantBox, u: Array) -> Array:
+    """Return controls (T, m), each convolved with the impulses of a shaper, and longer by their length less one."""
+    given = impulses(name, box)
+    return np.stack([np.convolve(column, given) for column in u.T], axis=1)
+
+
+def described(name: str, box: PlantBox) -> str:
+    """Return the impulses of a shaper in words."""
+    given = impulses(name, box)
+    at = np.flatnonzero(given)
+    return ", ".join(f"{given[t]:.4g} at t = {t}" for t in at)
+
+
+def frequencies_around(box: PlantBox) -> Array:
+    """Return the natural frequencies at which vibrations are shown, in Hz."""
+    low, high = float(box.low[0]), float(box.high[0])
+    beside = max(BESIDE * (high - low), LEAST_BESIDE * high)
+    return np.linspace(max(low - beside, 0.05 * low), high + beside, FREQUENCIES)
+
+
+def vibration(box: PlantBox, trajectory: Trajectory, frequencies: Array) -> Array:
+    """Return what a trajectory leaves at natural frequencies, the largest over the box's damping ratios."""
+    dampings = np.linspace(box.low[1], box.high[1], DAMPINGS)
+    modes = np.stack(np.meshgrid(frequencies, dampings, indexing="ij"), axis=-1).reshape(-1, 2)
+    signal = box.map.signal(trajectory.x, trajectory.u)
+    return np.abs(box.map.placed(modes).transform(signal)).reshape(len(frequencies), -1).max(axis=1)

@@ -33,6 +33,16 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 REACHED = 1e-6  # of a limit: a spectrum that comes nearer reaches it
 
+CLASSICAL, CONSTRAINED = "classical", "constrained"
+NO_MODE = -1  # in a mode sequence: the trajectory is in no region
+SAME_PEAK = 1e-2  # peaks that differ by less than this fraction count as equal
+
+# The measures that depend on the states.
+OF_STATES = (
+    *("cost", "state_violation", "stage_violation", "terminal_error", "terminal_errors"),
+    *("state_stopband_energy", "state_stopband_peak"),
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Line:
@@ -139,6 +149,46 @@ class Signal:
         return (trajectory.x if self.is_state else trajectory.u)[:, self.index]
 
 
+def _weighed(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Mask:
+    if not is_state:
+        weights = np.abs(cost.R[..., index, :]).sum(-1) + np.abs(cost.S[..., :, index]).sum(-1)
+        return np.asarray(np.broadcast_to(weights > 0, horizon))
+    weights = np.abs(cost.Q[..., index, :]).sum(-1) + np.abs(cost.S[..., index, :]).sum(-1)
+    return np.append(np.broadcast_to(weights > 0, horizon), bool(cost.P[index].any()))
+
+
+def _limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
+    """Yield the limits of the rows on one column of (x_t, u_t) alone."""
+    form = term.map.stage_form(n, m)
+    if form is None:
+        return
+    alone = (np.count_nonzero(form[0], axis=-1) == 1) & (form[0][..., column] != 0)
+    slopes = np.broadcast_to(np.where(alone, form[0][..., column], 0.0), term.shape)
+    distance = term.penalty.bounds(term.shape)[1] - form[1]
+    distance = np.where(np.isfinite(distance), distance, np.nan)
+    for row in map(int, np.flatnonzero(slopes.any(axis=0))):
+        used = slopes[:, row] != 0
+        values = np.divide(distance[:, row], slopes[:, row], out=np.full(len(slopes), np.nan), where=used)
+        if np.isfinite(values).any():
+            yield Line(term.map.positions.astype(np.float64), values, not term.hard)
+
+
+def _mask_levels(problem: OptimalControlProblem, kind: TermKind, C: Array | None, D: Array | None) -> list[Line]:
+    """Return the limits on the magnitude of the spectrum of C x + D u, of the terms of a kind with these C and D."""
+    found = list[Line]()
+    for term in problem.terms:
+        if term.kind != kind or not len(term.map.frequencies) or not term.map.spectrum_of(C, D):
+            continue
+        match term.everywhere:
+            case Frequencies(limits=given):
+                pieces = zip(given.low, given.high, given.at_low, given.at_high, strict=True)
+                found += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
+            case _:
+                levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
+                found.append(Line(term.map.frequencies, levels, not term.hard))
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Output(Signal):
     """Output ``index`` of y = C x + D u, whose spectrum is constrained; it has no bounds over time."""
@@ -212,57 +262,6 @@ def outputs_of(problem: OptimalControlProblem) -> list[Signal]:
 def state_bounds(problem: OptimalControlProblem) -> Box:
     """Return the state set of each time without the ends, bounds of shape (T+1, n)."""
     return problem.state_boxes
-
-
-def _weighed(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Mask:
-    if not is_state:
-        weights = np.abs(cost.R[..., index, :]).sum(-1) + np.abs(cost.S[..., :, index]).sum(-1)
-        return np.asarray(np.broadcast_to(weights > 0, horizon))
-    weights = np.abs(cost.Q[..., index, :]).sum(-1) + np.abs(cost.S[..., index, :]).sum(-1)
-    return np.append(np.broadcast_to(weights > 0, horizon), bool(cost.P[index].any()))
-
-
-def _mask_levels(problem: OptimalControlProblem, kind: TermKind, C: Array | None, D: Array | None) -> list[Line]:
-    """Return the limits on the magnitude of the spectrum of C x + D u, of the terms of a kind with these C and D."""
-    found = list[Line]()
-    for term in problem.terms:
-        if term.kind != kind or not len(term.map.frequencies) or not term.map.spectrum_of(C, D):
-            continue
-        match term.everywhere:
-            case Frequencies(limits=given):
-                pieces = zip(given.low, given.high, given.at_low, given.at_high, strict=True)
-                found += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
-            case _:
-                levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
-                found.append(Line(term.map.frequencies, levels, not term.hard))
-    return found
-
-
-def _limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
-    """Yield the limits of the rows on one column of (x_t, u_t) alone."""
-    form = term.map.stage_form(n, m)
-    if form is None:
-        return
-    alone = (np.count_nonzero(form[0], axis=-1) == 1) & (form[0][..., column] != 0)
-    slopes = np.broadcast_to(np.where(alone, form[0][..., column], 0.0), term.shape)
-    distance = term.penalty.bounds(term.shape)[1] - form[1]
-    distance = np.where(np.isfinite(distance), distance, np.nan)
-    for row in map(int, np.flatnonzero(slopes.any(axis=0))):
-        used = slopes[:, row] != 0
-        values = np.divide(distance[:, row], slopes[:, row], out=np.full(len(slopes), np.nan), where=used)
-        if np.isfinite(values).any():
-            yield Line(term.map.positions.astype(np.float64), values, not term.hard)
-
-
-CLASSICAL, CONSTRAINED = "classical", "constrained"
-NO_MODE = -1  # in a mode sequence: the trajectory is in no region
-SAME_PEAK = 1e-2  # peaks that differ by less than this fraction count as equal
-
-# The measures that depend on the states.
-OF_STATES = (
-    *("cost", "state_violation", "stage_violation", "terminal_error", "terminal_errors"),
-    *("state_stopband_energy", "state_stopband_peak"),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,6 +385,29 @@ class MeasuredTrajectory:
         return SCALE_FLOOR * x, SCALE_FLOOR * u
 
 
+def _violation(signal: Array, box: Box, least: Array) -> Violation:
+    finite = [np.where(np.isfinite(bound), np.abs(bound), 0.0).max(0) for bound in (box.lower, box.upper)]
+    scale = np.maximum(np.maximum(np.abs(signal).max(0), least), np.maximum(*finite))
+    bounded = np.asarray((np.isfinite(box.lower) | np.isfinite(box.upper)).any(0))
+    return Violation(box.violation(signal).max(0), CONDITION_TOLERANCE * scale, bounded)
+
+
+def _violation_of_term(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
+    """Return the violation of the entry that is worst relative to its scale, and what the certificate accepts."""
+    x, u = trajectory.x, trajectory.u
+    if term.everywhere is not None:
+        w, ratios = peaks_above(term.everywhere, x, u, 1.0)
+        if not len(w):
+            return 0.0, 0.0
+        limits, worst = term.everywhere.limit_at(w), int(np.argmax(ratios))
+        return float((ratios[worst] - 1) * limits[worst]), float(PEAK_TOLERANCE * limits[worst])
+    least = term.map.sizes(np.tile(least_x, (len(x), 1)), np.tile(least_u, (len(u), 1))).max(0)
+    violation, scale = term.violation(x, u).max(0), np.maximum(term.map.sizes(x, u).max(0), least)
+    scale = scale if len(violation) == len(scale) else scale.max(keepdims=True)
+    worst = int(np.argmax(violation - CONDITION_TOLERANCE * scale))
+    return float(violation[worst]), float(CONDITION_TOLERANCE * scale[worst])
+
+
 def replayed(label: str, problem: OptimalControlProblem, u: Array, planned: Trajectory) -> MeasuredTrajectory:
     """Replay u, shape (T, m), from the first state of the planned trajectory, where that means anything."""
     stopped = ""
@@ -419,26 +441,3 @@ def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Ind
     x, u = trajectory.x, trajectory.u
     outside = arrays.distance(x, u).min(axis=1) > FACET_TOLERANCE
     return np.where(outside, NO_MODE, arrays.sequence(x, u))
-
-
-def _violation_of_term(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
-    """Return the violation of the entry that is worst relative to its scale, and what the certificate accepts."""
-    x, u = trajectory.x, trajectory.u
-    if term.everywhere is not None:
-        w, ratios = peaks_above(term.everywhere, x, u, 1.0)
-        if not len(w):
-            return 0.0, 0.0
-        limits, worst = term.everywhere.limit_at(w), int(np.argmax(ratios))
-        return float((ratios[worst] - 1) * limits[worst]), float(PEAK_TOLERANCE * limits[worst])
-    least = term.map.sizes(np.tile(least_x, (len(x), 1)), np.tile(least_u, (len(u), 1))).max(0)
-    violation, scale = term.violation(x, u).max(0), np.maximum(term.map.sizes(x, u).max(0), least)
-    scale = scale if len(violation) == len(scale) else scale.max(keepdims=True)
-    worst = int(np.argmax(violation - CONDITION_TOLERANCE * scale))
-    return float(violation[worst]), float(CONDITION_TOLERANCE * scale[worst])
-
-
-def _violation(signal: Array, box: Box, least: Array) -> Violation:
-    finite = [np.where(np.isfinite(bound), np.abs(bound), 0.0).max(0) for bound in (box.lower, box.upper)]
-    scale = np.maximum(np.maximum(np.abs(signal).max(0), least), np.maximum(*finite))
-    bounded = np.asarray((np.isfinite(box.lower) | np.isfinite(box.upper)).any(0))
-    return Violation(box.violation(signal).max(0), CONDITION_TOLERANCE * scale, bounded)

@@ -42,200 +42,6 @@ CONTROL_PRICE = (
 )
 LARGEST = 1e6  # an amount beyond this multiple of the sizes in the data is no cure
 
-
-def least_cure(
-    problem: OptimalControlProblem, block: Block, feasible: Feasible, time_limit: float | None = None
-) -> Cure | None:
-    """Return the least relaxation of a block that cures the problem, tried on it; None if none of it alone does."""
-    if block.kind.endswith("stop band"):
-        return _least_narrowing(problem, block, feasible)
-    if block.kind == "term":
-        return _least_rise(problem, block, feasible)
-    if problem.dynamics.response(problem.horizon) is not None:
-        return _least_widening(problem, block, feasible)
-    result = solve_judged(_elastic(problem, block), "convex", time_limit=time_limit)
-    if result.trajectory is None:  # an inaccurate one is good enough: the amount is tried below
-        return None
-    least, sizes = max(float(result.trajectory.x[-1, -1]), 0.0), stated_sizes(problem)
-    if least > LARGEST * max(map(np.max, sizes)):
-        return None
-    end = result.trajectory.x[0 if block.kind == ENDS[0] else -1, :-1]
-
-    def relaxed_by(amount: float) -> OptimalControlProblem:
-        return relaxed(problem, block, amount * sizes[0] if block.kind in ENDS else amount)
-
-    for margin in MARGINS:
-        amount = least * (1 + margin)
-        if feasible(relaxed_by(amount)):
-            if block.kind not in ENDS:
-                amount = _reduced(amount, lambda less: bool(feasible(relaxed_by(less))))
-            return Cure(block.name, amount, _description(problem, relaxed_by(amount), block, amount, end))
-    return None
-
-
-def _reduced(amount: float, suffices: Callable[[float], bool]) -> float:
-    """Return the least amount that suffices, to 5 %: small amounts are dominated by the price of the controls."""
-    if not suffices(amount / CLOSE):
-        return amount
-    least, most = amount / GROWTH, amount / CLOSE
-    while least > TINY * amount and suffices(least):
-        least, most = least / GROWTH, least
-    while most > CLOSE * least:
-        middle = float(np.sqrt(least * most))
-        least, most = (least, middle) if suffices(middle) else (middle, most)
-    return most
-
-
-def _least_rise(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
-    """Return the least amount by which the limits of a term must rise, by bisection: it need not be a row."""
-    terms = [term for term in problem.terms if term.source == (block.family, block.index)]
-    limit = max(float(np.max(term.penalty.sizes())) for term in terms)
-    most = _least_amount(problem, block, feasible, limit if limit > 0 else 1.0)
-    if most is None:
-        return None
-    if limit == 0:
-        return Cure(block.name, most, f"wider by {most:.6g}")
-    power = 2 if all(term.name.startswith("energy bound") for term in terms) else 1  # energies are given as squares
-    return Cure(block.name, most, f"limit {limit**power:.6g} -> {(limit + most) ** power:.6g}")
-
-
-def _least_amount(problem: OptimalControlProblem, block: Block, feasible: Feasible, unit: float) -> float | None:
-    """Return the least amount by which a block must be relaxed, by bisection; None if no multiple of a unit does."""
-    most = unit * FIRST_AMOUNT
-    while not feasible(relaxed(problem, block, most)):
-        most *= GROWTH
-        if most > LARGEST * unit:
-            return None
-    least = most / GROWTH if most > unit * FIRST_AMOUNT else 0.0
-    while most - least > PRECISION * (unit + most):
-        middle = (least + most) / 2
-        least, most = (least, middle) if feasible(relaxed(problem, block, middle)) else (middle, most)
-    return most
-
-
-def _least_widening(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
-    """Return the cure of bounds or rows where a frequency response takes no state delta; none of ends."""
-    amount = None if block.kind in ENDS else _least_amount(problem, block, feasible, _unit(problem, block))
-    if amount is None:
-        return None
-    return Cure(block.name, amount, _description(problem, relaxed(problem, block, amount), block, amount, np.zeros(0)))
-
-
-def _unit(problem: OptimalControlProblem, block: Block) -> float:
-    """Return the size of what a block bounds."""
-    x, u = stated_sizes(problem)
-    if block.kind == "row":
-        return float(_rows_of(problem, block).sizes(x, u)[..., block.index].max())
-    return float({"state bound": x, "control bound": u}.get(block.kind, np.ones(1 + block.index))[block.index])
-
-
-def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
-    """Return the problem of the least delta >= 0, its last state, by which the block is relaxed."""
-    m, T = problem.control_dim, problem.horizon
-    delta = AddedStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
-    base = replace(
-        hard_only(relaxed(problem, block, np.inf)), cost=QuadraticCost(), name=f"least change of the {block.name}"
-    )
-    elastic, (x, u) = extended(base, delta), stated_sizes(problem)
-    unit = _unit(problem, block)
-    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(np.append(np.zeros_like(x), unit**-2)))
-    return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, _elastic_rows(problem, block)])
-
-
-def _rows_of(problem: OptimalControlProblem, block: Block) -> StageRows:
-    return next(rows for rows in problem.stage_rows if rows.name == block.family)
-
-
-def _elastic_rows(problem: OptimalControlProblem, block: Block) -> StageRows:
-    """Return the block's rows, each less delta times its size; those on x_T as rows on A x + B u of the step before."""
-    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    i, x, u = block.index, np.eye(n), np.eye(m)
-    if block.kind == "row":
-        rows = _rows_of(problem, block)
-        C, D = (np.broadcast_to(part, (T, *part.shape[-2:]))[:, [i]] for part in (rows.C, rows.D))
-        limits = np.broadcast_to(rows.e, (T, rows.rows))[:, [i]]
-        return StageRows(np.concatenate([C, np.full((T, 1, 1), -1.0)], axis=2), D, limits, "relaxed")
-    A, B, d = problem.linear.at(T - 1)
-    parts: list[tuple[Array, Array, Array]] = []  # rows on (x, delta) and on u, limits (T,)
-
-    def add(C: Array, D: Array, upper: Array, lower: Array, size: float = 1.0) -> None:
-        parts.extend([(np.append(C, -size), D, upper), (np.append(-C, -size), -D, -lower)])
-
-    def at(t: int, value: float, absent: float) -> Array:
-        return np.where(np.arange(T) == t, value, absent)
-
-    if block.kind == "control bound":
-        add(np.zeros(n), u[i], problem.control_tube.upper[:, i], problem.control_tube.lower[:, i])
-    elif block.kind == "state bound":
-        upper, lower = problem.state_boxes.upper[:, i], problem.state_boxes.lower[:, i]
-        add(x[i], np.zeros(m), upper[:T], lower[:T])
-        add(A[i], B[i], at(T - 1, upper[T] - d[i], np.inf), at(T - 1, lower[T] - d[i], -np.inf))
-    else:
-        first = block.kind == ENDS[0]
-        end = problem.initial_box if first else problem.terminal_box
-        t, C, D, offset = (0, x, np.zeros((n, m)), np.zeros(n)) if first else (T - 1, A, B, d)
-        for j, size in enumerate(stated_sizes(problem)[0]):
-            upper, lower = at(t, end.upper[j] - offset[j], np.inf), at(t, end.lower[j] - offset[j], -np.inf)
-            add(C[j], D[j], upper, lower, size)
-    rows_x, rows_u, limits = map(np.array, zip(*parts, strict=True))
-    return StageRows(rows_x, rows_u, limits.T, "relaxed")
-
-
-def _least_narrowing(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
-    """Return the fewest bins to pass at the edges of a stop band, by bisection."""
-    stopped = (problem.state_stop if block.kind == "state stop band" else problem.control_stop)[:, block.index]
-    most = len(stopped)
-    if not feasible(relaxed(problem, block, most)):
-        return None
-    least = 0  # bins that do not suffice
-    while most - least > 1:
-        middle = (least + most) // 2
-        least, most = (least, middle) if feasible(relaxed(problem, block, middle)) else (middle, most)
-    return Cure(block.name, float(most), _band_description(problem, stopped, most, "state" in block.kind))
-
-
-def _band_description(problem: OptimalControlProblem, stopped: Mask, bins: int, state: bool) -> str:
-    length = problem.state_samples if state else problem.horizon
-    passed = [np.flatnonzero(mask == 0) for mask in (stopped, kept_stopped(stopped, bins))]
-    if len(passed[0]) and stopped[passed[0].max() + 1 :].all() and not stopped[: passed[0].max()].any():
-        Ts = problem.sampling_time
-        factor, unit = (2 * np.pi, "rad/sample") if Ts is None else (1 / Ts, "Hz")
-        first, second = (f"{factor * bins.max() / length:.6g}" for bins in passed)
-        return f"cut-off {first} -> {second} {unit}"
-    return f"{len(passed[0])} -> {len(passed[1])} passed bins of {len(stopped)}"
-
-
-def _description(
-    problem: OptimalControlProblem, cured: OptimalControlProblem, block: Block, amount: float, end: Array
-) -> str:
-    if block.kind in ENDS:
-        before = problem.initial_box if block.kind == ENDS[0] else problem.terminal_box
-        return f"{_point(before)} -> {np.array2string(end, precision=6, separator=', ')}"
-    if block.kind == "row":
-        limits = _rows_of(problem, block).e[..., block.index]
-        if np.ptp(limits) == 0:
-            shown = [f"{limit:.6g}" for limit in (np.max(limits), np.max(limits) + amount)]
-            return f"<= {shown[0]} -> {shown[1]}" + _if_too_small(shown, amount)
-        return f"limits higher by {amount:.6g}"
-    tubes = [one.state_boxes if block.kind == "state bound" else one.control_tube for one in (problem, cured)]
-    lower, upper = tubes[0].lower[:, block.index], tubes[0].upper[:, block.index]
-    if (lower == lower[0]).all() and (upper == upper[0]).all():
-        shown = [f"[{one.lower[0, block.index]:.6g}, {one.upper[0, block.index]:.6g}]" for one in tubes]
-        return " -> ".join(shown) + _if_too_small(shown, amount)
-    return f"bounds wider by {amount:.6g}"
-
-
-def _if_too_small(shown: list[str], amount: float) -> str:
-    """Return the amount where rounded limits do not show it: the problem is nearly feasible."""
-    return f" (by {amount:.2g}: nearly feasible)" if shown[0] == shown[1] else ""
-
-
-def _point(end: Box) -> str:
-    if end.fixed.all():
-        return np.array2string(end.lower, precision=6, separator=", ")
-    return " x ".join(f"[{low:.6g}, {high:.6g}]" for low, high in zip(end.lower, end.upper, strict=True))
-
-
 # Whether a problem has a solution, by the statuses that decide it.
 DECIDED = {Status.OPTIMAL: True, Status.LOCALLY_OPTIMAL: True, Status.INFEASIBLE: False}
 BUSY = 20.0  # seconds that a solve may last for each processor second that is left: solves watch the other clock
@@ -345,3 +151,196 @@ class _Search:
     def cure(self, block: Block) -> Cure | None:
         """Return the least change of a block that cures the problem, if it does and there is time."""
         return None if self._over() else least_cure(self.problem, block, self.feasible, self._left())
+
+
+def least_cure(
+    problem: OptimalControlProblem, block: Block, feasible: Feasible, time_limit: float | None = None
+) -> Cure | None:
+    """Return the least relaxation of a block that cures the problem, tried on it; None if none of it alone does."""
+    if block.kind.endswith("stop band"):
+        return _least_narrowing(problem, block, feasible)
+    if block.kind == "term":
+        return _least_rise(problem, block, feasible)
+    if problem.dynamics.response(problem.horizon) is not None:
+        return _least_widening(problem, block, feasible)
+    result = solve_judged(_elastic(problem, block), "convex", time_limit=time_limit)
+    if result.trajectory is None:  # an inaccurate one is good enough: the amount is tried below
+        return None
+    least, sizes = max(float(result.trajectory.x[-1, -1]), 0.0), stated_sizes(problem)
+    if least > LARGEST * max(map(np.max, sizes)):
+        return None
+    end = result.trajectory.x[0 if block.kind == ENDS[0] else -1, :-1]
+
+    def relaxed_by(amount: float) -> OptimalControlProblem:
+        return relaxed(problem, block, amount * sizes[0] if block.kind in ENDS else amount)
+
+    for margin in MARGINS:
+        amount = least * (1 + margin)
+        if feasible(relaxed_by(amount)):
+            if block.kind not in ENDS:
+                amount = _reduced(amount, lambda less: bool(feasible(relaxed_by(less))))
+            return Cure(block.name, amount, _description(problem, relaxed_by(amount), block, amount, end))
+    return None
+
+
+def _least_narrowing(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
+    """Return the fewest bins to pass at the edges of a stop band, by bisection."""
+    stopped = (problem.state_stop if block.kind == "state stop band" else problem.control_stop)[:, block.index]
+    most = len(stopped)
+    if not feasible(relaxed(problem, block, most)):
+        return None
+    least = 0  # bins that do not suffice
+    while most - least > 1:
+        middle = (least + most) // 2
+        least, most = (least, middle) if feasible(relaxed(problem, block, middle)) else (middle, most)
+    return Cure(block.name, float(most), _band_description(problem, stopped, most, "state" in block.kind))
+
+
+def _band_description(problem: OptimalControlProblem, stopped: Mask, bins: int, state: bool) -> str:
+    length = problem.state_samples if state else problem.horizon
+    passed = [np.flatnonzero(mask == 0) for mask in (stopped, kept_stopped(stopped, bins))]
+    if len(passed[0]) and stopped[passed[0].max() + 1 :].all() and not stopped[: passed[0].max()].any():
+        Ts = problem.sampling_time
+        factor, unit = (2 * np.pi, "rad/sample") if Ts is None else (1 / Ts, "Hz")
+        first, second = (f"{factor * bins.max() / length:.6g}" for bins in passed)
+        return f"cut-off {first} -> {second} {unit}"
+    return f"{len(passed[0])} -> {len(passed[1])} passed bins of {len(stopped)}"
+
+
+def _least_rise(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
+    """Return the least amount by which the limits of a term must rise, by bisection: it need not be a row."""
+    terms = [term for term in problem.terms if term.source == (block.family, block.index)]
+    limit = max(float(np.max(term.penalty.sizes())) for term in terms)
+    most = _least_amount(problem, block, feasible, limit if limit > 0 else 1.0)
+    if most is None:
+        return None
+    if limit == 0:
+        return Cure(block.name, most, f"wider by {most:.6g}")
+    power = 2 if all(term.name.startswith("energy bound") for term in terms) else 1  # energies are given as squares
+    return Cure(block.name, most, f"limit {limit**power:.6g} -> {(limit + most) ** power:.6g}")
+
+
+def _least_amount(problem: OptimalControlProblem, block: Block, feasible: Feasible, unit: float) -> float | None:
+    """Return the least amount by which a block must be relaxed, by bisection; None if no multiple of a unit does."""
+    most = unit * FIRST_AMOUNT
+    while not feasible(relaxed(problem, block, most)):
+        most *= GROWTH
+        if most > LARGEST * unit:
+            return None
+    least = most / GROWTH if most > unit * FIRST_AMOUNT else 0.0
+    while most - least > PRECISION * (unit + most):
+        middle = (least + most) / 2
+        least, most = (least, middle) if feasible(relaxed(problem, block, middle)) else (middle, most)
+    return most
+
+
+def _least_widening(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
+    """Return the cure of bounds or rows where a frequency response takes no state delta; none of ends."""
+    amount = None if block.kind in ENDS else _least_amount(problem, block, feasible, _unit(problem, block))
+    if amount is None:
+        return None
+    return Cure(block.name, amount, _description(problem, relaxed(problem, block, amount), block, amount, np.zeros(0)))
+
+
+def _unit(problem: OptimalControlProblem, block: Block) -> float:
+    """Return the size of what a block bounds."""
+    x, u = stated_sizes(problem)
+    if block.kind == "row":
+        return float(_rows_of(problem, block).sizes(x, u)[..., block.index].max())
+    return float({"state bound": x, "control bound": u}.get(block.kind, np.ones(1 + block.index))[block.index])
+
+
+def _rows_of(problem: OptimalControlProblem, block: Block) -> StageRows:
+    return next(rows for rows in problem.stage_rows if rows.name == block.family)
+
+
+def _description(
+    problem: OptimalControlProblem, cured: OptimalControlProblem, block: Block, amount: float, end: Array
+) -> str:
+    if block.kind in ENDS:
+        before = problem.initial_box if block.kind == ENDS[0] else problem.terminal_box
+        return f"{_point(before)} -> {np.array2string(end, precision=6, separator=', ')}"
+    if block.kind == "row":
+        limits = _rows_of(problem, block).e[..., block.index]
+        if np.ptp(limits) == 0:
+            shown = [f"{limit:.6g}" for limit in (np.max(limits), np.max(limits) + amount)]
+            return f"<= {shown[0]} -> {shown[1]}" + _if_too_small(shown, amount)
+        return f"limits higher by {amount:.6g}"
+    tubes = [one.state_boxes if block.kind == "state bound" else one.control_tube for one in (problem, cured)]
+    lower, upper = tubes[0].lower[:, block.index], tubes[0].upper[:, block.index]
+    if (lower == lower[0]).all() and (upper == upper[0]).all():
+        shown = [f"[{one.lower[0, block.index]:.6g}, {one.upper[0, block.index]:.6g}]" for one in tubes]
+        return " -> ".join(shown) + _if_too_small(shown, amount)
+    return f"bounds wider by {amount:.6g}"
+
+
+def _point(end: Box) -> str:
+    if end.fixed.all():
+        return np.array2string(end.lower, precision=6, separator=", ")
+    return " x ".join(f"[{low:.6g}, {high:.6g}]" for low, high in zip(end.lower, end.upper, strict=True))
+
+
+def _if_too_small(shown: list[str], amount: float) -> str:
+    """Return the amount where rounded limits do not show it: the problem is nearly feasible."""
+    return f" (by {amount:.2g}: nearly feasible)" if shown[0] == shown[1] else ""
+
+
+def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
+    """Return the problem of the least delta >= 0, its last state, by which the block is relaxed."""
+    m, T = problem.control_dim, problem.horizon
+    delta = AddedStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
+    base = replace(
+        hard_only(relaxed(problem, block, np.inf)), cost=QuadraticCost(), name=f"least change of the {block.name}"
+    )
+    elastic, (x, u) = extended(base, delta), stated_sizes(problem)
+    unit = _unit(problem, block)
+    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(np.append(np.zeros_like(x), unit**-2)))
+    return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, _elastic_rows(problem, block)])
+
+
+def _elastic_rows(problem: OptimalControlProblem, block: Block) -> StageRows:
+    """Return the block's rows, each less delta times its size; those on x_T as rows on A x + B u of the step before."""
+    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
+    i, x, u = block.index, np.eye(n), np.eye(m)
+    if block.kind == "row":
+        rows = _rows_of(problem, block)
+        C, D = (np.broadcast_to(part, (T, *part.shape[-2:]))[:, [i]] for part in (rows.C, rows.D))
+        limits = np.broadcast_to(rows.e, (T, rows.rows))[:, [i]]
+        return StageRows(np.concatenate([C, np.full((T, 1, 1), -1.0)], axis=2), D, limits, "relaxed")
+    A, B, d = problem.linear.at(T - 1)
+    parts: list[tuple[Array, Array, Array]] = []  # rows on (x, delta) and on u, limits (T,)
+
+    def add(C: Array, D: Array, upper: Array, lower: Array, size: float = 1.0) -> None:
+        parts.extend([(np.append(C, -size), D, upper), (np.append(-C, -size), -D, -lower)])
+
+    def at(t: int, value: float, absent: float) -> Array:
+        return np.where(np.arange(T) == t, value, absent)
+
+    if block.kind == "control bound":
+        add(np.zeros(n), u[i], problem.control_tube.upper[:, i], problem.control_tube.lower[:, i])
+    elif block.kind == "state bound":
+        upper, lower = problem.state_boxes.upper[:, i], problem.state_boxes.lower[:, i]
+        add(x[i], np.zeros(m), upper[:T], lower[:T])
+        add(A[i], B[i], at(T - 1, upper[T] - d[i], np.inf), at(T - 1, lower[T] - d[i], -np.inf))
+    else:
+        first = block.kind == ENDS[0]
+        end = problem.initial_box if first else problem.terminal_box
+        t, C, D, offset = (0, x, np.zeros((n, m)), np.zeros(n)) if first else (T - 1, A, B, d)
+        for j, size in enumerate(stated_sizes(problem)[0]):
+            upper, lower = at(t, end.upper[j] - offset[j], np.inf), at(t, end.lower[j] - offset[j], -np.inf)
+            add(C[j], D[j], upper, lower, size)
+    rows_x, rows_u, limits = map(np.array, zip(*parts, strict=True))
+    return StageRows(rows_x, rows_u, limits.T, "relaxed")
+
+
+def _reduced(amount: float, suffices: Callable[[float], bool]) -> float:
+    """Return the least amount that suffices, to 5 %: small amounts are dominated by the price of the controls."""
+    if not suffices(amount / CLOSE):
+        return amount
+    least, most = amount / GROWTH, amount / CLOSE
+    while least > TINY * amount and suffices(least):
+        least, most = least / GROWTH, least
+    while most > CLOSE * least:
+        middle = float(np.sqrt(least * most))
+        least, most = (least, middle) if suffices(middle) else (middle, most)
+    return most

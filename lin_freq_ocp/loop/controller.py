@@ -41,20 +41,6 @@ from lin_freq_ocp.solving.kept import Change, KeptTree
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 
-
-def better(problem: OptimalControlProblem, one: Trajectory, other: Trajectory, tolerance: float | None) -> Trajectory:
-    """Return the better trajectory, the first if they are as good; ``tolerance`` is that asked of the solver."""
-    return min(one, other, key=lambda given: rank(problem, given, tolerance))
-
-
-def rank(problem: OptimalControlProblem, trajectory: Trajectory, tolerance: float | None) -> tuple[bool, float]:
-    """Return what is less for the better trajectory: whether it is infeasible, and its cost, or else its violation."""
-    near = translation_of(problem)
-    none = replace(no_multipliers(near.problem), eta_C=0.0)  # so that the judge looks for no bound
-    certificate = judge(near.problem, near.translated(trajectory), none, allowed_residual(tolerance))
-    return (False, certificate.cost) if certificate.feasible else (True, certificate.violation)
-
-
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
 
 
@@ -209,14 +195,27 @@ class Controller:
         return found
 
 
-def _later(controls: Array) -> Array:
-    """Return controls from the second on, the last one twice."""
-    return np.vstack([controls[1:], controls[-1:]])
-
-
 def _source(outcome: Outcome, own: bool, is_soft: bool) -> Source:
     if not own:
         return Source.PREVIOUS_PLAN
     if not outcome.status.solved:
         return Source.BEST_POINT
     return Source.SOFTENED if is_soft else Source.PLAN
+
+
+def _later(controls: Array) -> Array:
+    """Return controls from the second on, the last one twice."""
+    return np.vstack([controls[1:], controls[-1:]])
+
+
+def better(problem: OptimalControlProblem, one: Trajectory, other: Trajectory, tolerance: float | None) -> Trajectory:
+    """Return the better trajectory, the first if they are as good; ``tolerance`` is that asked of the solver."""
+    return min(one, other, key=lambda given: rank(problem, given, tolerance))
+
+
+def rank(problem: OptimalControlProblem, trajectory: Trajectory, tolerance: float | None) -> tuple[bool, float]:
+    """Return what is less for the better trajectory: whether it is infeasible, and its cost, or else its violation."""
+    near = translation_of(problem)
+    none = replace(no_multipliers(near.problem), eta_C=0.0)  # so that the judge looks for no bound
+    certificate = judge(near.problem, near.translated(trajectory), none, allowed_residual(tolerance))
+    return (False, certificate.cost) if certificate.feasible else (True, certificate.violation)

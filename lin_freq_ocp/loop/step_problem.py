@@ -35,6 +35,57 @@ from lin_freq_ocp.problem.translation import translation_of
 ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy
 FIELDS = ("state_set", "terminal_state", "stage_rows", "control_spectrum", "state_spectrum", "output_spectrum")
 
+SPECTRA = ("control_spectrum", "state_spectrum", "output_spectrum")
+
+
+def first_state_free(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem without its state set and rows of the state alone at time 0."""
+    given, T = problem.state_set, problem.horizon
+    changes: dict[str, object] = {"stage_rows": [_later(rows, T) for rows in problem.stage_rows]}
+    if isinstance(given, Sequence) or (given is not None and given.members):
+        later = list(given[1:]) if isinstance(given, Sequence) else [given] * T
+        changes["state_set"] = [Everything(), *later]
+    elif given is not None:
+        lower, upper = problem.state_boxes.lower.copy(), problem.state_boxes.upper.copy()
+        lower[0], upper[0] = -np.inf, np.inf
+        changes["state_set"] = Box(lower, upper)
+    return replace(problem, **changes) if given is not None or problem.stage_rows else problem
+
+
+def _later(rows: StageRows, horizon: int) -> StageRows:
+    """Return the rows with those of the state alone left out at time 0."""
+    limits = np.array(np.broadcast_to(rows.e, (horizon, rows.rows)))
+    on_control = np.broadcast_to(rows.D, (horizon, *rows.D.shape[-2:]))[0].any(axis=-1)
+    limits[0, ~on_control] = np.inf
+    return StageRows(rows.C, rows.D, limits, rows.name, rows.penalty)
+
+
+def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalControlProblem:
+    """Return the problem behind states x (k, n) and controls u (k, m), which follow the past it was stated with."""
+    return replace(
+        problem,
+        control_spectrum=[one.behind(u, 0) for one in entries_of(problem.control_spectrum)] or None,
+        state_spectrum=[one.behind(x, 1) for one in entries_of(problem.state_spectrum)] or None,
+        output_spectrum=[one.behind(x, u) for one in entries_of(problem.output_spectrum)] or None,
+    )
+
+
+def remembers(problem: OptimalControlProblem) -> bool:
+    """Whether frequency constraints of a problem depend on samples of the past."""
+    return any(one.remembers for field in SPECTRA for one in entries_of(getattr(problem, field)))
+
+
+def disturbed(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
+    """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
+    dynamics, T, n = problem.dynamics, problem.horizon, problem.state_dim
+    if not isinstance(dynamics, LinearDynamics):
+        what = type(dynamics).__name__
+        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {what}.")
+    expected = real_array("disturbance", disturbance)
+    if expected.shape not in ((n,), (T, n)):
+        raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
+    return replace(problem, dynamics=replace(dynamics, offset=dynamics.offset + expected))
+
 
 def checked_penalties(given: Mapping[str, float] | None) -> dict[str, float]:
     """Return the penalty of each field; ProblemError if a field cannot be soft, or a penalty is not above zero."""
@@ -63,30 +114,12 @@ def softened(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> 
     return replace(problem, **changes)
 
 
-def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:
-    """Return by how much soft constraints are exceeded, in the units of their limits and summed over time, by name."""
-    found, near = dict[str, float](), translation_of(problem)
-    trajectory = near.translated(trajectory)
-    for term in near.problem.terms:
-        if not term.hard and not term.kind.is_cost:
-            by = float((term.cost(trajectory.x, trajectory.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())
-            size = float(np.max(term.map.sizes(trajectory.x, trajectory.u), initial=0.0))
-            found |= {term.name: by} if by > ROUNDING * size else {}
-    return found
-
-
 def _sets(given: GivenSet, penalty: float) -> GivenSet:
     if isinstance(given, Sequence):
         return [one and _soft(one, penalty) for one in given]
     if given is not None and given.bounds[0].ndim > 1:
         return [_soft(_at(given, t), penalty) for t in range(len(given.bounds[0]))]
     return given and _soft(given, penalty)
-
-
-def _at(given: ConvexSet, t: int) -> ConvexSet:
-    """Return a set whose bounds are given per time at one of the times."""
-    bounds = box_of(given).at(t)
-    return Intersection([bounds, *given.members]) if given.members else bounds
 
 
 def _soft(given: ConvexSet, penalty: float) -> ConvexSet:
@@ -98,12 +131,14 @@ def _soft(given: ConvexSet, penalty: float) -> ConvexSet:
     return Intersection(members) if members else given
 
 
+def _at(given: ConvexSet, t: int) -> ConvexSet:
+    """Return a set whose bounds are given per time at one of the times."""
+    bounds = box_of(given).at(t)
+    return Intersection([bounds, *given.members]) if given.members else bounds
+
+
 def _rows(rows: StageRows, penalty: float) -> StageRows:
     return rows if rows.penalty is not None else StageRows(rows.C, rows.D, rows.e, rows.name, penalty)
-
-
-def _bound(given: FrequencyConstraint, penalty: float) -> FrequencyConstraint:
-    return MagnitudeBound(0.0, band=given, penalty=penalty) if isinstance(given, Band) else given.softened(penalty)
 
 
 def _outputs(outputs: OutputSpectrum, penalty: float) -> OutputSpectrum:
@@ -111,53 +146,17 @@ def _outputs(outputs: OutputSpectrum, penalty: float) -> OutputSpectrum:
     return OutputSpectrum(outputs.C, outputs.D, bounds, outputs.output_names)
 
 
-SPECTRA = ("control_spectrum", "state_spectrum", "output_spectrum")
+def _bound(given: FrequencyConstraint, penalty: float) -> FrequencyConstraint:
+    return MagnitudeBound(0.0, band=given, penalty=penalty) if isinstance(given, Band) else given.softened(penalty)
 
 
-def first_state_free(problem: OptimalControlProblem) -> OptimalControlProblem:
-    """Return the problem without its state set and rows of the state alone at time 0."""
-    given, T = problem.state_set, problem.horizon
-    changes: dict[str, object] = {"stage_rows": [_later(rows, T) for rows in problem.stage_rows]}
-    if isinstance(given, Sequence) or (given is not None and given.members):
-        later = list(given[1:]) if isinstance(given, Sequence) else [given] * T
-        changes["state_set"] = [Everything(), *later]
-    elif given is not None:
-        lower, upper = problem.state_boxes.lower.copy(), problem.state_boxes.upper.copy()
-        lower[0], upper[0] = -np.inf, np.inf
-        changes["state_set"] = Box(lower, upper)
-    return replace(problem, **changes) if given is not None or problem.stage_rows else problem
-
-
-def _later(rows: StageRows, horizon: int) -> StageRows:
-    """Return the rows with those of the state alone left out at time 0."""
-    limits = np.array(np.broadcast_to(rows.e, (horizon, rows.rows)))
-    on_control = np.broadcast_to(rows.D, (horizon, *rows.D.shape[-2:]))[0].any(axis=-1)
-    limits[0, ~on_control] = np.inf
-    return StageRows(rows.C, rows.D, limits, rows.name, rows.penalty)
-
-
-def remembers(problem: OptimalControlProblem) -> bool:
-    """Whether frequency constraints of a problem depend on samples of the past."""
-    return any(one.remembers for field in SPECTRA for one in entries_of(getattr(problem, field)))
-
-
-def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalControlProblem:
-    """Return the problem behind states x (k, n) and controls u (k, m), which follow the past it was stated with."""
-    return replace(
-        problem,
-        control_spectrum=[one.behind(u, 0) for one in entries_of(problem.control_spectrum)] or None,
-        state_spectrum=[one.behind(x, 1) for one in entries_of(problem.state_spectrum)] or None,
-        output_spectrum=[one.behind(x, u) for one in entries_of(problem.output_spectrum)] or None,
-    )
-
-
-def disturbed(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
-    """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
-    dynamics, T, n = problem.dynamics, problem.horizon, problem.state_dim
-    if not isinstance(dynamics, LinearDynamics):
-        what = type(dynamics).__name__
-        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {what}.")
-    expected = real_array("disturbance", disturbance)
-    if expected.shape not in ((n,), (T, n)):
-        raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
-    return replace(problem, dynamics=replace(dynamics, offset=dynamics.offset + expected))
+def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:
+    """Return by how much soft constraints are exceeded, in the units of their limits and summed over time, by name."""
+    found, near = dict[str, float](), translation_of(problem)
+    trajectory = near.translated(trajectory)
+    for term in near.problem.terms:
+        if not term.hard and not term.kind.is_cost:
+            by = float((term.cost(trajectory.x, trajectory.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())
+            size = float(np.max(term.map.sizes(trajectory.x, trajectory.u), initial=0.0))
+            found |= {term.name: by} if by > ROUNDING * size else {}
+    return found

@@ -61,7 +61,7 @@ class Point:
 def points(
     problem: OptimalControlProblem, outcome: Outcome, at: Trajectory, margins: Sequence[float] = MARGINS
 ) -> Iterator[tuple[Point, Trajectory]]:
-    """Yield points farther and farther from all limits, with their trajectories; none without a point strictly inside."""
+    """Yield points farther and farther from all limits, with their trajectories; nothing if none is strictly inside."""
     inner = None
     for margin in margins:
         if inner is None and least_distance(problem, at) < margin:
@@ -131,7 +131,7 @@ def _distances_to_box(box: Box, signal: Array) -> Iterator[tuple[Array, Array]]:
 
 
 def share_of_way(problem: OptimalControlProblem, at: Trajectory, inner: Trajectory, margin: float) -> float:
-    """Return the least share of the way to an inner trajectory, at most 1, that keeps a margin of the sizes to all limits."""
+    """Return the least share of the way to an inner trajectory, at most 1, with this margin to all limits."""
     share = 0.0
     for (distance, size), (more, _) in zip(
         distances_to_limits(problem, at), distances_to_limits(problem, inner), strict=True

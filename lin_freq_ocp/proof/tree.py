@@ -62,7 +62,7 @@ def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[Node]:
 
 
 def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> OptimalControlProblem:
-    """Return the linear problem of a mode sequence, with as few rows as can be: a point must be strictly inside of each.
+    """Return the linear problem of a mode sequence, with the fewest rows: a point must be strictly inside each.
 
     Rows of a single control are bounds, which may fix it (a level); those that a fixed x_0 decides are left out.
     """

@@ -29,6 +29,11 @@ ROUNDING = 1e-9  # of a notch, by which a limit may be missed
 
 Values = Mapping[str, float]  # the value of each slider, by its key
 
+MOST_STATES = 12  # of problems with more, ends have no sliders
+WORDS = {"initial_state": "initial", "terminal_state": "terminal"}
+
+AT_LEAST = "\N{GREATER-THAN OR EQUAL TO}"
+
 
 @dataclass(frozen=True)
 class Slider:
@@ -75,26 +80,6 @@ def _round_step(size: float) -> float:
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= size * (1 - ROUNDING))
 
 
-MOST_STATES = 12  # of problems with more, ends have no sliders
-WORDS = {"initial_state": "initial", "terminal_state": "terminal"}
-
-
-def _sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
-    """Yield the fixed components of ends."""
-    if problem.state_dim > MOST_STATES:
-        return
-    boxes, sizes = problem.state_boxes, stated_sizes(problem)[0]
-    for field, end in _boxes(problem):
-        for i, name in enumerate(problem.state_names):
-            (label, unit), value = split_unit(name), float(end.lower[i])
-            low, high = (float(bound[0 if field == "initial_state" else -1, i]) for bound in (boxes.lower, boxes.upper))
-            reach = max(2 * abs(value), float(sizes[i]))
-            low, high = (low if isfinite(low) else -reach), (high if isfinite(high) else reach)
-            if end.fixed[i] and low <= value <= high and low < high:
-                first, last, notch = notches(low, value, high)
-                yield Slider(f"{field}.{i}", field, f"{WORDS[field]} {label}", unit, first, last, notch, value, value)
-
-
 def ends_at(problem: OptimalControlProblem, moved: Values) -> dict[str, Box]:
     """Return the ends of which a component is moved."""
     ends = dict[str, Box]()
@@ -114,10 +99,23 @@ def _boxes(problem: OptimalControlProblem) -> Iterator[tuple[str, Box]]:
             yield field, end
 
 
+def _sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
+    """Yield the fixed components of ends."""
+    if problem.state_dim > MOST_STATES:
+        return
+    boxes, sizes = problem.state_boxes, stated_sizes(problem)[0]
+    for field, end in _boxes(problem):
+        for i, name in enumerate(problem.state_names):
+            (label, unit), value = split_unit(name), float(end.lower[i])
+            low, high = (float(bound[0 if field == "initial_state" else -1, i]) for bound in (boxes.lower, boxes.upper))
+            reach = max(2 * abs(value), float(sizes[i]))
+            low, high = (low if isfinite(low) else -reach), (high if isfinite(high) else reach)
+            if end.fixed[i] and low <= value <= high and low < high:
+                first, last, notch = notches(low, value, high)
+                yield Slider(f"{field}.{i}", field, f"{WORDS[field]} {label}", unit, first, last, notch, value, value)
+
+
 ENDS = Movable(_sliders, ends_at)
-
-
-AT_LEAST = "\N{GREATER-THAN OR EQUAL TO}"
 
 
 @dataclass(frozen=True)
@@ -131,6 +129,29 @@ class Bounded:
 
 
 SIGNALS = Bounded("control_set", "bounds", "", 4), Bounded("state_set", "state_bounds", "state_", 12)
+
+
+def sets_at(problem: OptimalControlProblem, moved: Values) -> dict[str, ConvexSet]:
+    """Return the sets of which a bound is moved."""
+    sets = dict[str, ConvexSet]()
+    for signal, n in zip(SIGNALS, (problem.control_dim, problem.state_dim), strict=True):
+        keys = {kind: f"{signal.word}{kind}." for kind in ("bound", "lower", "upper")}
+        given = getattr(problem, signal.field)
+        if not isinstance(given, ConvexSet) or not any(key.startswith(tuple(keys.values())) for key in moved):
+            continue
+        lower, upper = (np.broadcast_to(one, (*one.shape[:-1], n)).copy() for one in given.bounds)
+        for j in range(n):
+            bound = moved.get(f"{keys['bound']}{j}")
+            _put(lower, j, moved.get(f"{keys['lower']}{j}") if bound is None else -bound)
+            _put(upper, j, moved.get(f"{keys['upper']}{j}") if bound is None else bound)
+        box = Box(lower, upper)
+        sets[signal.field] = Intersection([box, *given.members]) if given.members else box
+    return sets
+
+
+def _put(bounds: Array, j: int, value: float | None) -> None:
+    if value is not None:
+        bounds[..., j] = value
 
 
 def _bounds(problem: OptimalControlProblem) -> Iterator[Slider]:
@@ -172,29 +193,6 @@ def _of_component(signal: Bounded, j: int, name: str, low: float, high: float, s
         first, last, notch = notches(middle + span / NOTCHES if both else high - span, high, high + span)
         key = f"{signal.word}upper.{j}"
         yield Slider(key, signal.group, f"{label} {AT_MOST}", unit, first, last, notch, high, last)
-
-
-def sets_at(problem: OptimalControlProblem, moved: Values) -> dict[str, ConvexSet]:
-    """Return the sets of which a bound is moved."""
-    sets = dict[str, ConvexSet]()
-    for signal, n in zip(SIGNALS, (problem.control_dim, problem.state_dim), strict=True):
-        keys = {kind: f"{signal.word}{kind}." for kind in ("bound", "lower", "upper")}
-        given = getattr(problem, signal.field)
-        if not isinstance(given, ConvexSet) or not any(key.startswith(tuple(keys.values())) for key in moved):
-            continue
-        lower, upper = (np.broadcast_to(one, (*one.shape[:-1], n)).copy() for one in given.bounds)
-        for j in range(n):
-            bound = moved.get(f"{keys['bound']}{j}")
-            _put(lower, j, moved.get(f"{keys['lower']}{j}") if bound is None else -bound)
-            _put(upper, j, moved.get(f"{keys['upper']}{j}") if bound is None else bound)
-        box = Box(lower, upper)
-        sets[signal.field] = Intersection([box, *given.members]) if given.members else box
-    return sets
-
-
-def _put(bounds: Array, j: int, value: float | None) -> None:
-    if value is not None:
-        bounds[..., j] = value
 
 
 def _rows(problem: OptimalControlProblem) -> Iterator[Slider]:

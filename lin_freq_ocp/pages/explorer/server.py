@@ -37,38 +37,27 @@ from lin_freq_ocp.problem.description import problem_facts
 PAIRED, ALONE = 7, 5
 PAIR = "frequency", "bounds"  # groups of which the first sliders are moved together
 
+Connection = socket | tuple[bytes, socket]  # the second for datagrams, which this server does not get
+LOOPBACK = "127.0.0.1"
+MOST_BYTES = 1 << 16  # of a request: the values of a few sliders
+TOKEN_BYTES = 16
+IDLE_SECONDS = 30.0  # without a byte, a connection is closed; browsers open a new one when they need it
+MOST_CONNECTIONS = 32  # each has a thread; a browser opens six for a page
+BUSY = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+LENGTH = re.compile("[0-9]{1,9}")  # of a request, in ASCII
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+}
+
 
 def page(session: Session) -> str:
     """Return the page that asks its server."""
     return _rendered(session, None)
-
-
-def static_page(session: Session, progress: Callable[[int, int], object] = lambda done, count: None) -> str:
-    """Return the page with a solved sweep inside; ``progress`` is told how many points are solved, and of how many."""
-    grid = points(session.sliders)
-    solved = list[Data]()
-    for values in grid:
-        solved.append({"values": values, "answer": session.answer(values), "beside": session.beside(values)})
-        progress(len(solved), len(grid))
-    return _rendered(session, solved)
-
-
-def points(sliders: tuple[Slider, ...]) -> list[dict[str, float]]:
-    """Return the values at the points of a sweep: of the sliders that are moved."""
-    firsts = [[one for one in sliders if one.group == group][:1] for group in PAIR]
-    paired = [one for first in firsts for one in first]
-    moved = [dict(pair) for pair in product(*([(one.key, v) for v in _along(one, PAIRED)] for one in paired))]
-    moved += [{one.key: value} for one in sliders if one not in paired for value in _along(one, ALONE)]
-    own = {one.key: one.value for one in sliders}
-    unique = {tuple({**own, **values}.items()): None for values in moved}
-    return [dict(values) for values in unique] or [own]
-
-
-def _along(slider: Slider, count: int) -> Iterator[float]:
-    """Yield values from end to end, on notches, the problem's own among them."""
-    first, last = (round((end - slider.value) / slider.step) for end in (slider.low, slider.high))
-    notches = {round(first + (last - first) * i / (count - 1)) for i in range(count)} | {0}
-    yield from (slider.notch(n) for n in sorted(notches))
 
 
 def _rendered(session: Session, solved: list[Data] | None) -> str:
@@ -100,22 +89,32 @@ def _environment() -> Environment:
     )
 
 
-Connection = socket | tuple[bytes, socket]  # the second for datagrams, which this server does not get
-LOOPBACK = "127.0.0.1"
-MOST_BYTES = 1 << 16  # of a request: the values of a few sliders
-TOKEN_BYTES = 16
-IDLE_SECONDS = 30.0  # without a byte, a connection is closed; browsers open a new one when they need it
-MOST_CONNECTIONS = 32  # each has a thread; a browser opens six for a page
-BUSY = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
-LENGTH = re.compile("[0-9]{1,9}")  # of a request, in ASCII
-HEADERS = {
-    "Cache-Control": "no-store",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
-    "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-}
+def static_page(session: Session, progress: Callable[[int, int], object] = lambda done, count: None) -> str:
+    """Return the page with a solved sweep inside; ``progress`` is told how many points are solved, and of how many."""
+    grid = points(session.sliders)
+    solved = list[Data]()
+    for values in grid:
+        solved.append({"values": values, "answer": session.answer(values), "beside": session.beside(values)})
+        progress(len(solved), len(grid))
+    return _rendered(session, solved)
+
+
+def points(sliders: tuple[Slider, ...]) -> list[dict[str, float]]:
+    """Return the values at the points of a sweep: of the sliders that are moved."""
+    firsts = [[one for one in sliders if one.group == group][:1] for group in PAIR]
+    paired = [one for first in firsts for one in first]
+    moved = [dict(pair) for pair in product(*([(one.key, v) for v in _along(one, PAIRED)] for one in paired))]
+    moved += [{one.key: value} for one in sliders if one not in paired for value in _along(one, ALONE)]
+    own = {one.key: one.value for one in sliders}
+    unique = {tuple({**own, **values}.items()): None for values in moved}
+    return [dict(values) for values in unique] or [own]
+
+
+def _along(slider: Slider, count: int) -> Iterator[float]:
+    """Yield values from end to end, on notches, the problem's own among them."""
+    first, last = (round((end - slider.value) / slider.step) for end in (slider.low, slider.high))
+    notches = {round(first + (last - first) * i / (count - 1)) for i in range(count)} | {0}
+    yield from (slider.notch(n) for n in sorted(notches))
 
 
 class Overtaken(Exception):  # noqa: N818  (no error: nobody waits for the answer any more)

@@ -67,11 +67,40 @@ KEPT = "bounds", *FOLDED  # what they change leaves what is set up once as it is
 
 Rebuild = Callable[[int], OptimalControlProblem]  # the same problem over another horizon
 
+DIGITS = 4  # significant, of values that are drawn
+MOST_SIGNALS = 24  # that are drawn over time; controls come first
+
+Data = dict[str, object]  # as JSON has it
+
+SOLVE_SECONDS = 10.0  # for one answer
+KEPT_PROBLEMS, KEPT_ANSWERS = 8, 64  # the latest ones
+
+Key = tuple[tuple[str, float], ...]
+Item = TypeVar("Item")
+
 
 def sliders_of(problem: OptimalControlProblem, rebuild: Rebuild | None) -> tuple[Slider, ...]:
     """Return the sliders of a problem, group by group."""
     found = [*_horizon(problem, rebuild), *(slider for kind in MOVABLE for slider in kind.sliders(problem))]
     return tuple(sorted(found, key=lambda slider: list(GROUPS).index(slider.group)))
+
+
+def _horizon(problem: OptimalControlProblem, rebuild: Rebuild | None) -> Iterator[Slider]:
+    """Yield the horizon, if the problem can be built over others."""
+    T = problem.horizon
+    notch = max(1, T // HORIZON_NOTCHES)
+    low, high = T - (T // 2 // notch) * notch, T + (T // notch) * notch
+    if rebuild is not None and _can_be_built(rebuild, low) and _can_be_built(rebuild, high):
+        yield Slider(HORIZON, "horizon", "horizon", "steps", low, high, notch, T, high)
+
+
+def _can_be_built(rebuild: Rebuild, horizon: int) -> bool:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BandWarning)
+        try:
+            return rebuild(horizon).horizon == horizon
+        except (LinFreqOCPError, TypeError, ValueError):  # no such parameter, or arrays over this horizon alone
+            return False
 
 
 def checked(sliders: tuple[Slider, ...], given: object) -> dict[str, float]:
@@ -105,127 +134,6 @@ def problem_at(problem: OptimalControlProblem, rebuild: Rebuild | None, moved: V
             problem = rebuild(int(moved[HORIZON]))
         fields = {field: value for kind in MOVABLE for field, value in kind.fields(problem, moved).items()}
         return replace(problem, **fields) if fields else problem
-
-
-def _horizon(problem: OptimalControlProblem, rebuild: Rebuild | None) -> Iterator[Slider]:
-    """Yield the horizon, if the problem can be built over others."""
-    T = problem.horizon
-    notch = max(1, T // HORIZON_NOTCHES)
-    low, high = T - (T // 2 // notch) * notch, T + (T // notch) * notch
-    if rebuild is not None and _can_be_built(rebuild, low) and _can_be_built(rebuild, high):
-        yield Slider(HORIZON, "horizon", "horizon", "steps", low, high, notch, T, high)
-
-
-def _can_be_built(rebuild: Rebuild, horizon: int) -> bool:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", BandWarning)
-        try:
-            return rebuild(horizon).horizon == horizon
-        except (LinFreqOCPError, TypeError, ValueError):  # no such parameter, or arrays over this horizon alone
-            return False
-
-
-DIGITS = 4  # significant, of values that are drawn
-MOST_SIGNALS = 24  # that are drawn over time; controls come first
-
-Data = dict[str, object]  # as JSON has it
-
-
-def frame(problem: OptimalControlProblem) -> Data:
-    """Return what does not depend on a trajectory: axes, names, bounds, stopped bins and limits."""
-    time, frequency = time_scale(problem), frequency_scale(problem)
-    return {
-        "horizon": problem.horizon,
-        "time": {"step": time.factor, "label": time.label},
-        "frequency": {"label": frequency.label},
-        "signals": [_signal(signal) for signal in _over_time(problem)],
-        "spectra": [_spectrum(signal, frequency.factor) for signal in _over_frequency(problem)],
-        "vibrations": [_vibration(term, box) for term, box in everywhere_of(problem, PlantBox)],
-    }
-
-
-def drawn(problem: OptimalControlProblem, trajectory: Trajectory) -> Data:
-    """Return the values of all signals and spectra of a trajectory, in the order of the frame."""
-    spectra = [signal.of(trajectory)[: signal.samples] for signal in _over_frequency(problem)]
-    return {
-        "signals": [rounded(signal.of(trajectory)) for signal in _over_time(problem)],
-        "spectra": [rounded(np.abs(np.fft.rfft(values))) for values in spectra],
-        "vibrations": [
-            rounded(vibration(box, trajectory, frequencies_around(box))) for _, box in everywhere_of(problem, PlantBox)
-        ],
-    }
-
-
-def rounded(values: Array) -> list[float | None]:
-    """Return numbers with few digits; None for what is no number."""
-    return [float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in map(float, values)]
-
-
-def _over_time(problem: OptimalControlProblem) -> list[Signal]:
-    return [*controls_of(problem), *states_of(problem)][:MOST_SIGNALS]
-
-
-def _over_frequency(problem: OptimalControlProblem) -> list[Signal]:
-    """Return all controls, and the states and outputs with a limit on their spectrum."""
-    limited = [state for state in states_of(problem) if state.stop.any()]
-    return [*controls_of(problem), *limited, *outputs_of(problem)][:MOST_SIGNALS]
-
-
-def _signal(signal: Signal) -> Data:
-    lower, upper = signal.bounds
-    return {"name": signal.name, "state": signal.is_state, "lower": _bound(lower), "upper": _bound(upper)}
-
-
-def _bound(values: Array) -> list[float | None]:
-    """Return a bound over time, as a single value where it is constant."""
-    return rounded(values[:1] if (values == values[0]).all() else values)
-
-
-def _spectrum(signal: Signal, factor: float) -> Data:
-    per_bin = 2 * np.pi / signal.samples * factor
-    runs = stopped_runs(signal.stop)
-    last = signal.samples / 2
-    edges: Iterable[tuple[float, float]] = ((max(a - 0.5, 0.0), min(b + 0.5, last)) for a, b in runs)
-    return {
-        "name": signal.name,
-        "step": per_bin,
-        "stopped": [[per_bin * low, per_bin * high] for low, high in edges],
-        "limits": [{"at": rounded(factor * line.at), "values": rounded(line.values)} for line in signal.levels],
-    }
-
-
-def _vibration(term: Term, box: PlantBox) -> Data:
-    """Return the axis of a residual vibration, its box of natural frequencies, and its limit."""
-    return {
-        "name": term.name,
-        "at": rounded(frequencies_around(box)),
-        "box": [float(box.low[0]), float(box.high[0])],
-        "limit": box.limit,
-        "top": ABOVE * box.limit,
-    }
-
-
-SOLVE_SECONDS = 10.0  # for one answer
-KEPT_PROBLEMS, KEPT_ANSWERS = 8, 64  # the latest ones
-
-Key = tuple[tuple[str, float], ...]
-Item = TypeVar("Item")
-
-
-class Latest(Generic[Item]):
-    """The latest few of what was made, by their keys."""
-
-    def __init__(self, most: int):
-        self._most, self._items = most, OrderedDict[Hashable, Item]()
-
-    def get(self, key: Hashable, make: Callable[[], Item]) -> Item:
-        """Return what was made for a key, or make it."""
-        found = self._items[key] if key in self._items else make()
-        self._items[key] = found
-        self._items.move_to_end(key)
-        if len(self._items) > self._most:
-            self._items.popitem(last=False)
-        return found
 
 
 class Session:
@@ -324,6 +232,22 @@ class Session:
         return Repeated(problem)
 
 
+class Latest(Generic[Item]):
+    """The latest few of what was made, by their keys."""
+
+    def __init__(self, most: int):
+        self._most, self._items = most, OrderedDict[Hashable, Item]()
+
+    def get(self, key: Hashable, make: Callable[[], Item]) -> Item:
+        """Return what was made for a key, or make it."""
+        found = self._items[key] if key in self._items else make()
+        self._items[key] = found
+        self._items.move_to_end(key)
+        if len(self._items) > self._most:
+            self._items.popitem(last=False)
+        return found
+
+
 def answer_data(outcome: Outcome) -> Data:
     """Return an outcome as the page shows it."""
     certificate, trajectory = outcome.certificate, outcome.trajectory
@@ -357,3 +281,77 @@ def _theorem(outcome: Outcome) -> str:
     if certificate.pmp != "satisfied":
         return certificate.pmp.replace("_", " ")
     return f"satisfied, {'normal' if certificate.normal else 'abnormal'}"
+
+
+def frame(problem: OptimalControlProblem) -> Data:
+    """Return what does not depend on a trajectory: axes, names, bounds, stopped bins and limits."""
+    time, frequency = time_scale(problem), frequency_scale(problem)
+    return {
+        "horizon": problem.horizon,
+        "time": {"step": time.factor, "label": time.label},
+        "frequency": {"label": frequency.label},
+        "signals": [_signal(signal) for signal in _over_time(problem)],
+        "spectra": [_spectrum(signal, frequency.factor) for signal in _over_frequency(problem)],
+        "vibrations": [_vibration(term, box) for term, box in everywhere_of(problem, PlantBox)],
+    }
+
+
+def _signal(signal: Signal) -> Data:
+    lower, upper = signal.bounds
+    return {"name": signal.name, "state": signal.is_state, "lower": _bound(lower), "upper": _bound(upper)}
+
+
+def _bound(values: Array) -> list[float | None]:
+    """Return a bound over time, as a single value where it is constant."""
+    return rounded(values[:1] if (values == values[0]).all() else values)
+
+
+def _over_time(problem: OptimalControlProblem) -> list[Signal]:
+    return [*controls_of(problem), *states_of(problem)][:MOST_SIGNALS]
+
+
+def _spectrum(signal: Signal, factor: float) -> Data:
+    per_bin = 2 * np.pi / signal.samples * factor
+    runs = stopped_runs(signal.stop)
+    last = signal.samples / 2
+    edges: Iterable[tuple[float, float]] = ((max(a - 0.5, 0.0), min(b + 0.5, last)) for a, b in runs)
+    return {
+        "name": signal.name,
+        "step": per_bin,
+        "stopped": [[per_bin * low, per_bin * high] for low, high in edges],
+        "limits": [{"at": rounded(factor * line.at), "values": rounded(line.values)} for line in signal.levels],
+    }
+
+
+def _over_frequency(problem: OptimalControlProblem) -> list[Signal]:
+    """Return all controls, and the states and outputs with a limit on their spectrum."""
+    limited = [state for state in states_of(problem) if state.stop.any()]
+    return [*controls_of(problem), *limited, *outputs_of(problem)][:MOST_SIGNALS]
+
+
+def _vibration(term: Term, box: PlantBox) -> Data:
+    """Return the axis of a residual vibration, its box of natural frequencies, and its limit."""
+    return {
+        "name": term.name,
+        "at": rounded(frequencies_around(box)),
+        "box": [float(box.low[0]), float(box.high[0])],
+        "limit": box.limit,
+        "top": ABOVE * box.limit,
+    }
+
+
+def drawn(problem: OptimalControlProblem, trajectory: Trajectory) -> Data:
+    """Return the values of all signals and spectra of a trajectory, in the order of the frame."""
+    spectra = [signal.of(trajectory)[: signal.samples] for signal in _over_frequency(problem)]
+    return {
+        "signals": [rounded(signal.of(trajectory)) for signal in _over_time(problem)],
+        "spectra": [rounded(np.abs(np.fft.rfft(values))) for values in spectra],
+        "vibrations": [
+            rounded(vibration(box, trajectory, frequencies_around(box))) for _, box in everywhere_of(problem, PlantBox)
+        ],
+    }
+
+
+def rounded(values: Array) -> list[float | None]:
+    """Return numbers with few digits; None for what is no number."""
+    return [float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in map(float, values)]

@@ -41,17 +41,8 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 PANEL_HEIGHT = 1.15 * ROW_HEIGHT
 LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers
 
-
-@dataclass(frozen=True, eq=False)
-class Ringing:
-    """A trajectory, the box of modes on its samples, and how its line looks."""
-
-    label: str
-    box: PlantBox
-    trajectory: Trajectory
-    color: str
-    line: LineStyleType
-    width: float
+FINENESS = 8  # points for each bin
+DECADES = 4  # below the largest value
 
 
 def moves_figure(moves: Moves) -> Figure:
@@ -64,52 +55,20 @@ def moves_figure(moves: Moves) -> Figure:
     return figure
 
 
-def ringing_of(moves: Moves, k: int) -> list[Ringing]:
-    """Return what the moves that were found leave of control k."""
-    shapers, found = iter(zip(COMPONENTS[1:], LINES * 2, strict=False)), list[Ringing]()
-    for move in moves.all:
-        if move.measured is None:
-            continue
-        if move.name in (OURS, UNSHAPED):
-            style = STYLES["constrained" if move.name == OURS else "classical"]
-            color, line, width = style.color, style.line, style.width + 0.3
-        else:
-            (color, line), width = next(shapers), 1.5
-        label = f"{move.name}: {move.samples} samples, {number(move.seconds, 3)} s"
-        box = boxes_of(move.measured.problem)[k]
-        found.append(Ringing(label, box, move.measured.trajectory, color, line, width))
-    return found
-
-
-def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing]) -> None:
-    """Draw the vibration over the natural frequency, and the limit within the box that all of them have."""
-    box = shown[-1].box
-    low, high = float(box.low[0]), float(box.high[0])
-    frequencies = frequencies_around(box)
-    ax.axvspan(low, high, color=BAND, linewidth=0, zorder=0)
-    ax.hlines(box.limit, low, high, color=BOUND, linewidth=2.0, label="limit", zorder=4)
-    notes, inside = list[Note](), (frequencies >= low) & (frequencies <= high)
-    for one in shown:
-        values = vibration(one.box, one.trajectory, frequencies)
-        if inside.any() and values[inside].min() > ABOVE * box.limit:
-            times = aligned(float(values[inside].max()) / box.limit, 3)
-            notes.append(Note(f"{one.label}: leaves the picture, {times} times the limit", one.color))
-        ax.plot(frequencies, values, color=one.color, linestyle=one.line, linewidth=one.width, label=one.label)
-    ax.set_xlim(frequencies[0], frequencies[-1])
-    ax.set_ylim(0, ABOVE * box.limit)
-    legend_beside(ax)
-    short, unit = split_unit(name)
-    y_label = "vibration" + (f" [{unit}]" if unit else "")
-    style_axes(ax, f"Residual vibration of {short}", "natural frequency [Hz]", y_label, notes)
-
-
-def legend_beside(ax: Axes) -> None:
-    """Explain the lines of a panel on its right."""
-    ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-
-
-FINENESS = 8  # points for each bin
-DECADES = 4  # below the largest value
+def vibrations_figure(data: PlotData) -> Figure | None:
+    """Return what the trajectories leave ringing in boxes of modes; None without any."""
+    terms = everywhere_of(data.problem, PlantBox)
+    if not terms:
+        return None
+    figure = new_figure(PANEL_HEIGHT * len(terms))
+    for k, (term, box) in enumerate(terms):
+        shown = [
+            Ringing(trace.label, box, trace.trajectory, trace.style.color, trace.style.line, trace.style.width)
+            for trace in data.traces
+        ]
+        name = term.name.removeprefix("residual vibration of ")
+        vibration_panel(figure.add_subplot(len(terms), 1, k + 1), name, shown)
+    return figure
 
 
 def held_figure(data: PlotData) -> Figure | None:
@@ -156,17 +115,57 @@ def _held_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFrequencie
     style_axes(ax, f"{short[0].upper()}{short[1:]}", data.frequency.label, "|sinc V|" + (f" [{unit}]" if unit else ""))
 
 
-def vibrations_figure(data: PlotData) -> Figure | None:
-    """Return what the trajectories leave ringing in boxes of modes; None without any."""
-    terms = everywhere_of(data.problem, PlantBox)
-    if not terms:
-        return None
-    figure = new_figure(PANEL_HEIGHT * len(terms))
-    for k, (term, box) in enumerate(terms):
-        shown = [
-            Ringing(trace.label, box, trace.trajectory, trace.style.color, trace.style.line, trace.style.width)
-            for trace in data.traces
-        ]
-        name = term.name.removeprefix("residual vibration of ")
-        vibration_panel(figure.add_subplot(len(terms), 1, k + 1), name, shown)
-    return figure
+@dataclass(frozen=True, eq=False)
+class Ringing:
+    """A trajectory, the box of modes on its samples, and how its line looks."""
+
+    label: str
+    box: PlantBox
+    trajectory: Trajectory
+    color: str
+    line: LineStyleType
+    width: float
+
+
+def ringing_of(moves: Moves, k: int) -> list[Ringing]:
+    """Return what the moves that were found leave of control k."""
+    shapers, found = iter(zip(COMPONENTS[1:], LINES * 2, strict=False)), list[Ringing]()
+    for move in moves.all:
+        if move.measured is None:
+            continue
+        if move.name in (OURS, UNSHAPED):
+            style = STYLES["constrained" if move.name == OURS else "classical"]
+            color, line, width = style.color, style.line, style.width + 0.3
+        else:
+            (color, line), width = next(shapers), 1.5
+        label = f"{move.name}: {move.samples} samples, {number(move.seconds, 3)} s"
+        box = boxes_of(move.measured.problem)[k]
+        found.append(Ringing(label, box, move.measured.trajectory, color, line, width))
+    return found
+
+
+def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing]) -> None:
+    """Draw the vibration over the natural frequency, and the limit within the box that all of them have."""
+    box = shown[-1].box
+    low, high = float(box.low[0]), float(box.high[0])
+    frequencies = frequencies_around(box)
+    ax.axvspan(low, high, color=BAND, linewidth=0, zorder=0)
+    ax.hlines(box.limit, low, high, color=BOUND, linewidth=2.0, label="limit", zorder=4)
+    notes, inside = list[Note](), (frequencies >= low) & (frequencies <= high)
+    for one in shown:
+        values = vibration(one.box, one.trajectory, frequencies)
+        if inside.any() and values[inside].min() > ABOVE * box.limit:
+            times = aligned(float(values[inside].max()) / box.limit, 3)
+            notes.append(Note(f"{one.label}: leaves the picture, {times} times the limit", one.color))
+        ax.plot(frequencies, values, color=one.color, linestyle=one.line, linewidth=one.width, label=one.label)
+    ax.set_xlim(frequencies[0], frequencies[-1])
+    ax.set_ylim(0, ABOVE * box.limit)
+    legend_beside(ax)
+    short, unit = split_unit(name)
+    y_label = "vibration" + (f" [{unit}]" if unit else "")
+    style_axes(ax, f"Residual vibration of {short}", "natural frequency [Hz]", y_label, notes)
+
+
+def legend_beside(ax: Axes) -> None:
+    """Explain the lines of a panel on its right."""
+    ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK, loc="upper left", bbox_to_anchor=(1.0, 1.0))

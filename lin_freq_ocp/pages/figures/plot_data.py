@@ -45,7 +45,6 @@ HATCHES = ("", "////", "....", "xxxx")
 
 # Colours that the page replaces by its own variables, so that figures follow its light and dark scheme.
 THEMED = {INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper", BAND: "band", BOUND: "bound"}
-THEMED |= {REFERENCE: "reference", CLASSICAL: "classical", FILTERED: "filtered", CONSTRAINED: "constrained"}
 THEMED_TINTS = {tint: f"mode-{i}" for i, tint in enumerate(TINTS)}  # only on pages of problems with modes
 
 # Of the components of one signal, of soft bounds, and of references in the cost.
@@ -61,6 +60,10 @@ MOST_POINTS = 1000  # of a longer signal, the smallest and largest value of ever
 TITLE_SIZE, NOTE_SIZE, LABEL_SIZE, TICK_SIZE = 11, 9, 9.5, 9
 LEGEND_CHARACTERS, HANDLE_CHARACTERS = 130, 8  # width of a legend above the panels, and of a line or marker in it
 NOTE_CHARACTERS = 70  # width of a note under the title of a panel in half of a figure
+
+OVERLAY_REACH = 0.6  # an overlay may widen an axis by this fraction of what the others span; beyond, it is cut off
+BOUND_REACH = 0.6  # likewise for a bound far from all trajectories
+MARGIN = 0.06  # empty fraction at either side of an axis
 
 
 @dataclass(frozen=True)
@@ -219,11 +222,6 @@ def style_axes(ax: Axes, title: str, x_label: str, y_label: str, notes: Sequence
         ax.spines[side].set_linewidth(0.8)
 
 
-OVERLAY_REACH = 0.6  # an overlay may widen an axis by this fraction of what the others span; beyond, it is cut off
-BOUND_REACH = 0.6  # likewise for a bound far from all trajectories
-MARGIN = 0.06  # empty fraction at either side of an axis
-
-
 @dataclass(frozen=True)
 class Span:
     """A mode that holds over the steps start .. end - 1, from time ``start`` to time ``end``."""
@@ -321,6 +319,15 @@ class PlotData:
         return notes
 
 
+def _end_of(trace: Trace, signals: Sequence[Signal]) -> str:
+    """Return how far from the terminal set a trajectory ends, or how far it goes where the end is free."""
+    end = trace.measured.end
+    bounded = [] if end is None else [one for one in signals if end.bounded[one.index]]
+    if end is not None and bounded:
+        return f"ends {listed([quantity(float(end.values[one.index]), one.name) for one in bounded])} away"
+    return f"goes as far as {listed([quantity(trace.measured.largest(one), one.name) for one in signals])}"
+
+
 def view(mains: Sequence[Array], overlays: Sequence[Array], bounds: Array, references: Sequence[Array] = ()) -> View:
     """Return a range that shows all mains and references, and overlays and bounds as far as they are near."""
     mains = [*mains, *references]
@@ -339,10 +346,4 @@ def view(mains: Sequence[Array], overlays: Sequence[Array], bounds: Array, refer
     return View(low - margin, high + margin, outside)
 
 
-def _end_of(trace: Trace, signals: Sequence[Signal]) -> str:
-    """Return how far from the terminal set a trajectory ends, or how far it goes where the end is free."""
-    end = trace.measured.end
-    bounded = [] if end is None else [one for one in signals if end.bounded[one.index]]
-    if end is not None and bounded:
-        return f"ends {listed([quantity(float(end.values[one.index]), one.name) for one in bounded])} away"
-    return f"goes as far as {listed([quantity(trace.measured.largest(one), one.name) for one in signals])}"
+THEMED |= {REFERENCE: "reference", CLASSICAL: "classical", FILTERED: "filtered", CONSTRAINED: "constrained"}

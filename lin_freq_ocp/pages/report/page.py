@@ -49,6 +49,73 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 PIXELS_PER_INCH = 150
 
+CAPTION = (
+    "Spectrograms show the magnitude of the DFT of short windows over the time of their middle. Crosses mark steps "
+    "whose problem had no solution, or no plan in time."
+)
+
+
+def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
+    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
+    drawings = draw(comparison)
+    return save_page(Path(folder), render(comparison, drawings), drawings)
+
+
+def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
+    """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
+    drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
+    page = rendered(
+        "loop.html.jinja",
+        title=loop.problem.name or "Control loop",
+        finding=_finding(loop),
+        tiles=_tiles(loop),
+        drawing=drawing,
+        counts=_counts(loop),
+        excess=_excess(loop),
+        facts=problem_facts(loop.problem, loop.problem.gap),
+        problem=loop.problem,
+        version=version("lin-freq-ocp"),
+    )
+    return save_page(folder, page, [drawing])
+
+
+def _finding(loop: LoopRecord) -> str:
+    steps = len(loop.steps)
+    proven = int(loop.satisfied.sum())
+    text = f"{plural(steps, 'step')}; the plans of {proven} satisfy the maximum principle"
+    known = loop.gaps[np.isfinite(loop.gaps)]
+    text += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
+    return text + (f" The loop stopped before its end: {loop.stopped}" if loop.stopped else "")
+
+
+def _tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
+    """Return label, number and remark of the headline's figures."""
+    if not loop.steps:
+        return [("steps", "0", "")]
+    solve, certify = 1e3 * loop.solve_seconds, 1e3 * loop.certify_seconds
+    return [
+        ("steps", str(len(loop.steps)), ""),
+        ("time of a step", f"{number(float(np.median(solve)), 3)} ms", f"at most {number(float(solve.max()), 3)} ms"),
+        ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
+        ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
+    ]
+
+
+def _counts(loop: LoopRecord) -> list[tuple[str, str, str, int]]:
+    """Return status, source and method of the steps, with how many there are of each."""
+    found = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
+    return [(*key, count) for key, count in found.most_common()]
+
+
+def _excess(loop: LoopRecord) -> list[tuple[str, str, int]]:
+    """Return the largest excess of each softened constraint, and at how many steps there was one."""
+    names = dict.fromkeys(name for step in loop.steps for name in step.excess)
+    rows: list[tuple[str, str, int]] = []
+    for name in names:
+        amounts = [step.excess.get(name, 0.0) for step in loop.steps]
+        rows.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
+    return rows
+
 
 @dataclass(frozen=True)
 class Drawing:
@@ -108,134 +175,9 @@ def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
     return path
 
 
-CAPTION = (
-    "Spectrograms show the magnitude of the DFT of short windows over the time of their middle. Crosses mark steps "
-    "whose problem had no solution, or no plan in time."
-)
-
-
-def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
-    """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
-    drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
-    page = rendered(
-        "loop.html.jinja",
-        title=loop.problem.name or "Control loop",
-        finding=_finding(loop),
-        tiles=_tiles(loop),
-        drawing=drawing,
-        counts=_counts(loop),
-        excess=_excess(loop),
-        facts=problem_facts(loop.problem, loop.problem.gap),
-        problem=loop.problem,
-        version=version("lin-freq-ocp"),
-    )
-    return save_page(folder, page, [drawing])
-
-
-def _finding(loop: LoopRecord) -> str:
-    steps = len(loop.steps)
-    proven = int(loop.satisfied.sum())
-    text = f"{plural(steps, 'step')}; the plans of {proven} satisfy the maximum principle"
-    known = loop.gaps[np.isfinite(loop.gaps)]
-    text += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
-    return text + (f" The loop stopped before its end: {loop.stopped}" if loop.stopped else "")
-
-
-def _tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
-    """Return label, number and remark of the headline's figures."""
-    if not loop.steps:
-        return [("steps", "0", "")]
-    solve, certify = 1e3 * loop.solve_seconds, 1e3 * loop.certify_seconds
-    return [
-        ("steps", str(len(loop.steps)), ""),
-        ("time of a step", f"{number(float(np.median(solve)), 3)} ms", f"at most {number(float(solve.max()), 3)} ms"),
-        ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
-        ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
-    ]
-
-
-def _counts(loop: LoopRecord) -> list[tuple[str, str, str, int]]:
-    """Return status, source and method of the steps, with how many there are of each."""
-    found = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
-    return [(*key, count) for key, count in found.most_common()]
-
-
-def _excess(loop: LoopRecord) -> list[tuple[str, str, int]]:
-    """Return the largest excess of each softened constraint, and at how many steps there was one."""
-    names = dict.fromkeys(name for step in loop.steps for name in step.excess)
-    rows: list[tuple[str, str, int]] = []
-    for name in names:
-        amounts = [step.excess.get(name, 0.0) for step in loop.steps]
-        rows.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
-    return rows
-
-
-def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
-    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
-    drawings = draw(comparison)
-    return save_page(Path(folder), render(comparison, drawings), drawings)
-
-
 def draw(comparison: ComparisonOutcome) -> tuple[Drawing, ...]:
     """Return all figures that the comparison has something to show in."""
     return tuple(drawing_of(*parts) for parts in _figures(comparison))
-
-
-def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
-    """Return the page."""
-    problem, certificate = comparison.problem, comparison.constrained.certificate
-    constrained, result = has_frequency_constraint(problem), comparison.constrained
-    return rendered(
-        "page.html.jinja",
-        title=problem.name or "Optimal control problem",
-        finding=finding(comparison),
-        tiles=tiles(comparison),
-        drawings={drawing.name: drawing for drawing in drawings},
-        table=comparison_rows(comparison),
-        moves=None if comparison.moves is None else moves_rows(comparison.moves),
-        filtering=FILTERING,
-        not_meaningful=NOT_MEANINGFUL,
-        meaning=stop_band_meaning(comparison),
-        verdict=[] if certificate is None else proof.verdict(certificate, problem),
-        search=proof.search_sentences(result),
-        conditions=() if certificate is None else certificate_rows(problem, certificate),
-        problem=problem,
-        result=result,
-        comparison=comparison,
-        amplification=rough(comparison.classical_measures.amplification),
-        facts=problem_facts(problem, problem.gap),
-        filter_limits=filter_limits(problem),
-        constrained=constrained,
-        filters=comparison.filtered if can_be_filtered(problem) else (),
-        solves=[
-            *([_how("without the frequency constraint", comparison.classical)] if constrained else []),
-            _how("with the constraint" if constrained else "the problem", result),
-        ],
-        sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
-        version=version("lin-freq-ocp"),
-    )
-
-
-def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
-    """Return the figures of the headline: label, number, and a remark on it."""
-    result, certificate = comparison.constrained, comparison.constrained.certificate
-    shown = list[tuple[str, str, str]]()
-    if has_frequency_constraint(comparison.problem):
-        shown.append(("cost without frequency constraint", number(comparison.classical.cost), ""))
-    if certificate is None:
-        return [*shown, ("with the constraint", result.status.replace("_", " "), "proven" if result.dual else "")]
-    cost, remark = ("optimal cost", "") if proof.proven_optimal(result) else ("cost found", "not proven global")
-    if certificate.borders is not None and certificate.bound is None:
-        cost, remark = "cost found", "no global bound"
-    if not certificate.feasible:
-        remark = "breaks constraints"
-    shown.append(("cost with the constraint" if shown else cost, number(result.cost), remark))
-    kind = "" if certificate.normal is None else "normal" if certificate.normal else "abnormal"
-    shown.append(("maximum principle", certificate.pmp.replace("_", " "), kind))
-    if certificate.gap is not None and certificate.bound is not None:
-        bound = f"{proof.bound_kind(certificate)} bound"
-        shown.append((f"gap to the {bound}", number(certificate.gap, 2), certificate.bound.kind))
-    return shown
 
 
 def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Figure]]:
@@ -293,7 +235,64 @@ def _of_continua(data: PlotData, with_boxes: bool) -> Iterator[tuple[str, str, s
         yield "vibration", "Residual vibration over the natural frequency, with its limit", caption, vibrations
 
 
+def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
+    """Return the page."""
+    problem, certificate = comparison.problem, comparison.constrained.certificate
+    constrained, result = has_frequency_constraint(problem), comparison.constrained
+    return rendered(
+        "page.html.jinja",
+        title=problem.name or "Optimal control problem",
+        finding=finding(comparison),
+        tiles=tiles(comparison),
+        drawings={drawing.name: drawing for drawing in drawings},
+        table=comparison_rows(comparison),
+        moves=None if comparison.moves is None else moves_rows(comparison.moves),
+        filtering=FILTERING,
+        not_meaningful=NOT_MEANINGFUL,
+        meaning=stop_band_meaning(comparison),
+        verdict=[] if certificate is None else proof.verdict(certificate, problem),
+        search=proof.search_sentences(result),
+        conditions=() if certificate is None else certificate_rows(problem, certificate),
+        problem=problem,
+        result=result,
+        comparison=comparison,
+        amplification=rough(comparison.classical_measures.amplification),
+        facts=problem_facts(problem, problem.gap),
+        filter_limits=filter_limits(problem),
+        constrained=constrained,
+        filters=comparison.filtered if can_be_filtered(problem) else (),
+        solves=[
+            *([_how("without the frequency constraint", comparison.classical)] if constrained else []),
+            _how("with the constraint" if constrained else "the problem", result),
+        ],
+        sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
+        version=version("lin-freq-ocp"),
+    )
+
+
 def _how(what: str, result: Outcome) -> tuple[str, str, str, str, str]:
     times = ", ".join(f"{stage} {number(seconds, 3)} s" for stage, seconds in result.seconds.items())
     status = f"{result.status.replace('_', ' ')}{': ' if result.message else ''}{result.message}"
     return what, status, result.method, result.backend or "none needed", times
+
+
+def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
+    """Return the figures of the headline: label, number, and a remark on it."""
+    result, certificate = comparison.constrained, comparison.constrained.certificate
+    shown = list[tuple[str, str, str]]()
+    if has_frequency_constraint(comparison.problem):
+        shown.append(("cost without frequency constraint", number(comparison.classical.cost), ""))
+    if certificate is None:
+        return [*shown, ("with the constraint", result.status.replace("_", " "), "proven" if result.dual else "")]
+    cost, remark = ("optimal cost", "") if proof.proven_optimal(result) else ("cost found", "not proven global")
+    if certificate.borders is not None and certificate.bound is None:
+        cost, remark = "cost found", "no global bound"
+    if not certificate.feasible:
+        remark = "breaks constraints"
+    shown.append(("cost with the constraint" if shown else cost, number(result.cost), remark))
+    kind = "" if certificate.normal is None else "normal" if certificate.normal else "abnormal"
+    shown.append(("maximum principle", certificate.pmp.replace("_", " "), kind))
+    if certificate.gap is not None and certificate.bound is not None:
+        bound = f"{proof.bound_kind(certificate)} bound"
+        shown.append((f"gap to the {bound}", number(certificate.gap, 2), certificate.bound.kind))
+    return shown

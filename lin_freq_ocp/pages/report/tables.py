@@ -33,6 +33,8 @@ IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")  # cond
 COST_DIGITS = 5  # costs differ less than the other figures do
 SWEEP_DIGITS = 6  # neighbours in a grid differ less than a filter and a solution do
 
+Columns = Sequence[MeasuredTrajectory | None]  # None: no trajectory was found
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -84,9 +86,6 @@ class ConditionRow:
     def verdict(self) -> str:
         """Return "holds" or "fails"."""
         return "holds" if self.passed else "fails"
-
-
-Columns = Sequence[MeasuredTrajectory | None]  # None: no trajectory was found
 
 
 def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
@@ -185,6 +184,21 @@ def certificate_rows(problem: OptimalControlProblem, certificate: Certificate) -
     )
 
 
+def _worst_at(problem: OptimalControlProblem, condition: Condition) -> str:
+    """Return where a condition is worst; nothing where it holds exactly."""
+    if condition.time is None or condition.residual == 0:
+        return NOTHING
+    if condition.label in OF_ROWS:
+        return f"t = {condition.time}, row {condition.component}"
+    if condition.label in OF_MODES and condition.component is not None:
+        return f"t = {condition.time}, {problem.dynamics.mode_names[condition.component]}"
+    names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
+    axis = "bin" if condition.label in IN_FREQUENCY else "t ="
+    if condition.component is None:
+        return f"{axis} {condition.time}"
+    return f"{axis} {condition.time}, {short_name(names[condition.component])}"
+
+
 def comparison_table(comparison: ComparisonOutcome) -> Table:
     """Return the comparison as a table for a terminal."""
     return terminal_table(comparison.problem.name or "Comparison", comparison_rows(comparison))
@@ -204,6 +218,12 @@ def terminal_table(title: str, rows: ComparisonRows) -> Table:
             label = f"{row.label} [{row.unit}]" if row.unit else row.label
             table.add_row(Text(("  " if group.title else "") + label), *(_styled(cell) for cell in row.cells))
     return table
+
+
+def _styled(cell: Cell) -> Text:
+    if cell.passed is False:
+        return Text(f"{cell.text} \N{BALLOT X}", style="bold red")
+    return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
 
 
 def certificate_table(problem: OptimalControlProblem, certificate: Certificate) -> Table:
@@ -246,27 +266,6 @@ def sweep_table(sweep: SweepOutcome) -> Table:
 
 def _shown(value: object) -> str:
     return NOTHING if value is None else number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)
-
-
-def _styled(cell: Cell) -> Text:
-    if cell.passed is False:
-        return Text(f"{cell.text} \N{BALLOT X}", style="bold red")
-    return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
-
-
-def _worst_at(problem: OptimalControlProblem, condition: Condition) -> str:
-    """Return where a condition is worst; nothing where it holds exactly."""
-    if condition.time is None or condition.residual == 0:
-        return NOTHING
-    if condition.label in OF_ROWS:
-        return f"t = {condition.time}, row {condition.component}"
-    if condition.label in OF_MODES and condition.component is not None:
-        return f"t = {condition.time}, {problem.dynamics.mode_names[condition.component]}"
-    names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
-    axis = "bin" if condition.label in IN_FREQUENCY else "t ="
-    if condition.component is None:
-        return f"{axis} {condition.time}"
-    return f"{axis} {condition.time}, {short_name(names[condition.component])}"
 
 
 def moves_rows(moves: Moves) -> ComparisonRows:
