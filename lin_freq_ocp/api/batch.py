@@ -1,7 +1,4 @@
-"""solve_many() and Solver as users call them: one problem, again and again.
-
-sweep() as users call it, and the sweep that it returns.
-"""
+"""solve_many(), Solver and sweep() as users call them: one problem again and again, or at every point of a grid."""
 
 from __future__ import annotations
 
@@ -16,12 +13,12 @@ from typing import TYPE_CHECKING, final
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, shown_as
-from lin_freq_ocp.api.solve import answered, counted, reporting
+from lin_freq_ocp.api.solve import count_text, report_progress, result_of
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.grid import Source
-from lin_freq_ocp.batch.many import ManyHead, ManyOutcome, References, solved_many
+from lin_freq_ocp.batch.many import ManyHead, ManyOutcome, References, run_many
 from lin_freq_ocp.batch.repeated import Repeated
-from lin_freq_ocp.batch.sweep import SweepOutcome, swept
+from lin_freq_ocp.batch.sweep import SweepOutcome, run_sweep
 from lin_freq_ocp.files.batch_files import ManyFile, SweepFile, read_sweep, save_sweep_csv
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
@@ -100,7 +97,7 @@ class Solver:
             As for ``lfo.solve``.
         """
         outcome = self._repeated.solve(Change(initial_state, terminal_state, references), time_limit)
-        return answered(outcome, throw, time_limit)
+        return result_of(outcome, throw, time_limit)
 
 
 @final
@@ -127,7 +124,7 @@ class Solutions(ManyOutcome):
         change = self.changes[i]
         if isinstance(change, ProblemError):
             raise change
-        return answered(self.again.solve(change), throw=False)
+        return result_of(self.again.solve(change), throw=False)
 
 
 def solve_many(
@@ -187,14 +184,14 @@ def solve_many(
     def record(head: ManyHead) -> AbstractContextManager[ManyFile | None]:
         return nullcontext() if path is None else ManyFile(path, head)
 
-    with reporting(progress or (_on_terminal if sys.stderr.isatty() else None), counted) as report:
+    with report_progress(progress or (_on_terminal if sys.stderr.isatty() else None), count_text) as report:
         tell = report or (lambda done, count: None)
-        found = solved_many(problem, initial_states, references, executor, method, time_limit, record, tell)
+        found = run_many(problem, initial_states, references, executor, method, time_limit, record, tell)
     return shown_as(Solutions, found)
 
 
 def _on_terminal(done: int, count: int) -> None:
-    print(f"\r{counted(done, count)}", end="\n" if done == count else "", file=sys.stderr, flush=True)
+    print(f"\r{count_text(done, count)}", end="\n" if done == count else "", file=sys.stderr, flush=True)
 
 
 @final
@@ -286,8 +283,8 @@ def sweep(
     """
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     record = (lambda head, grid: nullcontext()) if path is None else partial(SweepFile, path)
-    with reporting(progress, counted) as report:
-        return shown_as(Sweep, swept(problem, grid, options, executor, record, report))
+    with report_progress(progress, count_text) as report:
+        return shown_as(Sweep, run_sweep(problem, grid, options, executor, record, report))
 
 
 def load_sweep(path: str | PathLike[str]) -> Sweep:

@@ -1,9 +1,4 @@
-"""solve() as users call it: its outcome as a result, or an error that holds the result.
-
-The progress of a long call in a Jupyter notebook: a line below the cell, which is gone when the call ends.
-
-It is shown by IPython, which every notebook has; where there is no notebook, nothing is imported and nothing shown.
-"""
+"""solve() as users call it: an answer with its certificate, an error where there is none, and a line of progress."""
 
 from __future__ import annotations
 
@@ -134,16 +129,16 @@ def solve(
     """
     started = now()
     limits = backend, tolerance, gap, node_limit
-    with reporting(progress, str) as report:
+    with report_progress(progress, str) as report:
         outcome = solve_judged(problem, method, time_limit, report, start, *limits, executor, global_bound)
-    return answered(outcome, throw, None if time_limit is None else time_limit - (now() - started))
+    return result_of(outcome, throw, None if time_limit is None else time_limit - (now() - started))
 
 
-def answered(outcome: Outcome, throw: bool, seconds_left: float | None = None) -> Result:
+def result_of(outcome: Outcome, throw: bool, seconds_left: float | None = None) -> Result:
     """Return an outcome as a result; with ``throw``, raise the error of a status that is no answer, and explain it."""
     result = shown_as(Result, outcome)
     if throw and result.status == Status.INFEASIBLE:
-        result = explained(result, seconds_left)
+        result = with_explanation(result, seconds_left)
     if throw:
         raise_for(result)
     return result
@@ -190,7 +185,7 @@ def _reached(result: Result) -> str:
     return f"the best point is in .result: {', '.join(texts)}"
 
 
-def explained(
+def with_explanation(
     result: Result, seconds_left: float | None = None, processor_time: float | None = EXPLAIN_SECONDS
 ) -> Result:
     """Return an infeasible result with its explanation, if it is found in these limits; None for no limit."""
@@ -205,7 +200,7 @@ def explained(
 
 
 @contextmanager
-def reporting(
+def report_progress(
     given: Callable[Given, None] | None, words: Callable[Given, str]
 ) -> Generator[Callable[Given, None] | None]:
     """Yield a given report of progress; without one, in a notebook, what shows its words, else None."""
@@ -259,6 +254,6 @@ def in_notebook() -> bool:
     return ipython is not None and hasattr(ipython.get_ipython(), "kernel") and parent_process() is None
 
 
-def counted(done: int, count: int) -> str:
+def count_text(done: int, count: int) -> str:
     """Return how many are solved of how many."""
     return f"{done} of {count} solved"

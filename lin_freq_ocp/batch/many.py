@@ -1,8 +1,7 @@
 """Many problems that differ in initial state and references, here or on an executor, recorded and resumed.
 
-Some of many problems that differ in initial state and references: solved one from the other, judged together.
-
-The order in which many initial states are solved: each begins with the answer of one that is near it.
+They are solved in parts, along a tour of the initial states: each begins with the answer of one near it. The
+Fourier-domain method solves and judges a whole part at once where it applies; the other problems follow one by one.
 """
 
 from __future__ import annotations
@@ -127,7 +126,7 @@ class ManyOutcome:
         return values
 
 
-def solved_many(
+def run_many(
     problem: OptimalControlProblem,
     initial_states: object,
     references: References | Sequence[References] | None,
@@ -145,15 +144,17 @@ def solved_many(
             advice = "Of a Dask client: client.get_executor()."
             raise ProblemError("executor", brief(executor), "a concurrent.futures.Executor, or None", advice)
         require_picklable(problem, {"method": [method]})
-    keys = [_key(change) for change in changes]
+    keys = [_change_key(change) for change in changes]
     good = {key: change for key, change in zip(keys, changes, strict=True) if isinstance(change, Change)}
-    head = ManyHead(fingerprint(problem), {"method": _method_name(method), "time_limit": time_limit})
+    head = ManyHead(
+        fingerprint(problem), {"method": method if isinstance(method, str) else repr(method), "time_limit": time_limit}
+    )
     found, interrupted = dict[str, Item](), False
     with open_record(head) as record:
         found |= {} if record is None else {key: item for key, item in record.items.items() if key in good}
         progress(len(found), len(good))
         try:
-            for part in _parts(again, _in_order(good, found), time_limit, executor):
+            for part in _parts(again, _order_unsolved(good, found), time_limit, executor):
                 for key, item in part.items.items():
                     found[key] = item
                     if record is not None:
@@ -170,12 +171,8 @@ def solved_many(
     return ManyOutcome(problem, tuple(changes), items, again, interrupted)
 
 
-def _key(change: Change | ProblemError) -> str:
+def _change_key(change: Change | ProblemError) -> str:
     return "" if isinstance(change, ProblemError) else fingerprint((change.initial_state, change.references))
-
-
-def _method_name(method: str | Method) -> str:
-    return method if isinstance(method, str) else repr(method)
 
 
 def _parts(
@@ -184,25 +181,27 @@ def _parts(
     """Yield what is solved; problems of a part that is lost are given out again one by one."""
     if executor is None:
         with one_blas_thread():
-            for part in _split(changes, HERE).values():
+            for part in _split_parts(changes, HERE).values():
                 yield solve_part(again, part, time_limit)
         return
-    work = Work(partial(_solve_sent, again.problem, again.name, time_limit), _lost, lambda part: part.interrupted)
+    work = Work(
+        partial(_solve_in_worker, again.problem, again.name, time_limit), _lost_part, lambda part: part.interrupted
+    )
     lost = dict[str, Change]()
     for size in (SENT, 1):
-        with closing(finished(work, _split(changes if size > 1 else lost, size), executor)) as parts:
+        with closing(finished(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:
             for _, part in parts:
                 if size > 1:
                     lost |= {key: changes[key] for key, item in part.items.items() if item.lost}
                 yield Part({key: item for key, item in part.items.items() if size == 1 or key not in lost})
 
 
-def _split(changes: Mapping[str, Change], size: int) -> dict[str, dict[str, Change]]:
+def _split_parts(changes: Mapping[str, Change], size: int) -> dict[str, dict[str, Change]]:
     entries = list(changes.items())
     return {str(first): dict(entries[first : first + size]) for first in range(0, len(entries), size)}
 
 
-def _solve_sent(
+def _solve_in_worker(
     problem: OptimalControlProblem,
     method: str | Method,
     time_limit: float | None,
@@ -214,11 +213,11 @@ def _solve_sent(
         return solve_part(Repeated(problem, method), changes, time_limit)
 
 
-def _lost(changes: Mapping[str, Change], reason: str) -> Part:
+def _lost_part(changes: Mapping[str, Change], reason: str) -> Part:
     return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in changes})
 
 
-def _in_order(changes: Mapping[str, Change], found: Mapping[str, Item]) -> dict[str, Change]:
+def _order_unsolved(changes: Mapping[str, Change], found: Mapping[str, Item]) -> dict[str, Change]:
     """Return what is not solved, each near the one before."""
     left = {key: change for key, change in changes.items() if key not in found}
     states = [change.initial_state for change in left.values()]
@@ -239,19 +238,19 @@ def changes_of(
     each = None if references is None or isinstance(references, Mapping) else list(references)
     if states is None and each is None:
         raise ProblemError("initial_states", "None", f"an array (N, {n})", "Or references, one mapping per problem.")
-    rows = [None] * len(each or ()) if states is None else _rows(states, n)
+    rows = [None] * len(each or ()) if states is None else _state_rows(states, n)
     each = [shared] * len(rows) if each is None else each
     if len(each) != len(rows):
         raise ProblemError("references", f"{len(each)} of them", f"{len(rows)}, one per initial state")
     if not rows:
         raise ProblemError("initial_states", "nothing", f"an array (N, {n}), N at least 1")
-    found = [_change(problem, i, row, other) for i, (row, other) in enumerate(zip(rows, each, strict=True))]
+    found = [_change_at(problem, i, row, other) for i, (row, other) in enumerate(zip(rows, each, strict=True))]
     if isinstance(found[0], ProblemError) and not any(isinstance(one, Change) for one in found):
         raise found[0]
     return found
 
 
-def _rows(states: object, n: int) -> Sequence[object]:
+def _state_rows(states: object, n: int) -> Sequence[object]:
     """Return the initial states; an array must have the shape (N, n), entries of a list are checked later."""
     if isinstance(states, (list, tuple)):
         return states
@@ -263,7 +262,7 @@ def _rows(states: object, n: int) -> Sequence[object]:
     return list(array)
 
 
-def _change(
+def _change_at(
     problem: OptimalControlProblem, i: int, state: object, references: References | None
 ) -> Change | ProblemError:
     n, field = problem.state_dim, f"initial_states[{i}]"
@@ -310,17 +309,17 @@ def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float
     """Solve problems one after another, each from the one before; what fails is an item of its own."""
     items, interrupted = dict[str, Item](), False
     try:
-        items, interrupted = _together(again, changes) if time_limit is None else ({}, False)
+        items, interrupted = _solve_batched(again, changes) if time_limit is None else ({}, False)
         for key in changes if not interrupted else ():
             if key not in items:
-                items[key] = _judged_alone(again, changes[key], time_limit)
+                items[key] = _solve_single(again, changes[key], time_limit)
     except KeyboardInterrupt:
         interrupted = True
     return Part({key: items[key] for key in changes if key in items}, interrupted)
 
 
-def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
-    """Return what the Fourier-domain method solves at once, if the bound of all proves it, and whether Ctrl-C came."""
+def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
+    """Return the items that the Fourier-domain method solves and the batch judge proves, and whether Ctrl-C came."""
     states = [change.initial_state for change in changes.values() if change.references is None]
     if not again.linear or not again.spectral or len(states) < len(changes) or states[0] is None:
         return {}, False
@@ -355,7 +354,7 @@ def _together(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str,
     return items, found.interrupted
 
 
-def _judged_alone(again: Repeated, change: Change, time_limit: float | None) -> Item:
+def _solve_single(again: Repeated, change: Change, time_limit: float | None) -> Item:
     started = now()
     if again.excluded(change):
         message = "proven by a rigorous ray of another initial state"
@@ -377,10 +376,10 @@ def tour(states: Array) -> Indices:
     scaled = (states - states.mean(0)) / np.where(spread > 0, spread, 1.0)
     along = np.argsort(scaled[:, int(np.argmax(np.abs(scaled).max(0)))], kind="stable")
     blocks = [along[first : first + BLOCK] for first in range(0, len(along), BLOCK)]
-    return np.concatenate([block[_nearest(scaled[block])] for block in blocks])
+    return np.concatenate([block[_nearest_unvisited(scaled[block])] for block in blocks])
 
 
-def _nearest(points: Array) -> Indices:
+def _nearest_unvisited(points: Array) -> Indices:
     """Return an order that begins at the first point and goes on to the nearest that is left."""
     order, left = np.zeros(len(points), dtype=np.intp), np.ones(len(points), dtype=bool)
     for step in range(1, len(points)):

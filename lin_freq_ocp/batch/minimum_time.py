@@ -1,10 +1,9 @@
-"""The least feasible horizon: by bisection where feasibility is monotone, else horizon by horizon from below.
+"""The least feasible horizon of a range, by bisection where feasibility is proven monotone, and from below otherwise.
 
-Whether a problem that is feasible at one horizon is feasible at all longer ones.
-
-It is, if zeros can be appended: after any feasible trajectory of T steps, u_T = 0 keeps the state, x_{T+1} = x_T, and
-that is feasible for T + 1 steps. What this needs is checked here, one condition after another; costs, and constraints
-that may be violated at a price, play no part. The conditions are sufficient: where one fails, nothing is said.
+Feasibility is monotone, if zeros can be appended: after any feasible trajectory of T steps, u_T = 0 keeps the state,
+x_{T+1} = x_T, and that is feasible for T + 1 steps. ``obstacles`` checks what this needs, one condition after another;
+costs, and constraints that may be violated at a price, play no part. The conditions are sufficient: where one fails,
+nothing is said.
 """
 
 from __future__ import annotations
@@ -84,7 +83,7 @@ class Search:
         return verdict
 
 
-def searched(
+def search_horizons(
     low: int,
     high: int,
     monotone: bool,
@@ -135,7 +134,7 @@ def checked_horizons(given: object) -> tuple[int, int]:
     return low, high
 
 
-def stated(source: Source, horizon: int) -> OptimalControlProblem:
+def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
     """Return the problem at a horizon: of a function, what it returns; of a problem, the same data."""
     if callable(source):
         problem = problem_at(source, {"horizon": horizon})
@@ -182,17 +181,17 @@ def obstacles(at: At, shortest: int, longest: int, same_data: bool) -> list[str]
         *_controls_without_zero(problem, shortest),
         *_varying_states(problem, shortest),
         *_rows_in_the_way(problem, shortest),
-        *_spectra(problem),
+        *_spectra_in_the_way(problem),
     ]
     spectra = problem.control_spectrum, problem.state_spectrum, problem.output_spectrum
     same_data = same_data and not any(entries_of(given) for given in spectra)  # a band may have bins at some horizons
-    return found if found or same_data else _other_data(at, shortest, problem)
+    return found if found or same_data else _data_differences(at, shortest, problem)
 
 
 def _moving_ends(problem: OptimalControlProblem, first: int) -> Iterator[str]:
     """Yield the states in which A_t x + d_t differs from x for an admissible end x, at some t from ``first`` on."""
-    dynamics, end = problem.linear, _end(problem)
-    A, d = _from(dynamics.A, first, 2), _from(dynamics.offset, first, 1)
+    dynamics, end = problem.linear, problem.ends[1]
+    A, d = _entries_from(dynamics.A, first, 2), _entries_from(dynamics.offset, first, 1)
     x, fixed, identity = np.where(end.fixed, end.lower, 0.0), end.fixed, np.eye(problem.state_dim)
     change = np.abs(A - identity)
     change = np.where((identity > 0) & (change <= ROUNDING), 0.0, change)
@@ -203,12 +202,7 @@ def _moving_ends(problem: OptimalControlProblem, first: int) -> Iterator[str]:
         yield f"with a control of zero the state does not stay at every admissible end ({names})"
 
 
-def _end(problem: OptimalControlProblem) -> Box:
-    """Return bounds of the admissible end states, (n,)."""
-    return problem.ends[1]
-
-
-def _from(values: Array, first: int, dimensions: int) -> Array:
+def _entries_from(values: Array, first: int, dimensions: int) -> Array:
     """Return the entries of times from ``first`` on, or the one of all times, with the time as axis 0."""
     return values[None] if values.ndim == dimensions else values[first:]
 
@@ -242,19 +236,19 @@ def _sequence(given: object) -> list[ConvexSet]:
 
 def _rows_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str]:
     """Yield the families of joint rows that an admissible end, with a control of zero, can violate."""
-    end = _end(problem)
+    end = problem.ends[1]
     for rows in problem.stage_rows:
-        C, e = _from(rows.C, first, 2), _from(rows.e, first, 1)
-        if rows.penalty is None and (_largest(C, end) > e).any():
+        C, e = _entries_from(rows.C, first, 2), _entries_from(rows.e, first, 1)
+        if rows.penalty is None and (_largest_value(C, end) > e).any():
             yield f"stage_rows: '{rows.name}' does not hold at every admissible end with a control of zero"
 
 
-def _largest(C: Array, end: Box) -> Array:
+def _largest_value(C: Array, end: Box) -> Array:
     """Return the largest C x over a box, for C (..., rows, n) or (n,)."""
     return np.asarray(end.support(C))
 
 
-def _spectra(problem: OptimalControlProblem) -> Iterator[str]:
+def _spectra_in_the_way(problem: OptimalControlProblem) -> Iterator[str]:
     """Yield the hard frequency constraints that appended samples can violate."""
     for name, stop in (("control_spectrum", problem.control_stop), ("state_spectrum", problem.state_stop)):
         if stop.any():
@@ -266,44 +260,48 @@ def _spectra(problem: OptimalControlProblem) -> Iterator[str]:
             yield f"{term.name}: it is about bins, or all samples, of its own horizon"
         elif (term.everywhere.map.window != 1).any():
             yield f"{term.name}: its window belongs to one horizon"
-        elif not _appends_zeros(term, _end(problem)):
+        elif not _appends_zeros(term, problem.ends[1]):
             yield f"{term.name}: the sample that is appended is not zero"
 
 
 def _appends_zeros(term: Term, end: Box) -> bool:
     """Whether the signal of a mask at every frequency is zero at every admissible end with a control of zero."""
     C = None if term.everywhere is None else term.everywhere.map.C
-    return C is None or bool(_largest(C, end) == 0 and _largest(-C, end) == 0)
+    return C is None or bool(_largest_value(C, end) == 0 and _largest_value(-C, end) == 0)
 
 
-def _other_data(at: At, shortest: int, longest: OptimalControlProblem) -> list[str]:
+def _data_differences(at: At, shortest: int, longest: OptimalControlProblem) -> list[str]:
     """Return the fields whose data at a shorter horizon are not those of the longest one in its first steps."""
     for T in range(shortest, longest.horizon):
-        problem, expected = at(T), _data(longest, T)
-        changed = [field for field, value in _data(problem, T).items() if value != expected[field]]
+        problem, expected = at(T), _data_of_first_steps(longest, T)
+        changed = [field for field, value in _data_of_first_steps(problem, T).items() if value != expected[field]]
         if changed:
             return [f"{', '.join(changed)}: not the same in the first steps at the horizons {T} and {longest.horizon}"]
     return []
 
 
-def _data(problem: OptimalControlProblem, horizon: int) -> dict[str, str]:
+def _data_of_first_steps(problem: OptimalControlProblem, horizon: int) -> dict[str, str]:
     """Return fingerprints of what decides feasibility in the first steps."""
     T, dynamics = horizon, problem.linear
     states, controls = problem.state_boxes, problem.control_tube
     rows = [
-        (one.name, _until(one.C, T, 2), _until(one.D, T, 2), _until(one.e, T, 1))
+        (one.name, _entries_until(one.C, T, 2), _entries_until(one.D, T, 2), _entries_until(one.e, T, 1))
         for one in problem.stage_rows
         if one.penalty is None
     ]
     masks = [
-        (term.name, None if term.everywhere is None else _mask(term))
+        (term.name, None if term.everywhere is None else _mask_data(term))
         for term in problem.terms
         if term.hard and term.kind.is_spectrum
     ]
     found: dict[str, object] = {
-        "dynamics": [_until(dynamics.A, T, 2), _until(dynamics.B, T, 2), _until(dynamics.offset, T, 1)],
-        "control_set": [controls.lower[:T], controls.upper[:T], _beyond_bounds(problem.control_set)],
-        "state_set": [states.lower[: T + 1], states.upper[: T + 1], _beyond_bounds(problem.state_set)],
+        "dynamics": [
+            _entries_until(dynamics.A, T, 2),
+            _entries_until(dynamics.B, T, 2),
+            _entries_until(dynamics.offset, T, 1),
+        ],
+        "control_set": [controls.lower[:T], controls.upper[:T], _members_beyond_bounds(problem.control_set)],
+        "state_set": [states.lower[: T + 1], states.upper[: T + 1], _members_beyond_bounds(problem.state_set)],
         "initial_state": problem.initial_state,
         "terminal_state": problem.terminal_state,
         "stage_rows": rows,
@@ -312,15 +310,15 @@ def _data(problem: OptimalControlProblem, horizon: int) -> dict[str, str]:
     return {field: fingerprint(value) for field, value in found.items()}
 
 
-def _until(values: Array, horizon: int, dimensions: int) -> Array:
+def _entries_until(values: Array, horizon: int, dimensions: int) -> Array:
     return values if values.ndim == dimensions else values[:horizon]
 
 
-def _mask(term: Term) -> list[object]:
+def _mask_data(term: Term) -> list[object]:
     assert term.everywhere is not None
-    stated = [value for field, value in vars(term.everywhere).items() if field != "map"]
-    return [term.everywhere.map.C, term.everywhere.map.D, *stated]
+    others = [value for field, value in vars(term.everywhere).items() if field != "map"]
+    return [term.everywhere.map.C, term.everywhere.map.D, *others]
 
 
-def _beyond_bounds(given: object) -> object:
+def _members_beyond_bounds(given: object) -> object:
     return given.members if isinstance(given, ConvexSet) else None

@@ -1,6 +1,7 @@
 """Sweeps: one problem at every point of a grid of parameters, on as many processes or machines as there are.
 
-One point of a sweep: built, solved and judged in any process; the result is plain data.
+A point is built, solved and judged in any process; its row is plain data. Rows of an earlier run are not computed
+again, and each row is recorded when it is finished.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ Row = TypedDict(
     },
 )
 
-_building = threading.Lock()  # warnings are caught for a whole process: its threads build one after another
+_BUILD_LOCK = threading.Lock()  # warnings are caught for a whole process: its threads build one after another
 
 MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")  # the columns beside the parameters
 
@@ -150,7 +151,7 @@ class Record(Protocol):
 OpenRecord = Callable[[SweepHead, Mapping[str, Sequence[object]]], AbstractContextManager[Record | None]]
 
 
-def swept(
+def run_sweep(
     problem: Source,
     grid: Mapping[str, Sequence[object]],
     options: Mapping[str, Any],
@@ -167,7 +168,7 @@ def swept(
             raise ProblemError("executor", brief(executor), "a concurrent.futures.Executor, or None", advice)
         require_picklable(problem, values)
     points, shown = grid_points(values), {name: tuple(map(plain, given)) for name, given in values.items()}
-    head = SweepHead(_name(problem), fingerprint(problem), tuple(values), options)
+    head = SweepHead(_source_name(problem), fingerprint(problem), tuple(values), options)
     rows, interrupted = dict[str, Row](), False
     work = Work(partial(solve_point, problem, options), failed_point, lambda row: row["status"] == INTERRUPTED)
 
@@ -193,10 +194,10 @@ def swept(
     return SweepOutcome(head.problem, shown, kept, options, interrupted)
 
 
-def _name(problem: Source) -> str:
+def _source_name(problem: Source) -> str:
     """Return the name of a problem, or of the function that builds it."""
     if isinstance(problem, partial):
-        return _name(problem.func)
+        return _source_name(problem.func)
     return str(getattr(problem, "name", None) or getattr(problem, "__name__", None) or "problem")
 
 
@@ -219,13 +220,13 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
     row = failed_point(parameters, None, now() - started)
     certificate, messages = result.certificate, [result.message] if result.message else []
     row["status"] = INTERRUPTED if result.interrupted else result.status
-    row["proven"], row["lower_bound"] = _proven(result), _finite(result.lower_bound)
+    row["proven"], row["lower_bound"] = _is_proven(result), _finite_or_none(result.lower_bound)
     row["bound"] = result.bound
     row["method"], row["backend"] = result.method, result.backend
     if certificate is not None:
         row["pmp"], row["global"] = certificate.pmp, certificate.globally_optimal
     if result.primal:
-        row["cost"], row["gap"] = _finite(result.cost), _finite(result.gap)
+        row["cost"], row["gap"] = _finite_or_none(result.cost), _finite_or_none(result.gap)
     elif result.cost is not None:  # it may be lower than that of every solution
         messages.append(f"the point found, with cost {result.cost:.6g}, breaks constraints")
     row["message"] = "; ".join([*messages, *bands]) or None
@@ -235,7 +236,7 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
 @contextmanager
 def _band_warnings(messages: list[str]) -> Generator[None]:
     """Collect the warnings on frequency bands, which belong to the point; other warnings are issued again."""
-    with _building, warnings.catch_warnings(record=True) as caught:
+    with _BUILD_LOCK, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", BandWarning)
         yield
     for warning in caught:
@@ -245,7 +246,7 @@ def _band_warnings(messages: list[str]) -> Generator[None]:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
-def _proven(result: Outcome) -> bool:
+def _is_proven(result: Outcome) -> bool:
     if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
         return result.dual
     certificate = result.certificate
@@ -254,7 +255,7 @@ def _proven(result: Outcome) -> bool:
     return (certificate.pmp == "satisfied" and certificate.normal is True) or certificate.globally_optimal
 
 
-def _finite(value: float | None) -> float | None:
+def _finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 

@@ -20,7 +20,7 @@ from lin_freq_ocp.cli.console import (
     progress,
     say,
     settings_option,
-    written,
+    write_files,
 )
 from lin_freq_ocp.cli.problems import build, require_folder
 from lin_freq_ocp.files.solution_files import load_trajectory
@@ -69,7 +69,7 @@ def compare_command(
     status = exit_status(comparison.constrained)
     if folder is None or comparison.constrained.interrupted:
         return status
-    return written(status, lambda: _save_report(comparison, folder, as_json))
+    return write_files(status, lambda: _save_report(comparison, folder, as_json))
 
 
 def _save_report(comparison: Comparison, folder: Path, quiet: bool) -> None:

@@ -1,8 +1,7 @@
-"""Consoles, exit statuses, and what commands print.
+"""Consoles, exit statuses, printed text and tables, and the arguments and options that several commands have.
 
-Arguments and options that several commands have.
-
-Tables that do not fit a narrow terminal: fewer columns, or several tables, and lines broken between words only.
+A table that does not fit a narrow terminal loses columns, or becomes several tables, and lines are broken between words
+only.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ class PatientConsole(Console):
 out, err = PatientConsole(), Console(stderr=True)
 
 
-def written(status: int, *writes: Callable[[], object]) -> int:
+def write_files(status: int, *writes: Callable[[], object]) -> int:
     """Write files after the answer is printed; a failure is reported, and the status is that of bad input."""
     for write in writes:
         try:

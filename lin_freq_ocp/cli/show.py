@@ -1,6 +1,6 @@
-"""The command lin-freq-ocp show: what a problem is, before it is solved, and what --set can change.
+"""The commands lin-freq-ocp list, show and init: the library, the facts of a problem, and a problem file to start from.
 
-The commands lin-freq-ocp list and init: the library, and a problem file to start from.
+show prints a problem before it is solved, and the parameters that --set can change.
 """
 
 from __future__ import annotations
@@ -77,11 +77,11 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
 
 def _assignment(parameter: Parameter) -> str:
     """Return a parameter and its default as they are written after --set, and the value that is set instead."""
-    default, value = (_shortened(as_toml(given)) for given in (parameter.default, parameter.value))
+    default, value = (_shorten(as_toml(given)) for given in (parameter.default, parameter.value))
     return f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})")
 
 
-def _shortened(text: str) -> str:
+def _shorten(text: str) -> str:
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
 

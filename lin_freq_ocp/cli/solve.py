@@ -1,6 +1,7 @@
-"""The commands lin-freq-ocp certify and rerun: the maximum principle for any trajectory, and a dumped run again.
+"""The commands lin-freq-ocp solve, certify and rerun.
 
-The command lin-freq-ocp solve: an answer, its certificate, and the files --save, --csv, --plot, --proof, --dump.
+solve finds an answer with its certificate, and writes the files of --save, --csv, --plot, --proof and --dump; certify
+checks the maximum principle for any trajectory; rerun repeats a dumped run.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
-from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, explained, solve
+from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, solve, with_explanation
 from lin_freq_ocp.base.atomic import replacing
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
@@ -38,7 +39,7 @@ from lin_freq_ocp.cli.console import (
     search_progress,
     settings_option,
     solve_options,
-    written,
+    write_files,
 )
 from lin_freq_ocp.cli.problems import build, require_writable
 from lin_freq_ocp.files.reading import FileTable
@@ -94,7 +95,12 @@ class Outputs:
 
     def writes(self, result: Result) -> list[Callable[[], None]]:
         """Return the function that writes each file, and report the files that stay unwritten."""
-        writers = {"save": result.save, "csv": result.to_csv, "plot": partial(_draw, result), "dump": result.dump}
+        writers = {
+            "save": result.save,
+            "csv": result.to_csv,
+            "plot": partial(_draw_figure, result),
+            "dump": result.dump,
+        }
         writers["proof"] = result.write_proof
         writes: list[Callable[[], None]] = []
         for name, file in self.wanted.items():
@@ -115,7 +121,7 @@ def _require_picture(file: Path) -> None:
         raise ProblemError(f"--plot {file}", got, f"one that ends in .{', .'.join(kinds)}")
 
 
-def _draw(result: Result, file: Path) -> None:
+def _draw_figure(result: Result, file: Path) -> None:
     figure = result.plot()
     with replacing(file) as stream:
         figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
@@ -168,14 +174,14 @@ def solve_command(
             result = solve(description, **options, throw=False, progress=report)
         if result.status == Status.INFEASIBLE:
             with progress("looking for what would help"):
-                result = explained(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
+                result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     if as_json:
         print_json(result_summary(result, with_trajectory))
     else:
         print_lines(str(result))
         print_conflict(result)
         print_certificate(description, result.certificate)
-    return written(exit_status(result), *outputs.writes(result))
+    return write_files(exit_status(result), *outputs.writes(result))
 
 
 @click.command("certify")

@@ -1,13 +1,7 @@
-"""The command lin-freq-ocp sweep: a problem at every point of a grid, on several processes.
+"""The commands lin-freq-ocp sweep, a problem at every point of a grid, and minimum-time, its least feasible horizon.
 
-Exit status: 0 every point has an answer with its proof, be it optimal, infeasible or unbounded; 2 bad input; 3 some
-point has none; 130 interrupted, and what is finished is kept.
-
-The command lin-freq-ocp minimum-time: the least horizon at which a problem is feasible.
-
-Exit status: 0 a horizon is feasible and all shorter ones of the range are proven infeasible; 1 none of the range is
-feasible, which is proven; 2 bad input; 3 nothing is proven of some horizon; 130 interrupted, and what is decided is
-printed.
+Exit status of a sweep: 0 every point has an answer with its proof, be it optimal, infeasible or unbounded; 2 bad input;
+3 some point has none; 130 interrupted, and what is finished is kept.
 """
 
 from __future__ import annotations
@@ -44,7 +38,7 @@ from lin_freq_ocp.cli.console import (
     problem_argument,
     search_progress,
     solve_options,
-    written,
+    write_files,
 )
 from lin_freq_ocp.cli.problems import (
     ProblemFile,
@@ -94,7 +88,7 @@ def sweep_command(
             folder.mkdir(parents=True, exist_ok=True)
         path = folder / "sweep.jsonl"
     options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    with _pool(workers) as executor, _bar() as tell:
+    with _worker_pool(workers) as executor, _progress_bar() as tell:
         found = sweep(source, grid, executor, path, **options, progress=tell)
         if found.interrupted and executor is not None:
             executor.abandon()
@@ -107,11 +101,13 @@ def sweep_command(
     status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
     if folder is None:
         return status
-    return written(status, lambda: found.to_csv(folder / "sweep.csv"), lambda: _draw(found, folder / "sweep.png"))
+    return write_files(
+        status, lambda: found.to_csv(folder / "sweep.csv"), lambda: _draw_sweep(found, folder / "sweep.png")
+    )
 
 
 @contextmanager
-def _pool(workers: int) -> Generator[WorkerPool | None]:
+def _worker_pool(workers: int) -> Generator[WorkerPool | None]:
     """Yield a pool of more than one process; on errors and on Ctrl-C its tasks are abandoned."""
     if workers == 1:
         yield None
@@ -126,7 +122,7 @@ def _pool(workers: int) -> Generator[WorkerPool | None]:
 
 
 @contextmanager
-def _bar() -> Generator[Callable[[int, int], None] | None]:
+def _progress_bar() -> Generator[Callable[[int, int], None] | None]:
     """Show on a terminal how many points are finished."""
     if not err.is_terminal:
         yield None
@@ -139,7 +135,7 @@ def _bar() -> Generator[Callable[[int, int], None] | None]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def _draw(found: Sweep, path: Path) -> None:
+def _draw_sweep(found: Sweep, path: Path) -> None:
     try:
         figure = found.plot()
     except ProblemError as error:
@@ -171,7 +167,7 @@ def minimum_time_command(
         tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
         found = minimum_time(source, horizons, method, backend, time_limit, tolerance, throw=False, progress=tell)
     if as_json:
-        print_json(_summary(found))
+        print_json(_minimum_time_summary(found))
     else:
         print_lines(str(found))
         if found.result is not None:
@@ -181,7 +177,7 @@ def minimum_time_command(
     return NOT_PROVEN if not found.proven else NO_SOLUTION if found.horizon is None else PROVEN
 
 
-def _summary(found: MinimumTime) -> FileTable:
+def _minimum_time_summary(found: MinimumTime) -> FileTable:
     """Return the JSON object; ``result`` is that of ``lin-freq-ocp solve --json``."""
     return {
         "schema": SCHEMA,
@@ -207,13 +203,13 @@ def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValu
             raise ProblemError("--grid", repr(given), GRID_FORM)
         if key in result:
             raise ProblemError(f"--grid {key}", "this key twice", "one list for each key")
-        result[key] = _values(key, text)
+        result[key] = _grid_values(key, text)
     if isinstance(source, ProblemFile):  # the sweep itself checks the parameters of functions
         require_keys_of_file(result, "--grid ")
     return result
 
 
-def _values(key: str, text: str) -> list[FileValue]:
+def _grid_values(key: str, text: str) -> list[FileValue]:
     match = RANGE.fullmatch(text)
     try:
         if match:
@@ -232,5 +228,5 @@ def _range(first: str, last: str, count: str) -> list[float] | list[int]:
         raise ValueError(f"{brief(count)} values; at most {MOST_POINTS}")
     values: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
     whole = [round(value) for value in values]
-    written = not any(mark in first + last for mark in ".eE")
-    return whole if written and whole == values else values
+    as_integers = not any(mark in first + last for mark in ".eE")
+    return whole if as_integers and whole == values else values

@@ -4,8 +4,6 @@ A shaper makes a move longer by its last impulse, and calmer. For each, the leas
 are optimal without the bound on the vibration, whose shaped control keeps all of the problem's constraints; the
 vibration over the box is bounded with proof, for all moves alike.
 
-Input shapers: impulses by which the acceleration of a move is convolved, so that a mode does not ring after it.
-
 With the half period of damped vibration, pi / (w sqrt(1 - zeta^2)), and K = exp(-zeta pi / sqrt(1 - zeta^2)), which is
 what a vibration keeps over it, impulses half a period apart have the amplitudes, but for the factor that makes their
 sum one,
@@ -19,8 +17,6 @@ nearest to their times.
 
 References: Singer and Seering, Journal of Dynamic Systems, Measurement, and Control 112, 1990 (ZV, ZVD). Singhose,
 Command Generation for Flexible Systems, PhD thesis, MIT 1997 (EI).
-
-What a trajectory leaves ringing over the natural frequency, within the box of a bound and on its sides.
 """
 
 from __future__ import annotations
@@ -34,7 +30,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import number
-from lin_freq_ocp.batch.minimum_time import Search, obstacles, searched, stated
+from lin_freq_ocp.batch.minimum_time import Search, obstacles, problem_at_horizon, search_horizons
 from lin_freq_ocp.certificate.peaks.cells import Peak
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
@@ -116,30 +112,32 @@ class Moves:
 def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence[str]) -> Moves:
     """Return the shortest moves of a problem for which ``why_not_shaped`` says nothing."""
     free = replace(problem, control_spectrum=None)
-    before, ours = _least(free, solve), _least(problem, solve)
-    plan = cache(lambda T: solve(stated(free, T)).trajectory)
+    before, ours = _search_least_horizon(free, solve), _search_least_horizon(problem, solve)
+    plan = cache(lambda T: solve(problem_at_horizon(free, T)).trajectory)
     shortest = before.horizon or problem.horizon
     return Moves(
         problem,
-        _of_search(UNSHAPED, "without the bound on the vibration", before, problem),
+        _move_of_search(UNSHAPED, "without the bound on the vibration", before, problem),
         tuple(_shaped_move(name, problem, plan, shortest) for name in names),
-        _of_search(OURS, "with the bound in the problem", ours, problem),
+        _move_of_search(OURS, "with the bound in the problem", ours, problem),
         ours.horizon is not None and (ours.horizon == 1 or ours.horizon - 1 in ours.proven),
     )
 
 
-def _least(problem: OptimalControlProblem, solve: Solve) -> Search:
-    return searched(1, problem.horizon, True, lambda T: solve(stated(problem, T)))
+def _search_least_horizon(problem: OptimalControlProblem, solve: Solve) -> Search:
+    return search_horizons(1, problem.horizon, True, lambda T: solve(problem_at_horizon(problem, T)))
 
 
-def _of_search(name: str, description: str, search: Search, problem: OptimalControlProblem) -> Move:
+def _move_of_search(name: str, description: str, search: Search, problem: OptimalControlProblem) -> Move:
     if search.best is None or search.best.trajectory is None:
         return Move(name, description, None, problem.horizon, boxes_of(problem)[0].sampling_time)
     trajectory = search.best.trajectory
-    return _move(name, description, MeasuredTrajectory(name, stated(problem, len(trajectory.u)), trajectory))
+    return _measured_move(
+        name, description, MeasuredTrajectory(name, problem_at_horizon(problem, len(trajectory.u)), trajectory)
+    )
 
 
-def _move(name: str, description: str, measured: MeasuredTrajectory) -> Move:
+def _measured_move(name: str, description: str, measured: MeasuredTrajectory) -> Move:
     x, u = measured.trajectory.x, measured.trajectory.u
     boxes = boxes_of(measured.problem)
     peaks = tuple(proven_peak(box, box.map.signal(x, u)) for box in boxes)
@@ -150,17 +148,17 @@ def _shaped_move(
     name: str, problem: OptimalControlProblem, plan: Callable[[int], Trajectory | None], shortest: int
 ) -> Move:
     box = boxes_of(problem)[0]
-    longer, description = len(impulses(name, box)) - 1, described(name, box)
+    longer, description = len(impulses(name, box)) - 1, impulse_text(name, box)
     step = -(-(LONGEST - 1) * shortest // TRIED)
     description += "" if step == 1 else f"; profiles tried are {step} samples apart"
     for T in range(shortest, LONGEST * shortest, step):
         profile = plan(T)
         if profile is None:
             continue
-        at = stated(problem, T + longer)
+        at = problem_at_horizon(problem, T + longer)
         held = np.concatenate([profile.x, np.repeat(profile.x[-1:], longer, axis=0)])
         u = shaped(name, box, profile.u)
-        move = _move(name, description, replayed(name, at, u, Trajectory(held, u)))
+        move = _measured_move(name, description, replayed(name, at, u, Trajectory(held, u)))
         if move.keeps_everything:
             return move
     return Move(name, description, None, LONGEST * shortest + longer - 1, box.sampling_time)
@@ -174,7 +172,7 @@ def why_not_shaped(problem: OptimalControlProblem) -> str:
     if any((box.low != boxes[0].low).any() or (box.high != boxes[0].high).any() for box in boxes):
         return "the controls have boxes of modes that differ"
     try:
-        stated(problem, problem.horizon + 1)
+        problem_at_horizon(problem, problem.horizon + 1)
     except ProblemError as error:
         return f"{error.field}: it depends on time"
     return "; ".join(obstacles(lambda _: problem, 1, problem.horizon, same_data=True))
@@ -223,7 +221,7 @@ def shaped(name: str, box: PlantBox, u: Array) -> Array:
     return np.stack([np.convolve(column, given) for column in u.T], axis=1)
 
 
-def described(name: str, box: PlantBox) -> str:
+def impulse_text(name: str, box: PlantBox) -> str:
     """Return the impulses of a shaper in words."""
     given = impulses(name, box)
     at = np.flatnonzero(given)

@@ -1,6 +1,7 @@
-"""The trajectories of a comparison, and what is measured of each: violations, peaks, modes, all per component.
+"""The trajectories of a comparison, and their measures: violations, peaks and modes, all per component.
 
-The controls, states and constrained outputs of a problem, each as one signal with its bounds and references.
+Each control, state and constrained output of a problem is one signal, with its bounds, its references, and the limits
+on its spectrum.
 """
 
 from __future__ import annotations
@@ -98,7 +99,10 @@ class Signal:
     def _weighed_references(self) -> Iterator[tuple[Array, Mask]]:
         """Yield references, (), (components,) or one per time, and at which times the deviation has a weight."""
         problem, cost = self.problem, self.problem.quadratic
-        yield cost.x_ref if self.is_state else cost.u_ref, _weighed(cost, self.index, self.is_state, problem.horizon)
+        yield (
+            cost.x_ref if self.is_state else cost.u_ref,
+            _weighed_times(cost, self.index, self.is_state, problem.horizon),
+        )
         for norm in problem.cost.norms:
             found = norm.references(self.index, self.is_state, problem.horizon)
             if found is not None:
@@ -112,7 +116,7 @@ class Signal:
         n, column = self.problem.state_dim, self.index if self.is_state else self.problem.state_dim + self.index
         terms = [term for term in self.problem.terms if term.penalty.polyhedral and not term.kind.is_cost]
         terms = [term for term in terms if term.kind != left_out]
-        return [line for term in terms for line in _limits(term, n, self.problem.control_dim, column)]
+        return [line for term in terms for line in _row_limits(term, n, self.problem.control_dim, column)]
 
     @property
     def levels(self) -> list[Line]:
@@ -149,7 +153,7 @@ class Signal:
         return (trajectory.x if self.is_state else trajectory.u)[:, self.index]
 
 
-def _weighed(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Mask:
+def _weighed_times(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Mask:
     if not is_state:
         weights = np.abs(cost.R[..., index, :]).sum(-1) + np.abs(cost.S[..., :, index]).sum(-1)
         return np.asarray(np.broadcast_to(weights > 0, horizon))
@@ -157,7 +161,7 @@ def _weighed(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> M
     return np.append(np.broadcast_to(weights > 0, horizon), bool(cost.P[index].any()))
 
 
-def _limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
+def _row_limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
     """Yield the limits of the rows on one column of (x_t, u_t) alone."""
     form = term.map.stage_form(n, m)
     if form is None:
@@ -299,14 +303,14 @@ class MeasuredTrajectory:
     @cached_property
     def controls(self) -> Violation:
         """Return the violation of the control bounds."""
-        return _violation(self.trajectory.u, self.problem.control_tube, self._least[1])
+        return _box_violation(self.trajectory.u, self.problem.control_tube, self._least[1])
 
     @cached_property
     def states(self) -> Violation | None:
         """Return the violation of the state bounds, without the ends."""
         if not self.meaningful:
             return None
-        return _violation(self.trajectory.x, state_bounds(self.problem), self._least[0])
+        return _box_violation(self.trajectory.x, state_bounds(self.problem), self._least[0])
 
     @cached_property
     def end(self) -> Violation | None:
@@ -323,7 +327,7 @@ class MeasuredTrajectory:
         """Return the violation of each hard term (rows, sets, masks), at its worst entry."""
         if not self.meaningful:
             return None
-        found = [_violation_of_term(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
+        found = [_term_violation(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
         values, allowed = np.array(found).reshape(-1, 2).T
         return Violation(values, allowed, np.ones(len(found), dtype=bool))
 
@@ -385,14 +389,14 @@ class MeasuredTrajectory:
         return SCALE_FLOOR * x, SCALE_FLOOR * u
 
 
-def _violation(signal: Array, box: Box, least: Array) -> Violation:
+def _box_violation(signal: Array, box: Box, least: Array) -> Violation:
     finite = [np.where(np.isfinite(bound), np.abs(bound), 0.0).max(0) for bound in (box.lower, box.upper)]
     scale = np.maximum(np.maximum(np.abs(signal).max(0), least), np.maximum(*finite))
     bounded = np.asarray((np.isfinite(box.lower) | np.isfinite(box.upper)).any(0))
     return Violation(box.violation(signal).max(0), CONDITION_TOLERANCE * scale, bounded)
 
 
-def _violation_of_term(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
+def _term_violation(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
     """Return the violation of the entry that is worst relative to its scale, and what the certificate accepts."""
     x, u = trajectory.x, trajectory.u
     if term.everywhere is not None:

@@ -1,10 +1,9 @@
-"""An irreducible family of constraints that cannot hold together, and the least relaxation of each that cures it.
+"""An irreducible infeasible family of constraints, and for each member the least relaxation that restores feasibility.
 
-The least relaxation of one block with which a problem has a solution.
-
-For bounds, joint rows and ends the problem is augmented by a state delta, constant in time, by which the block's rows
-are relaxed; the least delta is the optimum of a convex problem of the usual kind. For a term it is a bisection on its
-limit, for a stop band a bisection on the number of bins that are passed at its edges.
+The family is found by deletion: each block is dropped in turn, for good if the others are still infeasible. For bounds,
+joint rows and ends the least relaxation is the optimum of a convex problem of the usual kind: a state delta, constant
+in time, relaxes the block's rows. For a term it is a bisection on its limit, for a stop band a bisection on the number
+of bins that are passed at its edges.
 """
 
 from __future__ import annotations
@@ -37,9 +36,8 @@ MARGINS = (1e-6, 1e-4, 1e-2)
 FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4  # relative to a limit: first rise tried, its growth, final precision
 TINY = 1e-9  # fraction of a cure below which no smaller one is looked for
 CLOSE = 1.05  # factor to which a cure by bounds or rows is the least
-CONTROL_PRICE = (
-    1e-6  # cost of controls of their stated sizes, relative to that of a delta as large: keeps it well-posed
-)
+# Cost of controls of their stated sizes, relative to that of a delta as large: keeps the problem well-posed.
+CONTROL_PRICE = 1e-6
 LARGEST = 1e6  # an amount beyond this multiple of the sizes in the data is no cure
 
 # Whether a problem has a solution, by the statuses that decide it.
@@ -163,7 +161,7 @@ def least_cure(
         return _least_rise(problem, block, feasible)
     if problem.dynamics.response(problem.horizon) is not None:
         return _least_widening(problem, block, feasible)
-    result = solve_judged(_elastic(problem, block), "convex", time_limit=time_limit)
+    result = solve_judged(_elastic_problem(problem, block), "convex", time_limit=time_limit)
     if result.trajectory is None:  # an inaccurate one is good enough: the amount is tried below
         return None
     least, sizes = max(float(result.trajectory.x[-1, -1]), 0.0), stated_sizes(problem)
@@ -178,8 +176,8 @@ def least_cure(
         amount = least * (1 + margin)
         if feasible(relaxed_by(amount)):
             if block.kind not in ENDS:
-                amount = _reduced(amount, lambda less: bool(feasible(relaxed_by(less))))
-            return Cure(block.name, amount, _description(problem, relaxed_by(amount), block, amount, end))
+                amount = _reduce_amount(amount, lambda less: bool(feasible(relaxed_by(less))))
+            return Cure(block.name, amount, _cure_description(problem, relaxed_by(amount), block, amount, end))
     return None
 
 
@@ -236,56 +234,58 @@ def _least_amount(problem: OptimalControlProblem, block: Block, feasible: Feasib
 
 def _least_widening(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
     """Return the cure of bounds or rows where a frequency response takes no state delta; none of ends."""
-    amount = None if block.kind in ENDS else _least_amount(problem, block, feasible, _unit(problem, block))
+    amount = None if block.kind in ENDS else _least_amount(problem, block, feasible, _bounded_size(problem, block))
     if amount is None:
         return None
-    return Cure(block.name, amount, _description(problem, relaxed(problem, block, amount), block, amount, np.zeros(0)))
+    return Cure(
+        block.name, amount, _cure_description(problem, relaxed(problem, block, amount), block, amount, np.zeros(0))
+    )
 
 
-def _unit(problem: OptimalControlProblem, block: Block) -> float:
+def _bounded_size(problem: OptimalControlProblem, block: Block) -> float:
     """Return the size of what a block bounds."""
     x, u = stated_sizes(problem)
     if block.kind == "row":
-        return float(_rows_of(problem, block).sizes(x, u)[..., block.index].max())
+        return float(_rows_of_block(problem, block).sizes(x, u)[..., block.index].max())
     return float({"state bound": x, "control bound": u}.get(block.kind, np.ones(1 + block.index))[block.index])
 
 
-def _rows_of(problem: OptimalControlProblem, block: Block) -> StageRows:
+def _rows_of_block(problem: OptimalControlProblem, block: Block) -> StageRows:
     return next(rows for rows in problem.stage_rows if rows.name == block.family)
 
 
-def _description(
+def _cure_description(
     problem: OptimalControlProblem, cured: OptimalControlProblem, block: Block, amount: float, end: Array
 ) -> str:
     if block.kind in ENDS:
         before = problem.initial_box if block.kind == ENDS[0] else problem.terminal_box
-        return f"{_point(before)} -> {np.array2string(end, precision=6, separator=', ')}"
+        return f"{_end_text(before)} -> {np.array2string(end, precision=6, separator=', ')}"
     if block.kind == "row":
-        limits = _rows_of(problem, block).e[..., block.index]
+        limits = _rows_of_block(problem, block).e[..., block.index]
         if np.ptp(limits) == 0:
             shown = [f"{limit:.6g}" for limit in (np.max(limits), np.max(limits) + amount)]
-            return f"<= {shown[0]} -> {shown[1]}" + _if_too_small(shown, amount)
+            return f"<= {shown[0]} -> {shown[1]}" + _small_amount_note(shown, amount)
         return f"limits higher by {amount:.6g}"
     tubes = [one.state_boxes if block.kind == "state bound" else one.control_tube for one in (problem, cured)]
     lower, upper = tubes[0].lower[:, block.index], tubes[0].upper[:, block.index]
     if (lower == lower[0]).all() and (upper == upper[0]).all():
         shown = [f"[{one.lower[0, block.index]:.6g}, {one.upper[0, block.index]:.6g}]" for one in tubes]
-        return " -> ".join(shown) + _if_too_small(shown, amount)
+        return " -> ".join(shown) + _small_amount_note(shown, amount)
     return f"bounds wider by {amount:.6g}"
 
 
-def _point(end: Box) -> str:
+def _end_text(end: Box) -> str:
     if end.fixed.all():
         return np.array2string(end.lower, precision=6, separator=", ")
     return " x ".join(f"[{low:.6g}, {high:.6g}]" for low, high in zip(end.lower, end.upper, strict=True))
 
 
-def _if_too_small(shown: list[str], amount: float) -> str:
+def _small_amount_note(shown: list[str], amount: float) -> str:
     """Return the amount where rounded limits do not show it: the problem is nearly feasible."""
     return f" (by {amount:.2g}: nearly feasible)" if shown[0] == shown[1] else ""
 
 
-def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
+def _elastic_problem(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
     """Return the problem of the least delta >= 0, its last state, by which the block is relaxed."""
     m, T = problem.control_dim, problem.horizon
     delta = AddedStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
@@ -293,7 +293,7 @@ def _elastic(problem: OptimalControlProblem, block: Block) -> OptimalControlProb
         hard_only(relaxed(problem, block, np.inf)), cost=QuadraticCost(), name=f"least change of the {block.name}"
     )
     elastic, (x, u) = extended(base, delta), stated_sizes(problem)
-    unit = _unit(problem, block)
+    unit = _bounded_size(problem, block)
     cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(np.append(np.zeros_like(x), unit**-2)))
     return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, _elastic_rows(problem, block)])
 
@@ -303,7 +303,7 @@ def _elastic_rows(problem: OptimalControlProblem, block: Block) -> StageRows:
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     i, x, u = block.index, np.eye(n), np.eye(m)
     if block.kind == "row":
-        rows = _rows_of(problem, block)
+        rows = _rows_of_block(problem, block)
         C, D = (np.broadcast_to(part, (T, *part.shape[-2:]))[:, [i]] for part in (rows.C, rows.D))
         limits = np.broadcast_to(rows.e, (T, rows.rows))[:, [i]]
         return StageRows(np.concatenate([C, np.full((T, 1, 1), -1.0)], axis=2), D, limits, "relaxed")
@@ -333,7 +333,7 @@ def _elastic_rows(problem: OptimalControlProblem, block: Block) -> StageRows:
     return StageRows(rows_x, rows_u, limits.T, "relaxed")
 
 
-def _reduced(amount: float, suffices: Callable[[float], bool]) -> float:
+def _reduce_amount(amount: float, suffices: Callable[[float], bool]) -> float:
     """Return the least amount that suffices, to 5 %: small amounts are dominated by the price of the controls."""
     if not suffices(amount / CLOSE):
         return amount

@@ -1,8 +1,7 @@
-"""A receding-horizon controller: at every step a problem from the measured state, of whose plan the first control.
+"""A receding-horizon controller: each step solves a problem from the measured state and applies the first control.
 
-Of the point where a solve ended without an answer, and the plan of the step before, the better one.
-
-A feasible one is better than one that is not; of two feasible ones that of lower cost, prices of soft constraints
+If a solve ends without an answer, the controller applies the better of its best point and the rest of the previous
+plan. A feasible one is better than one that is not; of two feasible ones that of lower cost, prices of soft constraints
 included; of two others the one that violates the constraints less. The judge says what is feasible.
 """
 
@@ -22,12 +21,12 @@ from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.step_problem import (
+    add_disturbance,
     checked_penalties,
-    disturbed,
+    depends_on_past,
     excess,
-    first_state_free,
-    remembers,
-    softened,
+    free_first_state,
+    soften,
     with_past,
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -68,11 +67,11 @@ class Controller:
         if delay not in (0, 1) or isinstance(delay, bool):
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
-        self._problem = first_state_free(problem)
+        self._problem = free_first_state(problem)
         self._hard = Repeated(self._problem, method)
-        self._soft = Repeated(softened(self._problem, self.penalties), method) if self.penalties else None
+        self._soft = Repeated(soften(self._problem, self.penalties), method) if self.penalties else None
         self._trees = {one: KeptTree() for one in (self._hard, self._soft) if one is not None}
-        self._remembers, self._method, self._limit = remembers(problem), method, time_limit
+        self._remembers, self._method, self._limit = depends_on_past(problem), method, time_limit
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.dynamics.stepper(problem.horizon)
@@ -141,7 +140,7 @@ class Controller:
         """Return the answer of the problem of a measured state, and of the softened one where it has no solution."""
         begin, bounds = self._after_delay(x), preview.bounds
         if bounds and bounds.get("state_set") is not None:
-            first_free = first_state_free(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
+            first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
             bounds = {**bounds, "state_set": first_free.state_set}
         change = Change(begin, references=preview.references, bounds=bounds)
         hard = self._solved(self._hard, change, preview, x)
@@ -154,7 +153,7 @@ class Controller:
         tree = self._trees[repeated]
         problem = with_past(repeated.problem, *self._past(x)) if self._remembers else repeated.problem
         if preview.disturbance is not None:
-            problem = disturbed(problem, preview.disturbance)
+            problem = add_disturbance(problem, preview.disturbance)
         if problem is not repeated.problem:
             repeated = Repeated(problem, self._method)
         return repeated.solve(change, self._limit, self._later_plan(), tree)

@@ -1,7 +1,4 @@
-"""What happened in a control loop, step by step.
-
-The plant of a simulated loop: a function, a model of python-control, dynamics, or the model of the problem.
-"""
+"""The steps of a control loop, and the plants that take them."""
 
 from __future__ import annotations
 
@@ -152,10 +149,10 @@ class LoopRecord:
     def table(self) -> list[dict[str, object]]:
         """Return a flat row for each step, for pandas.DataFrame."""
         names = [*self.problem.state_names, *self.problem.control_names]
-        return [_row(k, step, names) for k, step in enumerate(self.steps)]
+        return [_step_row(k, step, names) for k, step in enumerate(self.steps)]
 
 
-def _row(k: int, step: Step, names: Sequence[str]) -> dict[str, object]:
+def _step_row(k: int, step: Step, names: Sequence[str]) -> dict[str, object]:
     signals = zip(names, [*step.state.tolist(), *step.control.tolist()], strict=True)
     return {
         "step": k,
@@ -175,19 +172,19 @@ def _row(k: int, step: Step, names: Sequence[str]) -> dict[str, object]:
 def plant_of(given: object, problem: OptimalControlProblem) -> Plant:
     """Return a plant as a function of the step, the state and the control; ProblemError if it is none."""
     if given is None:
-        return _of_dynamics("problem.dynamics", problem.dynamics, problem)
+        return _plant_of_dynamics("problem.dynamics", problem.dynamics, problem)
     if isinstance(given, Dynamics):
-        return _of_dynamics("plant", given, problem)
+        return _plant_of_dynamics("plant", given, problem)
     if hasattr(given, "A") and hasattr(given, "B") and hasattr(given, "dt"):
         model = LinearDynamics.from_statespace(given, problem.sampling_time)
-        return _of_dynamics("plant", model, problem)
+        return _plant_of_dynamics("plant", model, problem)
     if not callable(given):
         expected = "a function of (x, u), a model of python-control, or dynamics"
         raise ProblemError("plant", brief(given), expected)
-    return _of_function(given, problem.state_dim)
+    return _plant_of_function(given, problem.state_dim)
 
 
-def _of_dynamics(field: str, dynamics: Dynamics, problem: OptimalControlProblem) -> Plant:
+def _plant_of_dynamics(field: str, dynamics: Dynamics, problem: OptimalControlProblem) -> Plant:
     got, expected = (dynamics.state_dim, dynamics.control_dim), (problem.state_dim, problem.control_dim)
     if got != expected:
         raise ProblemError(field, f"{got} states and controls", f"{expected}, as the problem has")
@@ -201,7 +198,7 @@ def _of_dynamics(field: str, dynamics: Dynamics, problem: OptimalControlProblem)
     return lambda k, x, u: step(0, x, u)
 
 
-def _of_function(function: Callable[..., object], n: int) -> Plant:
+def _plant_of_function(function: Callable[..., object], n: int) -> Plant:
     try:
         takes = len(inspect.signature(function).parameters)
     except ValueError:  # a function that does not say

@@ -1,11 +1,10 @@
-"""The problem of a step: its first state may lie anywhere, and its frequency constraints see what was applied before.
+"""The problem of a step: a free first state, frequency constraints that see the past, and soft constraints.
 
 What was applied and measured is data. A spectrogram without a length keeps as many samples of the past as it was given;
 one of short windows keeps those of the windows that have not ended yet, so that windows stand still in absolute time.
 
-A problem with some of its constraints soft: what a step solves where the constraints contradict each other.
-
-A penalty above the multipliers of the constraints is exact: where they can be satisfied, they are.
+A step solves the problem with soft constraints where the hard ones contradict each other. A penalty above the
+multipliers of the constraints is exact: where they can be satisfied, they are.
 """
 
 from __future__ import annotations
@@ -38,10 +37,10 @@ FIELDS = ("state_set", "terminal_state", "stage_rows", "control_spectrum", "stat
 SPECTRA = ("control_spectrum", "state_spectrum", "output_spectrum")
 
 
-def first_state_free(problem: OptimalControlProblem) -> OptimalControlProblem:
+def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
     """Return the problem without its state set and rows of the state alone at time 0."""
     given, T = problem.state_set, problem.horizon
-    changes: dict[str, object] = {"stage_rows": [_later(rows, T) for rows in problem.stage_rows]}
+    changes: dict[str, object] = {"stage_rows": [_free_first_rows(rows, T) for rows in problem.stage_rows]}
     if isinstance(given, Sequence) or (given is not None and given.members):
         later = list(given[1:]) if isinstance(given, Sequence) else [given] * T
         changes["state_set"] = [Everything(), *later]
@@ -52,7 +51,7 @@ def first_state_free(problem: OptimalControlProblem) -> OptimalControlProblem:
     return replace(problem, **changes) if given is not None or problem.stage_rows else problem
 
 
-def _later(rows: StageRows, horizon: int) -> StageRows:
+def _free_first_rows(rows: StageRows, horizon: int) -> StageRows:
     """Return the rows with those of the state alone left out at time 0."""
     limits = np.array(np.broadcast_to(rows.e, (horizon, rows.rows)))
     on_control = np.broadcast_to(rows.D, (horizon, *rows.D.shape[-2:]))[0].any(axis=-1)
@@ -70,12 +69,12 @@ def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalCont
     )
 
 
-def remembers(problem: OptimalControlProblem) -> bool:
+def depends_on_past(problem: OptimalControlProblem) -> bool:
     """Whether frequency constraints of a problem depend on samples of the past."""
     return any(one.remembers for field in SPECTRA for one in entries_of(getattr(problem, field)))
 
 
-def disturbed(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
+def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
     """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
     dynamics, T, n = problem.dynamics, problem.horizon, problem.state_dim
     if not isinstance(dynamics, LinearDynamics):
@@ -98,31 +97,31 @@ def checked_penalties(given: Mapping[str, float] | None) -> dict[str, float]:
     return {field: positive_number(f"soft.{field}", penalty) for field, penalty in (given or {}).items()}
 
 
-def softened(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> OptimalControlProblem:
+def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> OptimalControlProblem:
     """Return the problem where what is hard in these fields costs the penalty per unit of excess."""
     changes: dict[str, object] = {}
     for field, penalty in penalties.items():
         given = getattr(problem, field)
         if field in ("state_set", "terminal_state"):
-            changes[field] = _sets(given, penalty)
+            changes[field] = _soften_sets(given, penalty)
         elif field == "stage_rows":
-            changes[field] = [_rows(rows, penalty) for rows in given]
+            changes[field] = [_soften_rows(rows, penalty) for rows in given]
         elif field == "output_spectrum":
-            changes[field] = [_outputs(one, penalty) for one in entries_of(given)] or None
+            changes[field] = [_soften_outputs(one, penalty) for one in entries_of(given)] or None
         else:
-            changes[field] = [_bound(one, penalty) for one in entries_of(given)] or None
+            changes[field] = [_soften_bound(one, penalty) for one in entries_of(given)] or None
     return replace(problem, **changes)
 
 
-def _sets(given: GivenSet, penalty: float) -> GivenSet:
+def _soften_sets(given: GivenSet, penalty: float) -> GivenSet:
     if isinstance(given, Sequence):
-        return [one and _soft(one, penalty) for one in given]
+        return [one and _soften_set(one, penalty) for one in given]
     if given is not None and given.bounds[0].ndim > 1:
-        return [_soft(_at(given, t), penalty) for t in range(len(given.bounds[0]))]
-    return given and _soft(given, penalty)
+        return [_soften_set(_set_at(given, t), penalty) for t in range(len(given.bounds[0]))]
+    return given and _soften_set(given, penalty)
 
 
-def _soft(given: ConvexSet, penalty: float) -> ConvexSet:
+def _soften_set(given: ConvexSet, penalty: float) -> ConvexSet:
     box = box_of(given)
     hard: list[ConvexSet] = [member for member in given.members if not member.soft]
     if np.isfinite(box.lower).any() or np.isfinite(box.upper).any():
@@ -131,22 +130,22 @@ def _soft(given: ConvexSet, penalty: float) -> ConvexSet:
     return Intersection(members) if members else given
 
 
-def _at(given: ConvexSet, t: int) -> ConvexSet:
+def _set_at(given: ConvexSet, t: int) -> ConvexSet:
     """Return a set whose bounds are given per time at one of the times."""
     bounds = box_of(given).at(t)
     return Intersection([bounds, *given.members]) if given.members else bounds
 
 
-def _rows(rows: StageRows, penalty: float) -> StageRows:
+def _soften_rows(rows: StageRows, penalty: float) -> StageRows:
     return rows if rows.penalty is not None else StageRows(rows.C, rows.D, rows.e, rows.name, penalty)
 
 
-def _outputs(outputs: OutputSpectrum, penalty: float) -> OutputSpectrum:
-    bounds = [_bound(one, penalty) for one in outputs.constraints]
+def _soften_outputs(outputs: OutputSpectrum, penalty: float) -> OutputSpectrum:
+    bounds = [_soften_bound(one, penalty) for one in outputs.constraints]
     return OutputSpectrum(outputs.C, outputs.D, bounds, outputs.output_names)
 
 
-def _bound(given: FrequencyConstraint, penalty: float) -> FrequencyConstraint:
+def _soften_bound(given: FrequencyConstraint, penalty: float) -> FrequencyConstraint:
     return MagnitudeBound(0.0, band=given, penalty=penalty) if isinstance(given, Band) else given.softened(penalty)
 
 

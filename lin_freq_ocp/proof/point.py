@@ -33,7 +33,7 @@ from lin_freq_ocp.proof.lines import line, rows
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 
-SHARES = (1e-3, 1e-5, 1e-7, 1e-9)  # of the sizes, by which limits are tighten; the first that leaves a solution
+SHARES = (1e-3, 1e-5, 1e-7, 1e-9)  # of the sizes, by which limits are tightened; the first that leaves a solution
 MOST = 0.25  # of the width of bounds, by which each may be moved
 
 LEAST_GROWTH = 20.0  # of rounding errors in bits below which they need no feedback; units of states may make 10

@@ -132,7 +132,7 @@ def changes_over_time(parts: Parts, horizon: int) -> Iterator[tuple[int, dict[st
 
 
 def drop_repeated_time(values: Array) -> Array:
-    """Return values (T, ...) that stand in memory drop_repeated_time for all times without their time."""
+    """Return values (T, ...) that stand in memory once for all times without their time."""
     return values if values.strides[0] else values[0]
 
 

@@ -105,7 +105,7 @@ def test_changes_in_quick_succession_are_left_out(displayed, monkeypatch):
 
 def test_an_error_leaves_nothing_of_the_line(displayed):
     def failing():
-        with solve.reporting(None, lambda reached: f"<b>{reached}</b>") as report:
+        with solve.report_progress(None, lambda reached: f"<b>{reached}</b>") as report:
             report(3)
             raise RuntimeError
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.batch.minimum_time import Verdict, obstacles, searched, stated
+from lin_freq_ocp.batch.minimum_time import Verdict, obstacles, problem_at_horizon, search_horizons
 from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
 
 LAST = 14  # largest horizon of the random problems
@@ -76,7 +76,7 @@ def test_bisection_would_miss_a_horizon_where_feasibility_is_not_monotone():
         lfo.LinearDynamics([[-1.0]], [[1.0]]), 4, lfo.QuadraticCost(R=1.0), lfo.Box(-0.1, 0.1), None, [1.0], [1.0]
     )
     solve = partial(lambda horizon: lfo.solve(replace(swinging, horizon=horizon), throw=False))
-    assert searched(1, 5, True, solve).horizon is None
+    assert search_horizons(1, 5, True, solve).horizon is None
     found = lfo.minimum_time(swinging, horizons=(1, 5))
     assert (found.horizon, found.monotone) == (2, False)
     assert found.reason == "with a control of zero the state does not stay at every admissible end (x_0)"
@@ -98,7 +98,7 @@ def integrator(horizon=6, **fields):
 
 
 def conditions(**fields):
-    return obstacles(partial(stated, integrator(**fields)), 2, 9, same_data=True)
+    return obstacles(partial(problem_at_horizon, integrator(**fields)), 2, 9, same_data=True)
 
 
 def mask(**options):
@@ -192,7 +192,7 @@ class Found:
 @pytest.mark.parametrize("monotone", [True, False])
 def test_undecided_horizons_are_neither_feasible_nor_infeasible(monotone):
     kinds = {T: "infeasible" if T < 5 else "undecided" if T < 9 else "feasible" for T in range(1, 17)}
-    search = searched(1, 16, monotone, lambda horizon: Found(horizon, kinds[horizon]))
+    search = search_horizons(1, 16, monotone, lambda horizon: Found(horizon, kinds[horizon]))
     assert search.horizon == 9
     assert search.of(Verdict.UNDECIDED) == [5, 6, 7, 8]
     assert 4 in search.of(Verdict.INFEASIBLE)
@@ -314,6 +314,6 @@ WITHOUT_BINS = {
 def test_bins_at_a_horizon_before_the_longest_are_an_obstacle(name):
     """A horizon without a bin is feasible where the next one, with a bin, may not be."""
     problem = replace(integrator(11), **WITHOUT_BINS[name])
-    assert obstacles(partial(stated, problem), 1, 11, same_data=True)
+    assert obstacles(partial(problem_at_horizon, problem), 1, 11, same_data=True)
     soft = replace(integrator(11), control_spectrum=[WIDE, lfo.MagnitudeBound(0.02, band=NARROW, penalty=1.0)])
-    assert obstacles(partial(stated, soft), 1, 11, same_data=True) == []
+    assert obstacles(partial(problem_at_horizon, soft), 1, 11, same_data=True) == []

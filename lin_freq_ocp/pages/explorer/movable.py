@@ -1,10 +1,7 @@
-"""A slider: a value that can be moved, and its notches.
+"""Sliders, and the values in the time domain that they move: fixed components of ends, bounds, limits of joint rows.
 
-A slider has notches low, low + step, ..., high, of which one is the problem's own value.
-
-What can be moved of the ends: their components that are fixed, within the bounds of the states.
-
-What can be moved of limits at every time: bounds of controls and states, and limits of joint rows.
+A slider has notches low, low + step, ..., high, of which one is the problem's own value. Only bounds and limits that
+are the same at all times can be moved, and of the ends the components that are fixed, within the bounds of the states.
 """
 
 from __future__ import annotations
@@ -83,7 +80,7 @@ def _round_step(size: float) -> float:
 def ends_at(problem: OptimalControlProblem, moved: Values) -> dict[str, Box]:
     """Return the ends of which a component is moved."""
     ends = dict[str, Box]()
-    for field, end in _boxes(problem):
+    for field, end in _end_boxes(problem):
         values = {i: moved[key] for i in range(problem.state_dim) if (key := f"{field}.{i}") in moved}
         if values:
             lower, upper = np.array(end.lower), np.array(end.upper)
@@ -92,19 +89,19 @@ def ends_at(problem: OptimalControlProblem, moved: Values) -> dict[str, Box]:
     return ends
 
 
-def _boxes(problem: OptimalControlProblem) -> Iterator[tuple[str, Box]]:
+def _end_boxes(problem: OptimalControlProblem) -> Iterator[tuple[str, Box]]:
     """Yield the ends that are boxes."""
     for field, end in zip(WORDS, (problem.initial_box, problem.terminal_box), strict=True):
         if not getattr(problem, field).members:
             yield field, end
 
 
-def _sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
+def _end_sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
     """Yield the fixed components of ends."""
     if problem.state_dim > MOST_STATES:
         return
     boxes, sizes = problem.state_boxes, stated_sizes(problem)[0]
-    for field, end in _boxes(problem):
+    for field, end in _end_boxes(problem):
         for i, name in enumerate(problem.state_names):
             (label, unit), value = split_unit(name), float(end.lower[i])
             low, high = (float(bound[0 if field == "initial_state" else -1, i]) for bound in (boxes.lower, boxes.upper))
@@ -115,7 +112,7 @@ def _sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
                 yield Slider(f"{field}.{i}", field, f"{WORDS[field]} {label}", unit, first, last, notch, value, value)
 
 
-ENDS = Movable(_sliders, ends_at)
+ENDS = Movable(_end_sliders, ends_at)
 
 
 @dataclass(frozen=True)
@@ -142,19 +139,19 @@ def sets_at(problem: OptimalControlProblem, moved: Values) -> dict[str, ConvexSe
         lower, upper = (np.broadcast_to(one, (*one.shape[:-1], n)).copy() for one in given.bounds)
         for j in range(n):
             bound = moved.get(f"{keys['bound']}{j}")
-            _put(lower, j, moved.get(f"{keys['lower']}{j}") if bound is None else -bound)
-            _put(upper, j, moved.get(f"{keys['upper']}{j}") if bound is None else bound)
+            _set_bound(lower, j, moved.get(f"{keys['lower']}{j}") if bound is None else -bound)
+            _set_bound(upper, j, moved.get(f"{keys['upper']}{j}") if bound is None else bound)
         box = Box(lower, upper)
         sets[signal.field] = Intersection([box, *given.members]) if given.members else box
     return sets
 
 
-def _put(bounds: Array, j: int, value: float | None) -> None:
+def _set_bound(bounds: Array, j: int, value: float | None) -> None:
     if value is not None:
         bounds[..., j] = value
 
 
-def _bounds(problem: OptimalControlProblem) -> Iterator[Slider]:
+def _bound_sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
     """Yield the bounds of both signals that are the same at all times."""
     for signal, tube, names, sizes in zip(
         SIGNALS,
@@ -169,10 +166,10 @@ def _bounds(problem: OptimalControlProblem) -> Iterator[Slider]:
         for j, name in enumerate(names):
             low, high = (bound[:, j] for bound in (tube.lower, tube.upper))
             if (low == low[0]).all() and (high == high[0]).all() and low[0] < high[0]:
-                yield from _of_component(signal, j, name, float(low[0]), float(high[0]), float(sizes[j]))
+                yield from _component_sliders(signal, j, name, float(low[0]), float(high[0]), float(sizes[j]))
 
 
-def _of_component(signal: Bounded, j: int, name: str, low: float, high: float, size: float) -> Iterator[Slider]:
+def _component_sliders(signal: Bounded, j: int, name: str, low: float, high: float, size: float) -> Iterator[Slider]:
     """Yield a slider for bounds that are symmetric, and one for each other bound that is finite."""
     label, unit = split_unit(name)
     if low == -high and np.isfinite(high):
@@ -195,20 +192,20 @@ def _of_component(signal: Bounded, j: int, name: str, low: float, high: float, s
         yield Slider(key, signal.group, f"{label} {AT_MOST}", unit, first, last, notch, high, last)
 
 
-def _rows(problem: OptimalControlProblem) -> Iterator[Slider]:
+def _row_sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
     """Yield the limit of every family of joint rows: a number where all are the same, else a part of the own."""
     for i, rows in enumerate(problem.stage_rows):
         limits = rows.e[np.isfinite(rows.e)]
         if not limits.size or limits.min() < 0 or not limits.any():
             continue
         same = bool((limits == limits[0]).all())
-        value, unit = (float(limits[0]), _unit(problem, rows)) if same else (100.0, "%")
+        value, unit = (float(limits[0]), _rows_unit(problem, rows)) if same else (100.0, "%")
         first, last, notch = notches(LEAST_PART * value, value, LARGEST_PART * value)
         label = f"{rows.name} {AT_MOST}" if same else f"limits of {rows.name}"
         yield Slider(f"rows.{i}", "rows", label, unit, first, last, notch, value, last)
 
 
-def _unit(problem: OptimalControlProblem, rows: StageRows) -> str:
+def _rows_unit(problem: OptimalControlProblem, rows: StageRows) -> str:
     """Return the unit of the rows' values: of sums of components in the same unit; else empty."""
     parts = [matrix.reshape(-1, matrix.shape[-1]) for matrix in (rows.C, rows.D)]
     used = np.concatenate([np.abs(part).max(axis=0) > 0 for part in parts])
@@ -218,9 +215,9 @@ def _unit(problem: OptimalControlProblem, rows: StageRows) -> str:
     return units.pop() if len(units) == 1 and sums else ""
 
 
-def _stage_rows(problem: OptimalControlProblem, moved: Values) -> dict[str, object]:
+def _moved_rows(problem: OptimalControlProblem, moved: Values) -> dict[str, object]:
     """Return the joint rows, if the limits of some are moved."""
-    factors = {one.key: moved[one.key] / one.value for one in _rows(problem) if one.key in moved}
+    factors = {one.key: moved[one.key] / one.value for one in _row_sliders(problem) if one.key in moved}
     scaled = [
         StageRows(one.C, one.D, one.e * factors.get(f"rows.{i}", 1.0), one.name, one.penalty)
         for i, one in enumerate(problem.stage_rows)
@@ -228,4 +225,4 @@ def _stage_rows(problem: OptimalControlProblem, moved: Values) -> dict[str, obje
     return {"stage_rows": scaled} if factors else {}
 
 
-BOUNDS, ROWS = Movable(_bounds, sets_at), Movable(_rows, _stage_rows)
+BOUNDS, ROWS = Movable(_bound_sliders, sets_at), Movable(_row_sliders, _moved_rows)

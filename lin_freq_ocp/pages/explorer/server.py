@@ -1,10 +1,10 @@
-"""The live page over HTTP, for the browser on this machine alone.
+"""The live page as one HTML file, and its server for the browser on this machine alone.
 
-It listens on the loopback address; every path begins with a random token, and the Host header must be its own, so that
-neither other users nor pages of other sites (by a name that resolves to 127.0.0.1) get an answer. Solves are made one
-after another; a request that a newer one of the same page has overtaken is not solved.
+The page is live, asking its server, or has a solved sweep inside, and then works from disk.
 
-The page as one HTML file: live, asking its server, or with a solved sweep inside, which works from disk.
+The server listens on the loopback address; every path begins with a random token, and the Host header must be its own,
+so that neither other users nor pages of other sites (by a name that resolves to 127.0.0.1) get an answer. Solves are
+made one after another; a request that a newer one of the same page has overtaken is not solved.
 """
 
 from __future__ import annotations

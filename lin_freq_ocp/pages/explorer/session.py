@@ -1,14 +1,10 @@
 """The answers of a live page: a problem at the values of its sliders, solved again and again and judged.
 
-What bounds and ends of a problem do not change is kept between solves (``comparison.many.repeated``).
+Bounds and ends leave the solver cache valid, which is kept between solves (``batch.repeated``); other values build the
+problem again. A new kind of slider is a ``Movable`` in the table ``MOVABLE``, with its group in ``GROUPS``.
 
-Which values of a linear problem can be moved, and the problem at other values.
-
-A new kind is a ``Movable`` in the table ``MOVABLE``, and the group of its sliders in ``GROUPS``.
-
-A problem and a trajectory as plain data for drawing: signals over time, and their spectra, in the axes' units.
-
-The spectrum of a signal v of N samples is |V_k| = |sum_t v_t exp(-2 pi i k t / N)|, k = 0 .. N//2, as limits mean it.
+The page draws plain data in the axes' units: signals over time, and their spectra. The spectrum of a signal v of N
+samples is |V_k| = |sum_t v_t exp(-2 pi i k t / N)|, k = 0 .. N//2, as limits mean it.
 """
 
 from __future__ import annotations
@@ -81,11 +77,11 @@ Item = TypeVar("Item")
 
 def sliders_of(problem: OptimalControlProblem, rebuild: Rebuild | None) -> tuple[Slider, ...]:
     """Return the sliders of a problem, group by group."""
-    found = [*_horizon(problem, rebuild), *(slider for kind in MOVABLE for slider in kind.sliders(problem))]
+    found = [*_horizon_slider(problem, rebuild), *(slider for kind in MOVABLE for slider in kind.sliders(problem))]
     return tuple(sorted(found, key=lambda slider: list(GROUPS).index(slider.group)))
 
 
-def _horizon(problem: OptimalControlProblem, rebuild: Rebuild | None) -> Iterator[Slider]:
+def _horizon_slider(problem: OptimalControlProblem, rebuild: Rebuild | None) -> Iterator[Slider]:
     """Yield the horizon, if the problem can be built over others."""
     T = problem.horizon
     notch = max(1, T // HORIZON_NOTCHES)
@@ -103,7 +99,7 @@ def _can_be_built(rebuild: Rebuild, horizon: int) -> bool:
             return False
 
 
-def checked(sliders: tuple[Slider, ...], given: object) -> dict[str, float]:
+def checked_values(sliders: tuple[Slider, ...], given: object) -> dict[str, float]:
     """Return the value of every slider, the problem's own where none is given; raise ProblemError if one is wrong."""
     if not isinstance(given, Mapping):
         raise ProblemError("values", brief(given), "an object with the values of sliders")
@@ -121,7 +117,7 @@ def checked(sliders: tuple[Slider, ...], given: object) -> dict[str, float]:
     return {key: float(given.get(key, slider.value)) for key, slider in known.items()}
 
 
-def changed(sliders: tuple[Slider, ...], values: Values) -> dict[str, float]:
+def moved_values(sliders: tuple[Slider, ...], values: Values) -> dict[str, float]:
     """Return the values that are not the problem's own."""
     return {slider.key: values[slider.key] for slider in sliders if values[slider.key] != slider.value}
 
@@ -152,7 +148,7 @@ class Session:
 
     def answer(self, given: object) -> Data:
         """Return status, cost, certificate and trajectory at these values of the sliders."""
-        values = checked(self.sliders, given)
+        values = checked_values(self.sliders, given)
         try:
             return answer_data(self.outcome(values))
         except LinFreqOCPError as error:  # such as a problem file whose arrays do not fit this horizon
@@ -160,7 +156,7 @@ class Session:
 
     def beside(self, given: object) -> Data:
         """Return the classical solution and what a filter makes of it, at these values; nothing without a band."""
-        values = checked(self.sliders, given)
+        values = checked_values(self.sliders, given)
         constrained = self.outcome(values)
         problem = constrained.problem
         if not has_frequency_constraint(problem):
@@ -180,7 +176,7 @@ class Session:
             "finding": finding(compared).filtering,
             "trajectories": [
                 {"name": name, "cost": number(one.measures.cost, 6), "meaningful": one.meaningful}
-                | drawn(problem, one.trajectory)
+                | trajectory_data(problem, one.trajectory)
                 for name, one in shown
             ],
         }
@@ -190,7 +186,7 @@ class Session:
 
         By bisection over its notches; it ends early when the answer is not wanted any more.
         """
-        values = checked(self.sliders, given)
+        values = checked_values(self.sliders, given)
         slider = next((one for one in self.sliders if one.key == key), None)
         if slider is None:
             raise ProblemError("slider", repr(key), f"one of {', '.join(one.key for one in self.sliders)}")
@@ -208,7 +204,7 @@ class Session:
 
     def outcome(self, values: Values, classical: bool = False) -> Outcome:
         """Return how the problem at these values ends, with or without its frequency constraints."""
-        moved = changed(self.sliders, values)
+        moved = moved_values(self.sliders, values)
         if classical:
             moved = self._of_groups(moved, lambda group: group != FREQUENCY)
         return self._outcomes.get((classical, *moved.items()), lambda: self._solved(moved, classical))
@@ -268,8 +264,8 @@ def answer_data(outcome: Outcome) -> Data:
         "theorem": _theorem(outcome),
         "proof": [] if certificate is None else verdict(certificate, outcome.problem),
         "conflict": [part.block for part in outcome.conflict or ()],
-        "frame": frame(outcome.problem),
-        "trajectory": None if trajectory is None else drawn(outcome.problem, trajectory),
+        "frame": frame_data(outcome.problem),
+        "trajectory": None if trajectory is None else trajectory_data(outcome.problem, trajectory),
     }
 
 
@@ -283,34 +279,34 @@ def _theorem(outcome: Outcome) -> str:
     return f"satisfied, {'normal' if certificate.normal else 'abnormal'}"
 
 
-def frame(problem: OptimalControlProblem) -> Data:
+def frame_data(problem: OptimalControlProblem) -> Data:
     """Return what does not depend on a trajectory: axes, names, bounds, stopped bins and limits."""
     time, frequency = time_scale(problem), frequency_scale(problem)
     return {
         "horizon": problem.horizon,
         "time": {"step": time.factor, "label": time.label},
         "frequency": {"label": frequency.label},
-        "signals": [_signal(signal) for signal in _over_time(problem)],
-        "spectra": [_spectrum(signal, frequency.factor) for signal in _over_frequency(problem)],
-        "vibrations": [_vibration(term, box) for term, box in everywhere_of(problem, PlantBox)],
+        "signals": [_signal_data(signal) for signal in _time_signals(problem)],
+        "spectra": [_spectrum_data(signal, frequency.factor) for signal in _frequency_signals(problem)],
+        "vibrations": [_vibration_data(term, box) for term, box in everywhere_of(problem, PlantBox)],
     }
 
 
-def _signal(signal: Signal) -> Data:
+def _signal_data(signal: Signal) -> Data:
     lower, upper = signal.bounds
-    return {"name": signal.name, "state": signal.is_state, "lower": _bound(lower), "upper": _bound(upper)}
+    return {"name": signal.name, "state": signal.is_state, "lower": _bound_data(lower), "upper": _bound_data(upper)}
 
 
-def _bound(values: Array) -> list[float | None]:
+def _bound_data(values: Array) -> list[float | None]:
     """Return a bound over time, as a single value where it is constant."""
-    return rounded(values[:1] if (values == values[0]).all() else values)
+    return round_values(values[:1] if (values == values[0]).all() else values)
 
 
-def _over_time(problem: OptimalControlProblem) -> list[Signal]:
+def _time_signals(problem: OptimalControlProblem) -> list[Signal]:
     return [*controls_of(problem), *states_of(problem)][:MOST_SIGNALS]
 
 
-def _spectrum(signal: Signal, factor: float) -> Data:
+def _spectrum_data(signal: Signal, factor: float) -> Data:
     per_bin = 2 * np.pi / signal.samples * factor
     runs = stopped_runs(signal.stop)
     last = signal.samples / 2
@@ -319,39 +315,42 @@ def _spectrum(signal: Signal, factor: float) -> Data:
         "name": signal.name,
         "step": per_bin,
         "stopped": [[per_bin * low, per_bin * high] for low, high in edges],
-        "limits": [{"at": rounded(factor * line.at), "values": rounded(line.values)} for line in signal.levels],
+        "limits": [
+            {"at": round_values(factor * line.at), "values": round_values(line.values)} for line in signal.levels
+        ],
     }
 
 
-def _over_frequency(problem: OptimalControlProblem) -> list[Signal]:
+def _frequency_signals(problem: OptimalControlProblem) -> list[Signal]:
     """Return all controls, and the states and outputs with a limit on their spectrum."""
     limited = [state for state in states_of(problem) if state.stop.any()]
     return [*controls_of(problem), *limited, *outputs_of(problem)][:MOST_SIGNALS]
 
 
-def _vibration(term: Term, box: PlantBox) -> Data:
+def _vibration_data(term: Term, box: PlantBox) -> Data:
     """Return the axis of a residual vibration, its box of natural frequencies, and its limit."""
     return {
         "name": term.name,
-        "at": rounded(frequencies_around(box)),
+        "at": round_values(frequencies_around(box)),
         "box": [float(box.low[0]), float(box.high[0])],
         "limit": box.limit,
         "top": ABOVE * box.limit,
     }
 
 
-def drawn(problem: OptimalControlProblem, trajectory: Trajectory) -> Data:
+def trajectory_data(problem: OptimalControlProblem, trajectory: Trajectory) -> Data:
     """Return the values of all signals and spectra of a trajectory, in the order of the frame."""
-    spectra = [signal.of(trajectory)[: signal.samples] for signal in _over_frequency(problem)]
+    spectra = [signal.of(trajectory)[: signal.samples] for signal in _frequency_signals(problem)]
     return {
-        "signals": [rounded(signal.of(trajectory)) for signal in _over_time(problem)],
-        "spectra": [rounded(np.abs(np.fft.rfft(values))) for values in spectra],
+        "signals": [round_values(signal.of(trajectory)) for signal in _time_signals(problem)],
+        "spectra": [round_values(np.abs(np.fft.rfft(values))) for values in spectra],
         "vibrations": [
-            rounded(vibration(box, trajectory, frequencies_around(box))) for _, box in everywhere_of(problem, PlantBox)
+            round_values(vibration(box, trajectory, frequencies_around(box)))
+            for _, box in everywhere_of(problem, PlantBox)
         ],
     }
 
 
-def rounded(values: Array) -> list[float | None]:
+def round_values(values: Array) -> list[float | None]:
     """Return numbers with few digits; None for what is no number."""
     return [float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in map(float, values)]

@@ -1,6 +1,7 @@
-"""Constraints whose axis is not that of a DFT: spectra of held signals, and residual vibrations.
+"""Figures of semi-infinite constraints, whose axis is not that of a DFT.
 
-What moves leave ringing, over the natural frequency: of the problem, of input shapers, and the limit.
+They are residual vibrations, over the natural frequency, with the limit within the box of modes, and spectra of held
+signals beyond the Nyquist frequency.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from lin_freq_ocp.pages.figures.plot_data import (
     PlotData,
     new_figure,
     style_axes,
-    thinned,
+    thin_out,
 )
 from lin_freq_ocp.pages.units import aligned
 from lin_freq_ocp.problem.frequencies import everywhere_of
@@ -93,7 +94,7 @@ def _held_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFrequencie
         top, style = max(top, float(values.max())), trace.style
         at = values.reshape(bins, FINENESS).argmax(1) + FINENESS * np.arange(bins) if bins > FEW_BINS else slice(None)
         ax.plot(
-            *thinned(factor * w[at], values[at]),
+            *thin_out(factor * w[at], values[at]),
             color=style.color,
             linewidth=0.65 * style.width,
             zorder=style.order,

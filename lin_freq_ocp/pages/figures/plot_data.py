@@ -1,6 +1,6 @@
-"""What the panels of a figure share: the problem, the trajectories, the units, and the ranges of the axes.
+"""What the panels of all figures share: style, and the problem with its trajectories, units and ranges of axes.
 
-How trajectories look: colours of Okabe and Ito, each with its own line and marker.
+Colours are those of Okabe and Ito; each kind of trajectory has its own line and marker. Figures need no display.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ HATCHES = ("", "////", "....", "xxxx")
 
 # Colours that the page replaces by its own variables, so that figures follow its light and dark scheme.
 THEMED = {INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper", BAND: "band", BOUND: "bound"}
+THEMED |= {REFERENCE: "reference", CLASSICAL: "classical", FILTERED: "filtered", CONSTRAINED: "constrained"}
 THEMED_TINTS = {tint: f"mode-{i}" for i, tint in enumerate(TINTS)}  # only on pages of problems with modes
 
 # Of the components of one signal, of soft bounds, and of references in the cost.
@@ -117,7 +118,7 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def thinned(x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
+def thin_out(x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
     """Return what is drawn of y over x: for long signals, the extremes of every group of neighbours."""
     if len(y) <= MOST_POINTS:
         return x, y
@@ -313,13 +314,13 @@ class PlotData:
             elif not measured.meaningful:
                 text = f"not replayed; rounding errors would grow {rough(measured.measures.amplification)}-fold"
             elif trace.overlay and outside:
-                text = f"leaves the picture; {_end_of(trace, signals)}"
+                text = f"leaves the picture; {_end_text(trace, signals)}"
             if text:
                 notes.append(Note(f"{trace.label}: {text}", trace.style.color))
         return notes
 
 
-def _end_of(trace: Trace, signals: Sequence[Signal]) -> str:
+def _end_text(trace: Trace, signals: Sequence[Signal]) -> str:
     """Return how far from the terminal set a trajectory ends, or how far it goes where the end is free."""
     end = trace.measured.end
     bounded = [] if end is None else [one for one in signals if end.bounded[one.index]]
@@ -344,6 +345,3 @@ def view(mains: Sequence[Array], overlays: Sequence[Array], bounds: Array, refer
             low, high = min(low, float(overlay.min())), max(high, float(overlay.max()))
     margin = MARGIN * (high - low or span)
     return View(low - margin, high + margin, outside)
-
-
-THEMED |= {REFERENCE: "reference", CLASSICAL: "classical", FILTERED: "filtered", CONSTRAINED: "constrained"}

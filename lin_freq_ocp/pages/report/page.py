@@ -1,8 +1,7 @@
-"""One self-contained HTML page: the finding, the figures, the tables, the proof and the problem.
+"""Self-contained HTML pages of a comparison and of a control loop.
 
-Figures ready for pages and files of their own, and pages with their files in a folder.
-
-The report page of a control loop.
+The page of a comparison has the finding, the figures, the tables, the proof and the problem; that of a loop its signals
+and the table of its steps. A page embeds its figures, which are also written as files of their own.
 """
 
 from __future__ import annotations
@@ -64,14 +63,14 @@ def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
 def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
     """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
     drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
-    page = rendered(
+    page = render_template(
         "loop.html.jinja",
         title=loop.problem.name or "Control loop",
-        finding=_finding(loop),
-        tiles=_tiles(loop),
+        finding=_loop_finding(loop),
+        tiles=_loop_tiles(loop),
         drawing=drawing,
-        counts=_counts(loop),
-        excess=_excess(loop),
+        counts=_loop_counts(loop),
+        excess=_loop_violations(loop),
         facts=problem_facts(loop.problem, loop.problem.gap),
         problem=loop.problem,
         version=version("lin-freq-ocp"),
@@ -79,7 +78,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
     return save_page(folder, page, [drawing])
 
 
-def _finding(loop: LoopRecord) -> str:
+def _loop_finding(loop: LoopRecord) -> str:
     steps = len(loop.steps)
     proven = int(loop.satisfied.sum())
     text = f"{plural(steps, 'step')}; the plans of {proven} satisfy the maximum principle"
@@ -88,7 +87,7 @@ def _finding(loop: LoopRecord) -> str:
     return text + (f" The loop stopped before its end: {loop.stopped}" if loop.stopped else "")
 
 
-def _tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
+def _loop_tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
     """Return label, number and remark of the headline's figures."""
     if not loop.steps:
         return [("steps", "0", "")]
@@ -101,13 +100,13 @@ def _tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
     ]
 
 
-def _counts(loop: LoopRecord) -> list[tuple[str, str, str, int]]:
+def _loop_counts(loop: LoopRecord) -> list[tuple[str, str, str, int]]:
     """Return status, source and method of the steps, with how many there are of each."""
     found = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
     return [(*key, count) for key, count in found.most_common()]
 
 
-def _excess(loop: LoopRecord) -> list[tuple[str, str, int]]:
+def _loop_violations(loop: LoopRecord) -> list[tuple[str, str, int]]:
     """Return the largest excess of each softened constraint, and at how many steps there was one."""
     names = dict.fromkeys(name for step in loop.steps for name in step.excess)
     rows: list[tuple[str, str, int]] = []
@@ -152,7 +151,7 @@ def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
     return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
 
 
-def rendered(template: str, **values: object) -> str:
+def render_template(template: str, **values: object) -> str:
     """Return a page from its template."""
     environment = Environment(
         loader=PackageLoader("lin_freq_ocp.pages.report"),
@@ -199,7 +198,7 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
     if comparison.moves is not None:
         title, caption = moves_title(comparison.moves), moves_caption(comparison.moves)
         yield "vibration", title, caption, moves_figure(comparison.moves)
-    yield from _of_continua(data, comparison.moves is None)
+    yield from _draw_continua(data, comparison.moves is None)
     if data.modes:
         rows = strip_rows(comparison)
         yield "modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows)
@@ -222,7 +221,7 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
         yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
 
 
-def _of_continua(data: PlotData, with_boxes: bool) -> Iterator[tuple[str, str, str, Figure]]:
+def _draw_continua(data: PlotData, with_boxes: bool) -> Iterator[tuple[str, str, str, Figure]]:
     held, vibrations = held_figure(data), vibrations_figure(data) if with_boxes else None
     if held is not None:
         caption = (
@@ -239,7 +238,7 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
     """Return the page."""
     problem, certificate = comparison.problem, comparison.constrained.certificate
     constrained, result = has_frequency_constraint(problem), comparison.constrained
-    return rendered(
+    return render_template(
         "page.html.jinja",
         title=problem.name or "Optimal control problem",
         finding=finding(comparison),

@@ -1,7 +1,4 @@
-"""Tables as rows of text, for the page and for the terminal alike.
-
-Input shapers beside the shortest move, in words and in a table.
-"""
+"""Tables as rows of text, for the page and for the terminal alike: comparisons, certificates, sweeps and moves."""
 
 from __future__ import annotations
 
@@ -99,16 +96,16 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     only_rows = all(term.kind == "stage rows" for term in hard)
     of_terms = "Beyond the joint rows by" if only_rows else "Beyond other constraints by"
     groups = [
-        _group("", ["cost"], columns, lambda one, _: _measured(one, one.measures.cost, digits=COST_DIGITS)),
+        _group("", ["cost"], columns, lambda one, _: _measured_cell(one, one.measures.cost, digits=COST_DIGITS)),
         _group(
             "Largest magnitude", problem.control_names, columns, lambda one, j: Cell(aligned(one.largest(controls[j])))
         ),
-        _violations("Beyond the control bounds by", problem.control_names, columns, lambda one: one.controls),
-        _violations("Beyond the state bounds by", problem.state_names, columns, lambda one: one.states),
-        _violations(of_terms, [term.name for term in hard], columns, lambda one: one.terms),
-        _violations("Misses the end state by", problem.state_names, columns, lambda one: one.end),
-        _stop_band(problem, columns, of_states=False),
-        _stop_band(problem, columns, of_states=True),
+        _violation_group("Beyond the control bounds by", problem.control_names, columns, lambda one: one.controls),
+        _violation_group("Beyond the state bounds by", problem.state_names, columns, lambda one: one.states),
+        _violation_group(of_terms, [term.name for term in hard], columns, lambda one: one.terms),
+        _violation_group("Misses the end state by", problem.state_names, columns, lambda one: one.end),
+        _stop_band_group(problem, columns, of_states=False),
+        _stop_band_group(problem, columns, of_states=True),
     ]
     if not all(one.meaningful for one in found):
         title = "Misses the next planned state, in one step, by"
@@ -135,11 +132,13 @@ def _group(
     )
 
 
-def _measured(trajectory: MeasuredTrajectory, value: float | None, passed: bool | None = None, digits: int = 4) -> Cell:
+def _measured_cell(
+    trajectory: MeasuredTrajectory, value: float | None, passed: bool | None = None, digits: int = 4
+) -> Cell:
     return Cell(NOT_MEANINGFUL if value is None and not trajectory.meaningful else aligned(value, digits), passed)
 
 
-def _violations(
+def _violation_group(
     title: str, names: Sequence[str], columns: Columns, violation: Callable[[MeasuredTrajectory], Violation | None]
 ) -> Group:
     """Return one row per component that has a bound."""
@@ -153,14 +152,14 @@ def _violations(
     return _group(title, names, columns, cell, map(int, np.flatnonzero(bounded)))
 
 
-def _stop_band(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:
+def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:
     def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
         found = trajectory.measures
         if of_states:
             values = found.state_stopband_energy, found.state_stopband_peak
         else:
             values = found.stopband_energy, found.stopband_peak
-        return _measured(trajectory, values[i], None if i else trajectory.empties_band(of_states))
+        return _measured_cell(trajectory, values[i], None if i else trajectory.empties_band(of_states))
 
     rows = ["energy at its bins", "peak between its bins"]
     banded = (problem.state_band if of_states else problem.control_band).any()
@@ -216,11 +215,11 @@ def terminal_table(title: str, rows: ComparisonRows) -> Table:
             table.add_row(Text(group.title, style="italic"))
         for row in group.rows:
             label = f"{row.label} [{row.unit}]" if row.unit else row.label
-            table.add_row(Text(("  " if group.title else "") + label), *(_styled(cell) for cell in row.cells))
+            table.add_row(Text(("  " if group.title else "") + label), *(_styled_text(cell) for cell in row.cells))
     return table
 
 
-def _styled(cell: Cell) -> Text:
+def _styled_text(cell: Cell) -> Text:
     if cell.passed is False:
         return Text(f"{cell.text} \N{BALLOT X}", style="bold red")
     return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
@@ -253,7 +252,7 @@ def sweep_table(sweep: SweepOutcome) -> Table:
         style = "" if row["status"] == "optimal" and row["proven"] else "yellow" if row["proven"] else "bold red"
         status = row["status"].replace("_", " ") + ("" if row["proven"] else ", not proven")
         table.add_row(
-            *(Text(_shown(value)) for value in row["parameters"].values()),
+            *(Text(_cell_text(value)) for value in row["parameters"].values()),
             Text(status, style=style),
             Text(aligned(row["cost"], SWEEP_DIGITS)),
             Text(number(row["gap"], 2)),
@@ -264,7 +263,7 @@ def sweep_table(sweep: SweepOutcome) -> Table:
     return table
 
 
-def _shown(value: object) -> str:
+def _cell_text(value: object) -> str:
     return NOTHING if value is None else number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)
 
 
