@@ -8,6 +8,7 @@ import math
 import pickle
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from hashlib import sha256
@@ -88,8 +89,13 @@ def point_key(parameters: Mapping[str, object]) -> str:
     return json.dumps(parameters, sort_keys=True)
 
 
-def require_picklable(source: Source, grid: Mapping[str, object]) -> None:
-    """Raise ProblemError unless the source and the values can be sent to another process."""
+def require_executor(executor: object, source: Source, grid: Mapping[str, object]) -> None:
+    """Raise ProblemError unless this is None, or an executor whose processes can get the source and the values."""
+    if executor is None:
+        return
+    if not isinstance(executor, Executor):
+        advice = "Of a Dask client: client.get_executor()."
+        raise ProblemError("executor", brief(executor), "a concurrent.futures.Executor, or None", advice)
     for field, value in (("problem", source), *((f"grid.{name}", value) for name, value in grid.items())):
         try:
             pickle.dumps(value)

@@ -20,7 +20,7 @@ from lin_freq_ocp.base.arrays import Array, Indices, brief, one_component, real_
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.grid import fingerprint, require_picklable
+from lin_freq_ocp.batch.grid import fingerprint, require_executor
 from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.batch.tasks import ERROR, Work, finished
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
@@ -139,12 +139,11 @@ def run_many(
     """Solve all problems, unless interrupted; see ``lfo.solve_many``."""
     again = Repeated(problem, method)
     changes = changes_of(problem, initial_states, references)
-    if executor is not None:
-        if not isinstance(executor, Executor):
-            advice = "Of a Dask client: client.get_executor()."
-            raise ProblemError("executor", brief(executor), "a concurrent.futures.Executor, or None", advice)
-        require_picklable(problem, {"method": [method]})
-    keys = [_change_key(change) for change in changes]
+    require_executor(executor, problem, {"method": [method]})
+    keys = [
+        "" if isinstance(change, ProblemError) else fingerprint((change.initial_state, change.references))
+        for change in changes
+    ]
     good = {key: change for key, change in zip(keys, changes, strict=True) if isinstance(change, Change)}
     head = ManyHead(
         fingerprint(problem), {"method": method if isinstance(method, str) else repr(method), "time_limit": time_limit}
@@ -169,10 +168,6 @@ def run_many(
         for key, change in zip(keys, changes, strict=True)
     )
     return ManyOutcome(problem, tuple(changes), items, again, interrupted)
-
-
-def _change_key(change: Change | ProblemError) -> str:
-    return "" if isinstance(change, ProblemError) else fingerprint((change.initial_state, change.references))
 
 
 def _parts(

@@ -227,11 +227,9 @@ def _varying_states(problem: OptimalControlProblem, first: int) -> Iterator[str]
 
 def _constant_beyond_bounds(given: object) -> bool:
     """Whether the sets of a field, apart from their bounds, are one set for all times."""
-    return given is None or isinstance(given, ConvexSet) or not any(one.members for one in _sequence(given))
-
-
-def _sequence(given: object) -> list[ConvexSet]:
-    return [one for one in given if isinstance(one, ConvexSet)] if isinstance(given, (list, tuple)) else []
+    if not isinstance(given, (list, tuple)):
+        return True
+    return not any(one.members for one in given if isinstance(one, ConvexSet))
 
 
 def _rows_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str]:

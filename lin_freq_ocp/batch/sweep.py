@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol, TypedDict, get_type_hints
 
-from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError, suggestion
 from lin_freq_ocp.base.status import Status
@@ -30,7 +29,7 @@ from lin_freq_ocp.batch.grid import (
     plain_parameters,
     point_key,
     problem_at,
-    require_picklable,
+    require_executor,
 )
 from lin_freq_ocp.batch.tasks import ERROR, Work, finished
 from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
@@ -162,11 +161,7 @@ def run_sweep(
     """Return the finished points of a grid, all of them unless it was interrupted; see ``lfo.sweep``."""
     require_options(**options)
     values = grid_values(problem, grid)
-    if executor is not None:
-        if not isinstance(executor, Executor):
-            advice = "Of a Dask client: client.get_executor()."
-            raise ProblemError("executor", brief(executor), "a concurrent.futures.Executor, or None", advice)
-        require_picklable(problem, values)
+    require_executor(executor, problem, values)
     points, shown = grid_points(values), {name: tuple(map(plain, given)) for name, given in values.items()}
     head = SweepHead(_source_name(problem), fingerprint(problem), tuple(values), options)
     rows, interrupted = dict[str, Row](), False

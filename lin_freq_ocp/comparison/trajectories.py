@@ -80,7 +80,7 @@ class Signal:
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Return its lower and upper bounds over time, without the ends."""
-        box = state_bounds(self.problem) if self.is_state else self.problem.control_tube
+        box = self.problem.state_boxes if self.is_state else self.problem.control_tube
         return box.lower[:, self.index], box.upper[:, self.index]
 
     @property
@@ -263,11 +263,6 @@ def outputs_of(problem: OptimalControlProblem) -> list[Signal]:
     return [output for output in found if output.stop.any()]
 
 
-def state_bounds(problem: OptimalControlProblem) -> Box:
-    """Return the state set of each time without the ends, bounds of shape (T+1, n)."""
-    return problem.state_boxes
-
-
 @dataclass(frozen=True, eq=False)
 class Violation:
     """By how much a signal violates its bounds, per component; arrays (components,)."""
@@ -310,7 +305,7 @@ class MeasuredTrajectory:
         """Return the violation of the state bounds, without the ends."""
         if not self.meaningful:
             return None
-        return _box_violation(self.trajectory.x, state_bounds(self.problem), self._least[0])
+        return _box_violation(self.trajectory.x, self.problem.state_boxes, self._least[0])
 
     @cached_property
     def end(self) -> Violation | None:

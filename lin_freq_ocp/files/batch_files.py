@@ -17,11 +17,11 @@ from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import get_type_hints
+from typing import Self, get_type_hints
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import locked, write_text, writing
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.grid import grid_points, point_key
@@ -90,19 +90,27 @@ class Log:
         with writing(self._path):
             self._open.close()
 
+    def __enter__(self) -> Self:
+        return self
 
-class SweepFile:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class SweepFile(Log):
     """A file that gets a line per point; a file of the same sweep is continued, and any other is a ProblemError.
 
     ``rows`` are those of the file when it was opened, without points that ended with an error.
     """
 
     def __init__(self, path: str | PathLike[str], head: SweepHead, grid: Mapping[str, Sequence[FileValue]]):
-        self._log = Log(Path(path))
+        super().__init__(Path(path))
         try:
             self.rows: list[Row] = self._begin(Path(path), head, grid)
         except BaseException:
-            self._log.close()
+            self.close()
             raise
 
     def _begin(self, path: Path, head: SweepHead, grid: Mapping[str, Sequence[FileValue]]) -> list[Row]:
@@ -113,25 +121,17 @@ class SweepFile:
         rows = [row for row in _rows_of(lines) if row["status"] != ERROR]
         if lines:
             _require_same(path, lines[0], head)
-        self._log.truncate(read_bytes(path).rfind(b"\n") + 1 if lines else 0)
+        self.truncate(read_bytes(path).rfind(b"\n") + 1 if lines else 0)
         given = {name: list(values) for name, values in grid.items()}
         if not lines:
-            self._log.write(first | {"options": dict(head.options), "grid": given})
+            self.write(first | {"options": dict(head.options), "grid": given})
         elif list(_last_grid(lines).items()) != list(given.items()):
-            self._log.write({"grid": given})
+            self.write({"grid": given})
         return rows
 
     def append(self, row: Row) -> None:
         """Write one point; it is on the disk when this returns."""
-        self._log.write(row)
-
-    def __enter__(self) -> SweepFile:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._log.close()
+        self.write(row)
 
 
 def _sweep_lines(path: Path) -> list[FileTable]:
@@ -240,16 +240,15 @@ def sweep_summary(sweep: SweepOutcome) -> FileTable:
     }
 
 
-class ManyFile:
+class ManyFile(Log):
     """A file that gets a line per answer; ``items`` are those of the file when it was opened, without errors."""
 
     def __init__(self, path: str | PathLike[str], head: ManyHead):
-        self._path = Path(path)
-        self._log = Log(self._path)
+        super().__init__(Path(path))
         try:
             self.items: Mapping[str, Item] = self._begin(head)
         except BaseException:
-            self._log.close()
+            self.close()
             raise
 
     def _begin(self, head: ManyHead) -> dict[str, Item]:
@@ -264,17 +263,25 @@ class ManyFile:
         if lines:
             self._require_same(lines[0], first)
         found = {line["key"]: _item_of_line(line) for line in map(self._checked, lines[1:])}
-        self._log.truncate(len(whole))
+        self.truncate(len(whole))
         if not lines:
-            self._log.write(first)
+            self.write(first)
         return {key: item for key, item in found.items() if item.status != ERROR}
 
     def append(self, key: str, item: Item) -> None:
         """Write one answer; it is on the disk when this returns."""
         numbers = {name: getattr(item, name) for name in NUMBERS}
-        arrays = {name: _nested_list(getattr(item, name)) for name in ("x", "u")}
-        self._log.write(
-            {"key": key, "status": item.status, "proven": item.proven, "message": item.message, **numbers, **arrays}
+        x, u = (None if signal is None else signal.tolist() for signal in (item.x, item.u))
+        self.write(
+            {
+                "key": key,
+                "status": item.status,
+                "proven": item.proven,
+                "message": item.message,
+                **numbers,
+                "x": x,
+                "u": u,
+            }
         )
 
     def _require_same(self, found: FileTable, first: FileTable) -> None:
@@ -298,20 +305,8 @@ class ManyFile:
             str(self._path), brief(found, 30), "a file of solve_many, or a new name", "It is left as it is."
         )
 
-    def __enter__(self) -> ManyFile:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._log.close()
-
 
 def _item_of_line(line: FileTable) -> Item:
     given = {name: line[name] for name in ITEM_KEYS if name not in ("key", "x", "u")}
     x, u = (None if line[name] is None else np.array(line[name], dtype=np.float64) for name in ("x", "u"))
     return Item(**given, x=x, u=u)
-
-
-def _nested_list(values: Array | None) -> list[list[float]] | None:
-    return None if values is None else values.tolist()
