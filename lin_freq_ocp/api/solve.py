@@ -168,14 +168,14 @@ def _complaint(result: Result) -> str:
     if result.status == Status.UNBOUNDED:
         return f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
     if result.status == Status.LIMIT:
-        return f"{name}: stopped before the answer was accurate ({result.message}); {_reached(result)}."
+        return f"{name}: stopped before the answer was accurate ({result.message}); {_best_point_text(result)}."
     return (
         f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
         "solution; what it found is in .result. Try another backend or method."
     )
 
 
-def _reached(result: Result) -> str:
+def _best_point_text(result: Result) -> str:
     """Return the cost, bound and gap of the best point before a limit."""
     if result.trajectory is None:
         bound = "" if result.lower_bound is None else f", lower bound {result.lower_bound:.6g}"

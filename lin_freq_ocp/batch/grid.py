@@ -150,10 +150,10 @@ def fingerprint(value: object) -> str:
     by their entries, a ``functools.partial`` by its function and arguments, and functions by module and name: not by
     their code.
     """
-    return sha256(_described(value).encode()).hexdigest()[:FINGERPRINT_LENGTH]
+    return sha256(_text_of(value).encode()).hexdigest()[:FINGERPRINT_LENGTH]
 
 
-def _described(value: object) -> str:
+def _text_of(value: object) -> str:
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or isinstance(value, (bool, int, float, complex, str, bytes)):
@@ -162,19 +162,19 @@ def _described(value: object) -> str:
         content = np.ascontiguousarray(value)
         return f"array({content.dtype.str}, {content.shape}, {sha256(content.tobytes()).hexdigest()})"
     if isinstance(value, Mapping):
-        entries = sorted(f"{_described(key)}: {_described(entry)}" for key, entry in value.items())
+        entries = sorted(f"{_text_of(key)}: {_text_of(entry)}" for key, entry in value.items())
         return f"{{{', '.join(entries)}}}"
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_described, value))}]"
+        return f"[{', '.join(map(_text_of, value))}]"
     if isinstance(value, partial):
-        return f"partial({_described(value.func)}, {_described(value.args)}, {_described(value.keywords)})"
+        return f"partial({_text_of(value.func)}, {_text_of(value.args)}, {_text_of(value.keywords)})"
     if is_dataclass(value) and not isinstance(value, type):
-        entries = (f"{one.name}={_described(getattr(value, one.name))}" for one in fields(value) if one.compare)
-        return f"{_named(type(value))}({', '.join(entries)})"
+        entries = (f"{one.name}={_text_of(getattr(value, one.name))}" for one in fields(value) if one.compare)
+        return f"{_qualified_name(type(value))}({', '.join(entries)})"
     if hasattr(value, "__qualname__"):
-        return _named(value)
-    return f"{_named(type(value))}({_described(getattr(value, '__dict__', {}))})"
+        return _qualified_name(value)
+    return f"{_qualified_name(type(value))}({_text_of(getattr(value, '__dict__', {}))})"
 
 
-def _named(value: object) -> str:
+def _qualified_name(value: object) -> str:
     return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '')}"

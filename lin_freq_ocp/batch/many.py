@@ -22,7 +22,7 @@ from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import fingerprint, require_executor
 from lin_freq_ocp.batch.repeated import Repeated
-from lin_freq_ocp.batch.tasks import ERROR, Work, finished
+from lin_freq_ocp.batch.tasks import ERROR, Work, finish_tasks
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
@@ -184,7 +184,7 @@ def _parts(
     )
     lost = dict[str, Change]()
     for size in (SENT, 1):
-        with closing(finished(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:
+        with closing(finish_tasks(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:
             for _, part in parts:
                 if size > 1:
                     lost |= {key: changes[key] for key, item in part.items.items() if item.lost}

@@ -31,7 +31,7 @@ from lin_freq_ocp.batch.grid import (
     problem_at,
     require_executor,
 )
-from lin_freq_ocp.batch.tasks import ERROR, Work, finished
+from lin_freq_ocp.batch.tasks import ERROR, Work, finish_tasks
 from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, solve_judged
@@ -177,7 +177,7 @@ def run_sweep(
         missing = {key: point for key, point in points.items() if key not in rows}
         try:
             report()
-            with closing(finished(work, missing, executor)) as results:
+            with closing(finish_tasks(work, missing, executor)) as results:
                 for key, row in results:
                     if record is not None:
                         record.append(row)

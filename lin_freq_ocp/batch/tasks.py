@@ -34,7 +34,7 @@ class Work(Generic[Given, Answer]):
     interrupted: Callable[[Answer], bool]
 
 
-def finished(
+def finish_tasks(
     work: Work[Given, Answer], points: Mapping[str, Given], executor: Executor | None
 ) -> Generator[tuple[str, Answer]]:
     """Do the work at all points on an executor; without one, one after another in this process.
@@ -52,7 +52,7 @@ def finished(
                 raise KeyboardInterrupt
             yield key, answer
         return
-    left = yield from _on(executor, work, points)
+    left = yield from _run_on_executor(executor, work, points)
     if left:
         warnings.warn(
             f"The executor takes no more work: {len(left)} points are solved one after another, in a process of their "
@@ -60,7 +60,7 @@ def finished(
             RuntimeWarning,
             stacklevel=3,
         )
-        yield from _apart(work, left)
+        yield from _run_in_own_process(work, left)
 
 
 class WorkerPool(ProcessPoolExecutor):
@@ -112,7 +112,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _on(
+def _run_on_executor(
     executor: Executor, work: Work[Given, Answer], points: Mapping[str, Given]
 ) -> Generator[tuple[str, Answer], None, dict[str, Given]]:
     """Do the work on an executor; return the points that it did not take."""
@@ -153,7 +153,7 @@ def _on(
     return left
 
 
-def _apart(work: Work[Given, Answer], points: Mapping[str, Given]) -> Generator[tuple[str, Answer]]:
+def _run_in_own_process(work: Work[Given, Answer], points: Mapping[str, Given]) -> Generator[tuple[str, Answer]]:
     """Do the work one after another in a process of its own, a new one whenever it dies."""
     pool = process_pool(1)
     try:

@@ -85,14 +85,14 @@ def complain(error: Exception | str) -> None:
 
 def error_status(error: BaseException) -> int:
     """Return the exit status of an error that has no result."""
-    if isinstance(error, (click.Abort, KeyboardInterrupt)) or _interrupted(error):
+    if isinstance(error, (click.Abort, KeyboardInterrupt)) or _is_interrupted(error):
         return INTERRUPTED
     if isinstance(error, MemoryError):
         return NOT_PROVEN
     return BAD_INPUT if isinstance(error, (LinFreqOCPError, OSError, click.ClickException)) else FAULT
 
 
-def _interrupted(error: BaseException | None) -> bool:
+def _is_interrupted(error: BaseException | None) -> bool:
     """Whether Ctrl-C caused an error: compiled code turns it into errors of its own."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
@@ -107,10 +107,10 @@ def error_message(error: Exception) -> str:
         return f"not enough memory for a problem of this size ({error})."
     if error_status(error) != FAULT:
         return str(error)
-    from lin_freq_ocp.files.run_file import described
+    from lin_freq_ocp.files.run_file import describe_error
 
     what = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
-    location = next(iter(described(error)["places"][::-1]), "no place")
+    location = next(iter(describe_error(error)["places"][::-1]), "no place")
     return (
         f"a fault of lin-freq-ocp, not of what it was given: {what} (at {location}). "
         "Please report it, with the file that 'lin-freq-ocp solve ... --dump FILE.zip' writes."
@@ -156,9 +156,9 @@ def print_json(summary: Mapping[str, object]) -> None:
 
 def print_table(table: Table, spare: Sequence[str] = ()) -> None:
     """Print a table on stdout; where it is too wide, ``spare`` columns are dropped first."""
-    from lin_freq_ocp.cli.console import fitted
+    from lin_freq_ocp.cli.console import fit_table
 
-    out.print(fitted(table, out.width, spare))
+    out.print(fit_table(table, out.width, spare))
 
 
 def print_conflict(result: Result) -> None:
@@ -225,7 +225,7 @@ def solve_options(command: Command) -> Command:
     return command
 
 
-def fitted(table: Table, width: int, spare: Sequence[str] = ()) -> RenderableType:
+def fit_table(table: Table, width: int, spare: Sequence[str] = ()) -> RenderableType:
     """Return a table of texts in at most ``width`` columns; columns justified to the right are not wrapped.
 
     Columns with the ``spare`` headings are left out, the first one first. If that is not enough, the others are shown

@@ -19,7 +19,7 @@ from lin_freq_ocp.comparison.trajectories import (
     CONSTRAINED,
     MeasuredTrajectory,
     measured_solution,
-    replayed,
+    replay_control,
     solution_label,
 )
 from lin_freq_ocp.problem.measures import Measures
@@ -160,7 +160,7 @@ def _in_words(measures: Measures) -> list[str]:
     return cost + [f"{what} {value:.2g}" for what, value in figures.items() if value is not None]
 
 
-def compared(
+def compare_methods(
     problem: OptimalControlProblem,
     solve: Solve,
     filters: Sequence[str] | None,
@@ -192,7 +192,7 @@ def compared(
     entries = list[Filtered]()
     for name in names:
         control = filtered(name, problem, plan.u)
-        replay = replayed(name.replace("_", " "), problem, control.u, plan)
+        replay = replay_control(name.replace("_", " "), problem, control.u, plan)
         entries.append(Filtered(name, control.description, replay))
     if not shapers:
         return ComparisonOutcome(problem, classical, constrained, tuple(entries))

@@ -34,7 +34,7 @@ from lin_freq_ocp.batch.minimum_time import Search, obstacles, problem_at_horizo
 from lin_freq_ocp.certificate.peaks.cells import Peak
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
-from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replayed
+from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replay_control
 from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
@@ -158,7 +158,7 @@ def _shaped_move(
         at = problem_at_horizon(problem, T + longer)
         held = np.concatenate([profile.x, np.repeat(profile.x[-1:], longer, axis=0)])
         u = shaped(name, box, profile.u)
-        move = _measured_move(name, description, replayed(name, at, u, Trajectory(held, u)))
+        move = _measured_move(name, description, replay_control(name, at, u, Trajectory(held, u)))
         if move.keeps_everything:
             return move
     return Move(name, description, None, LONGEST * shortest + longer - 1, box.sampling_time)

@@ -407,7 +407,7 @@ def _term_violation(term: Term, trajectory: Trajectory, least_x: Array, least_u:
     return float(violation[worst]), float(CONDITION_TOLERANCE * scale[worst])
 
 
-def replayed(label: str, problem: OptimalControlProblem, u: Array, planned: Trajectory) -> MeasuredTrajectory:
+def replay_control(label: str, problem: OptimalControlProblem, u: Array, planned: Trajectory) -> MeasuredTrajectory:
     """Replay u, shape (T, m), from the first state of the planned trajectory, where that means anything."""
     stopped = ""
     growth = measures.growth_along(problem, planned)

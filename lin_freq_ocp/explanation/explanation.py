@@ -17,7 +17,7 @@ from lin_freq_ocp.base.arrays import Array, Mask, positive_number
 from lin_freq_ocp.base.clock import now, processor_now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, hard_only, kept_stopped, relaxed, without
+from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, drop_blocks, hard_only, kept_stopped, relax_block
 from lin_freq_ocp.problem.augmented import AddedStates, extended
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -107,22 +107,22 @@ class _Search:
 
     def solved(self, problem: OptimalControlProblem) -> Outcome:
         """Return how a variant ends, with a simple cost or none: only feasibility matters."""
-        result = solve_judged(replace(problem, cost=self.problem.quadratic), time_limit=self._left())
+        result = solve_judged(replace(problem, cost=self.problem.quadratic), time_limit=self._seconds_left())
         self.interrupted |= result.interrupted
         if result.interrupted or result.status in DECIDED or "convex" not in family_of(problem).shorthands:
             return result
-        return solve_judged(replace(problem, cost=QuadraticCost()), "convex", time_limit=self._left())
+        return solve_judged(replace(problem, cost=QuadraticCost()), "convex", time_limit=self._seconds_left())
 
-    def _left(self) -> float | None:
+    def _seconds_left(self) -> float | None:
         left = [(end - clock()) * (BUSY if clock is processor_now else 1.0) for clock, end in self.ends]
         return max(min(left), LEAST_TIME) if left else None
 
-    def _over(self) -> bool:
+    def _time_is_over(self) -> bool:
         return self.interrupted or any(clock() > end for clock, end in self.ends)
 
     def feasible(self, problem: OptimalControlProblem) -> bool | None:
         """Whether a variant has a solution; None where that is not known, as where the time is over."""
-        if self._over():
+        if self._time_is_over():
             return None
         return DECIDED.get(self.solved(problem).status)
 
@@ -139,16 +139,16 @@ class _Search:
 
     def _infeasible(self, kept: list[Block]) -> bool:
         """Whether these blocks alone are known to have no solution."""
-        if self._over():
+        if self._time_is_over():
             self.sure = False
             return False
-        found = self.feasible(without(self.problem, [block for block in self.blocks if block not in kept]))
+        found = self.feasible(drop_blocks(self.problem, [block for block in self.blocks if block not in kept]))
         self.sure &= found is not None
         return found is False
 
     def cure(self, block: Block) -> Cure | None:
         """Return the least change of a block that cures the problem, if it does and there is time."""
-        return None if self._over() else least_cure(self.problem, block, self.feasible, self._left())
+        return None if self._time_is_over() else least_cure(self.problem, block, self.feasible, self._seconds_left())
 
 
 def least_cure(
@@ -170,7 +170,7 @@ def least_cure(
     end = result.trajectory.x[0 if block.kind == ENDS[0] else -1, :-1]
 
     def relaxed_by(amount: float) -> OptimalControlProblem:
-        return relaxed(problem, block, amount * sizes[0] if block.kind in ENDS else amount)
+        return relax_block(problem, block, amount * sizes[0] if block.kind in ENDS else amount)
 
     for margin in MARGINS:
         amount = least * (1 + margin)
@@ -185,12 +185,12 @@ def _least_narrowing(problem: OptimalControlProblem, block: Block, feasible: Fea
     """Return the fewest bins to pass at the edges of a stop band, by bisection."""
     stopped = (problem.state_stop if block.kind == "state stop band" else problem.control_stop)[:, block.index]
     most = len(stopped)
-    if not feasible(relaxed(problem, block, most)):
+    if not feasible(relax_block(problem, block, most)):
         return None
     least = 0  # bins that do not suffice
     while most - least > 1:
         middle = (least + most) // 2
-        least, most = (least, middle) if feasible(relaxed(problem, block, middle)) else (middle, most)
+        least, most = (least, middle) if feasible(relax_block(problem, block, middle)) else (middle, most)
     return Cure(block.name, float(most), _band_description(problem, stopped, most, "state" in block.kind))
 
 
@@ -221,14 +221,14 @@ def _least_rise(problem: OptimalControlProblem, block: Block, feasible: Feasible
 def _least_amount(problem: OptimalControlProblem, block: Block, feasible: Feasible, unit: float) -> float | None:
     """Return the least amount by which a block must be relaxed, by bisection; None if no multiple of a unit does."""
     most = unit * FIRST_AMOUNT
-    while not feasible(relaxed(problem, block, most)):
+    while not feasible(relax_block(problem, block, most)):
         most *= GROWTH
         if most > LARGEST * unit:
             return None
     least = most / GROWTH if most > unit * FIRST_AMOUNT else 0.0
     while most - least > PRECISION * (unit + most):
         middle = (least + most) / 2
-        least, most = (least, middle) if feasible(relaxed(problem, block, middle)) else (middle, most)
+        least, most = (least, middle) if feasible(relax_block(problem, block, middle)) else (middle, most)
     return most
 
 
@@ -238,7 +238,7 @@ def _least_widening(problem: OptimalControlProblem, block: Block, feasible: Feas
     if amount is None:
         return None
     return Cure(
-        block.name, amount, _cure_description(problem, relaxed(problem, block, amount), block, amount, np.zeros(0))
+        block.name, amount, _cure_description(problem, relax_block(problem, block, amount), block, amount, np.zeros(0))
     )
 
 
@@ -290,7 +290,7 @@ def _elastic_problem(problem: OptimalControlProblem, block: Block) -> OptimalCon
     m, T = problem.control_dim, problem.horizon
     delta = AddedStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
     base = replace(
-        hard_only(relaxed(problem, block, np.inf)), cost=QuadraticCost(), name=f"least change of the {block.name}"
+        hard_only(relax_block(problem, block, np.inf)), cost=QuadraticCost(), name=f"least change of the {block.name}"
     )
     elastic, (x, u) = extended(base, delta), stated_sizes(problem)
     unit = _bounded_size(problem, block)

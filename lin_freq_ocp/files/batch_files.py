@@ -262,7 +262,7 @@ class ManyFile(Log):
         lines = [parsed_json(f"{self._path}, line {i}", line) for i, line in enumerate(whole.decode().splitlines(), 1)]
         if lines:
             self._require_same(lines[0], first)
-        found = {line["key"]: _item_of_line(line) for line in map(self._checked, lines[1:])}
+        found = {line["key"]: _item_of_line(line) for line in map(self._require_item, lines[1:])}
         self.truncate(len(whole))
         if not lines:
             self.write(first)
@@ -296,7 +296,7 @@ class ManyFile(Log):
             if found[key] != first[key]:
                 raise ProblemError(str(self._path), f"a file of {what}", brief(first[key]), ANOTHER_PATH)
 
-    def _checked(self, line: FileTable) -> FileTable:
+    def _require_item(self, line: FileTable) -> FileTable:
         require_keys(self._path.name, line, ITEM_KEYS)
         return line
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
-from lin_freq_ocp.files.reading import FileTable, FileValue, joined, located, require_keys
+from lin_freq_ocp.files.reading import FileTable, FileValue, at_location, join_location, require_keys
 
 
 class Codec(Protocol):
@@ -30,7 +30,7 @@ class Codec(Protocol):
         ...
 
 
-def unchanged(location: str, given: FileValue) -> FileValue:
+def as_given(location: str, given: FileValue) -> FileValue:
     """Return a value of the file as it is: the constructor checks it."""
     return given
 
@@ -46,11 +46,11 @@ def plain(location: str, value: FileValue) -> FileValue:
 class Value:
     """A codec of two functions; without them that of a number, text, an array or a list of names."""
 
-    read: Callable[[str, FileValue], FileValue] = unchanged
+    read: Callable[[str, FileValue], FileValue] = as_given
     write: Callable[[str, FileValue], FileValue] = plain
 
 
-def checked(accepts: Callable[[object], bool], expected: str, advice: str = "") -> Value:
+def checked_value(accepts: Callable[[object], bool], expected: str, advice: str = "") -> Value:
     """Return the codec of a value for which the constructor accepts more than a file does."""
 
     def read(location: str, given: FileValue) -> FileValue:
@@ -139,18 +139,18 @@ class Record:
         """Return the object of a table."""
         require_keys(location, given, self.required, self.optional)
         arguments = {
-            name: self._codecs[key].read(joined(location, key), given[key])
+            name: self._codecs[key].read(join_location(location, key), given[key])
             for key, name in self._arguments.items()
             if key in given
         }
-        with located(location, *self._own):
+        with at_location(location, *self._own):
             return self._make(**arguments)
 
     def write(self, location: str, value: FileValue) -> FileTable:
         """Return the table of an object."""
         values = self._attributes(value) if self._values is None else self._values(value)
         table = {
-            key: self._codecs[key].write(joined(location, key), entry)
+            key: self._codecs[key].write(join_location(location, key), entry)
             for key, entry in values.items()
             if entry is not None
         }

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Mask, real_array
 from lin_freq_ocp.base.errors import MissingExtraError, ProblemError, UnsupportedError
-from lin_freq_ocp.files.reading import located
+from lin_freq_ocp.files.reading import at_location
 from lin_freq_ocp.files.solution_files import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -148,7 +148,7 @@ def from_time_response(response: TimeResponseData, problem: OptimalControlProble
         raise _unfit_error("states, outputs", sources, problem.state_names)
     if controls is None:
         raise _unfit_error("inputs", [("inputs", response.u, response.input_labels)], problem.control_names)
-    with located("response"):
+    with at_location("response"):
         return trajectory_from_signals(problem, found[0].T, controls.T[:T])
 
 

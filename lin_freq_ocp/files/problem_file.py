@@ -29,7 +29,7 @@ from lin_freq_ocp.files.problem_tables import PROBLEM, problem_from_tables
 from lin_freq_ocp.files.reading import (
     FileTable,
     FileValue,
-    naming,
+    naming_file,
     npz_bytes,
     opened_npz,
     read_text,
@@ -86,7 +86,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
     """
     path = Path(path)
     tables = read_tables(path)
-    with naming(path):
+    with naming_file(path):
         try:
             return problem_from_tables(_resolve(_merge(tables, overrides or {}), path.parent))
         except ProblemError:

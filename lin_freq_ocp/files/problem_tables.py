@@ -14,8 +14,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_integer, real_array
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.codec import Kinds, Record, Tables, Value, checked, nonzero
-from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, located, readable, versions
+from lin_freq_ocp.files.codec import Kinds, Record, Tables, Value, checked_value, nonzero
+from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
 from lin_freq_ocp.formulas.definitions import defined, with_definitions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import formula_from_text, require_formula
@@ -182,7 +182,7 @@ LINEAR = Record(
     _linear,
     like=LinearDynamics,
     offset=nonzero(1),
-    continuous=checked(lambda given: isinstance(given, bool), "true or false"),
+    continuous=checked_value(lambda given: isinstance(given, bool), "true or false"),
 )
 PIECEWISE_AFFINE = Record(PiecewiseAffineDynamics, modes=Tables(AFFINE_MODE, single=False))
 SMOOTH_MODES = Record(
@@ -264,7 +264,7 @@ def _write_sets(location: str, value: FileValue) -> FileValue:
 def _read_end(location: str, given: FileValue) -> FileValue:
     if isinstance(given, Mapping):
         return SETS.read(location, given)
-    with located(location, "Point"):
+    with at_location(location, "Point"):
         return Point(given)
 
 
@@ -279,7 +279,7 @@ SET_OR_SETS = Value(_read_sets, _write_sets)  # one set for all times, or a list
 # The set of an end of the horizon: a point, which is an array in the file, a table, or nothing for a free end.
 END_SET = Value(_read_end, _write_end)
 
-BINS = checked(lambda given: isinstance(given, (list, np.ndarray)), "a list of whole numbers")
+BINS = checked_value(lambda given: isinstance(given, (list, np.ndarray)), "a list of whole numbers")
 
 
 class _Band(Record):
@@ -326,7 +326,7 @@ def _bound_values(bound: MagnitudeBound | EnergyBound) -> FileTable:
     }
 
 
-NO_LOWER = checked(lambda given: False, "an upper limit", NO_LOWER_MASK)
+NO_LOWER = checked_value(lambda given: False, "an upper limit", NO_LOWER_MASK)
 SPECTRUM = Kinds("frequency constraint")
 SPECTRUM.records |= BANDS.records
 SPECTRUM.records |= {
@@ -404,8 +404,8 @@ PROBLEM = Record(
     _problem,
     like=OptimalControlProblem,
     values=_problem_values,
-    schema=checked(lambda given: readable(given, SCHEMA), versions(SCHEMA), OTHER_VERSION),
-    name=checked(lambda given: isinstance(given, str), "text in quotes"),
+    schema=checked_value(lambda given: readable(given, SCHEMA), versions(SCHEMA), OTHER_VERSION),
+    name=checked_value(lambda given: isinstance(given, str), "text in quotes"),
     dynamics=DYNAMICS,
     cost=COST,
     initial_state=END_SET,

@@ -167,10 +167,10 @@ def require_keys(location: str, table: object, required: Iterable[str] = (), opt
     for key in table:
         if key not in known:
             expected = f"one of {', '.join(known)}"
-            raise ProblemError(joined(location, key), "an unknown key", expected, suggestion(key, known))
+            raise ProblemError(join_location(location, key), "an unknown key", expected, suggestion(key, known))
     for key in required:
         if key not in table:
-            raise ProblemError(joined(location, key), "nothing", "this key")
+            raise ProblemError(join_location(location, key), "nothing", "this key")
 
 
 def readable(given: object, schema: int) -> bool:
@@ -189,13 +189,13 @@ def versions(schema: int) -> str:
     return "1" if schema == 1 else f"a whole number from 1 to {schema}"
 
 
-def joined(location: str, key: str) -> str:
+def join_location(location: str, key: str) -> str:
     """Return the location of a key of a table."""
     return f"{location}.{key}" if location else key
 
 
 @contextmanager
-def naming(path: Path) -> Generator[None]:
+def naming_file(path: Path) -> Generator[None]:
     """Put the file's name in front of the field of every ProblemError."""
     try:
         yield
@@ -204,7 +204,7 @@ def naming(path: Path) -> Generator[None]:
 
 
 @contextmanager
-def located(location: str, *own: str) -> Generator[None]:
+def at_location(location: str, *own: str) -> Generator[None]:
     """Replace the names ``own`` ("Box.lower") at the beginning of a ProblemError's field ("state_set.lower")."""
     try:
         yield

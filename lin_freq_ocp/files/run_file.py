@@ -27,7 +27,7 @@ from lin_freq_ocp.files.reading import (
     DAMAGED,
     LARGE,
     FileTable,
-    naming,
+    naming_file,
     parsed_json,
     require_file,
     require_keys,
@@ -92,7 +92,7 @@ def dump_run(
         "options": options,
         "environment": environment(options.get("backend")),
         "summary": summary,
-        "error": None if error is None else described(error),
+        "error": None if error is None else describe_error(error),
     }
     contents = problem_files(problem, PROBLEM)
     if result is not None and result.trajectory is not None and summary is not None:
@@ -128,17 +128,17 @@ def read_run(path: str | PathLike[str]) -> RunRecord:
     with TemporaryDirectory() as name:
         folder = Path(name)
         _unpack(path, folder)
-        with naming(path):
+        with naming_file(path):
             run = _run(folder / RUN)
             problem = read_problem(folder / PROBLEM)
             solution = load_solution(folder / SOLUTION) if (folder / SOLUTION).exists() else None
             if solution is not None:
-                with naming(folder / SOLUTION):
+                with naming_file(folder / SOLUTION):
                     problem.require(solution.trajectory)
     return RunRecord(problem, run["options"], run["summary"], solution, run["error"], run["environment"])
 
 
-def described(error: Exception) -> FileTable:
+def describe_error(error: Exception) -> FileTable:
     """Return an error for JSON; places are modules and lines, and no folder is named."""
     frames = traceback.walk_tb(error.__traceback__)
     places = [f"{frame.f_globals.get('__name__', '?')}:{line} {frame.f_code.co_name}" for frame, line in frames]
@@ -196,7 +196,7 @@ def _unpack(path: Path, folder: Path) -> None:
 
 
 def _run(path: Path) -> FileTable:
-    with naming(path):
+    with naming_file(path):
         run = parsed_json("JSON syntax", path.read_bytes(), infinite=True)
         require_keys("run", run, ("schema", "options", "environment", "summary", "error"))
         require_schema(run["schema"], SCHEMA)

@@ -29,7 +29,7 @@ from lin_freq_ocp.files.reading import (
     FileArray,
     FileTable,
     FileValue,
-    naming,
+    naming_file,
     npz_bytes,
     opened_npz,
     parsed_json,
@@ -166,7 +166,7 @@ def load_solution(path: str | PathLike[str]) -> SavedSolution:
     path = Path(path)
     with opened_npz(str(path), path) as archive:
         arrays: dict[str, FileArray] = {name: archive[name] for name in archive.files}
-    with naming(path):
+    with naming_file(path):
         require_schema(arrays["schema"].tolist() if "schema" in arrays else SCHEMA, SCHEMA)
         trajectory = Trajectory(*(_number_array(arrays, name, 2) for name in ("x", "u")))
         multipliers = _multipliers(arrays)
@@ -245,7 +245,7 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     """
     path = Path(path)
     text = read_text(path)
-    with naming(path):
+    with naming_file(path):
         table = _parse_table(text)
         states = [table.find(name, problem.state_names) for name in problem.state_names]
         controls = [table.find(name, problem.control_names) for name in problem.control_names]
@@ -406,7 +406,7 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     except Exception as error:  # loadmat raises errors of many kinds for damaged files
         advice = "In MATLAB: save(name, 'x', 'u', 't', '-v7')."
         raise ProblemError(str(path), f"{error}", "a .mat file of version 5 or 7", advice) from None
-    with naming(path):
+    with naming_file(path):
         if "u" not in variables:
             there = [name for name in variables if not name.startswith("__")]
             got = f"nothing (there is {', '.join(there) or 'no variable'})"

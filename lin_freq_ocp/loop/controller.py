@@ -132,7 +132,7 @@ class Controller:
         """Return the trajectory of the last plan's controls in the problem of a step; None if there is none."""
         plan = self._steps[-1].plan if self._steps else None
         try:
-            return plan and simulate(problem, _later(plan.u))
+            return plan and simulate(problem, _shift_controls(plan.u))
         except LinFreqOCPError:  # no mode holds where it leads, or it overflows
             return None
 
@@ -143,12 +143,12 @@ class Controller:
             first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
             bounds = {**bounds, "state_set": first_free.state_set}
         change = Change(begin, references=preview.references, bounds=bounds)
-        hard = self._solved(self._hard, change, preview, x)
+        hard = self._solve_step(self._hard, change, preview, x)
         if hard.status not in NO_SOLUTION or self._soft is None:
             return hard, None
-        return hard, self._solved(self._soft, change, preview, x)
+        return hard, self._solve_step(self._soft, change, preview, x)
 
-    def _solved(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
+    def _solve_step(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
         """Solve the problem of a step, from what was set up for all of them if its data are the same."""
         tree = self._trees[repeated]
         problem = with_past(repeated.problem, *self._past(x)) if self._remembers else repeated.problem
@@ -184,7 +184,7 @@ class Controller:
             last = self._step(len(plan.u) - 1, plan.x[-1], plan.u[-1])
         except LinFreqOCPError:  # no mode holds there
             return None
-        return Trajectory(np.vstack([plan.x[1:], last]), _later(plan.u))
+        return Trajectory(np.vstack([plan.x[1:], last]), _shift_controls(plan.u))
 
     def measured(self, field: str, value: ArrayLike, size: int) -> Array:
         """Return a vector of this size; ProblemError if it is none, or not finite."""
@@ -202,7 +202,7 @@ def _source(outcome: Outcome, own: bool, is_soft: bool) -> Source:
     return Source.SOFTENED if is_soft else Source.PLAN
 
 
-def _later(controls: Array) -> Array:
+def _shift_controls(controls: Array) -> Array:
     """Return controls from the second on, the last one twice."""
     return np.vstack([controls[1:], controls[-1:]])
 

@@ -11,7 +11,7 @@ from lin_freq_ocp.base.phrases import LARGE, SMALL, number, power, split_unit
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
-def aligned(value: float | None, digits: int = 4) -> str:
+def align(value: float | None, digits: int = 4) -> str:
     """Return a number with exactly so many significant digits, for a column of numbers; 0 remains "0"."""
     if value is None or value == 0 or not SMALL <= abs(value) < LARGE:
         return number(value)

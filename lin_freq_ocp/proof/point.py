@@ -22,7 +22,7 @@ from flint import arb_mat, ctx
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.peaks.proven import proven_peak
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.explanation.blocks import Block, relaxed, with_bounds
+from lin_freq_ocp.explanation.blocks import Block, relax_block, replace_bounds
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
@@ -163,11 +163,11 @@ def tighten(problem: OptimalControlProblem, share: float, sizes: tuple[Array, Ar
         ("terminal_state", problem.terminal_box, amounts[0]),
     ):
         if np.isfinite(bounds.lower).any() or np.isfinite(bounds.upper).any():
-            problem = replace(problem, **{field: with_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
+            problem = replace(problem, **{field: replace_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
     rows = [_tighten_rows(one, share, sizes) for one in problem.stage_rows]
     problem = replace(problem, stage_rows=rows) if rows else problem
     for block, amount in _term_limits(problem, share, sizes):
-        problem = relaxed(problem, block, -amount)
+        problem = relax_block(problem, block, -amount)
     return problem
 
 

@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
 from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.proof.lines import Value, encoded, line
+from lin_freq_ocp.proof.lines import Value, encode, line
 
 NORMS = {1: "1", 2: "2", np.inf: "inf"}
 
@@ -170,7 +170,7 @@ def _term_fields(term: Term, sizes: Sizes) -> Iterator[str]:
         yield _mask_fields(term.name, term.everywhere, sizes)
         return
     function = function_of(term.penalty, term.shape)
-    head = f'"name": {encoded(term.name)}, "gauge": "{function.gauge}"'
+    head = f'"name": {encode(term.name)}, "gauge": "{function.gauge}"'
     if function.by_value and term.map.dense_size[0]:
         raise UnsupportedError("half-spaces of a spectrum")
     limits, weights = function.limits.tolist(), function.weights.tolist()
@@ -187,8 +187,8 @@ def _mask_fields(name: str, everywhere: Continuum, sizes: Sizes) -> str:
         raise UnsupportedError("the spectrum of a held signal, or a residual vibration")
     limits = everywhere.limits
     table = np.column_stack([limits.low, limits.high, limits.at_low, limits.at_high])
-    head = f'"name": {encoded(name)}, "gauge": "all", "weight": {encoded(float(everywhere.price))}'
-    return f'{head}, {signal_text(everywhere.map, 0, sizes)}, "limits": {encoded(table)}'
+    head = f'"name": {encode(name)}, "gauge": "all", "weight": {encode(float(everywhere.price))}'
+    return f'{head}, {signal_text(everywhere.map, 0, sizes)}, "limits": {encode(table)}'
 
 
 def multiplier_lines(terms: Sequence[Term], weights: Sequence[Array]) -> Iterator[str]:
@@ -232,23 +232,23 @@ def function_of(penalty: Penalty, shape: tuple[int, int]) -> Function:
 
 
 @function_of.register
-def _half_spaces(penalty: HalfSpaces, shape: tuple[int, int]) -> Function:
+def _half_spaces_function(penalty: HalfSpaces, shape: tuple[int, int]) -> Function:
     return Function("max", np.broadcast_to(penalty.limit, shape), np.broadcast_to(penalty.weight, shape))
 
 
 @function_of.register
-def _ball(penalty: NormBall, shape: tuple[int, int]) -> Function:
+def _ball_function(penalty: NormBall, shape: tuple[int, int]) -> Function:
     limit, weight = (np.broadcast_to(part, shape[:1])[:, None] for part in (penalty.radius, penalty.weight))
     return Function(NORMS[penalty.order], limit, weight)
 
 
 @function_of.register
-def _within(penalty: Within, shape: tuple[int, int]) -> Function:
+def _within_function(penalty: Within, shape: tuple[int, int]) -> Function:
     return Function("inf", np.full((shape[0], 1), penalty.reach), np.full((shape[0], 1), np.inf))
 
 
 @function_of.register
-def _cone(penalty: StandardCone, shape: tuple[int, int]) -> Function:
+def _cone_function(penalty: StandardCone, shape: tuple[int, int]) -> Function:
     return Function("cone", np.zeros((shape[0], 1)), np.full((shape[0], 1), np.inf))
 
 
@@ -301,7 +301,7 @@ def _frequencies(values: FrequencyMap, sizes: Sizes) -> Iterator[list[str]]:
         raise UnsupportedError(f"a {type(values).__name__}")
     signal = signal_text(values, 0, sizes)
     for w in values.at.tolist():
-        yield [f'{{{signal}, "frequency": {encoded(w)}}}']
+        yield [f'{{{signal}, "frequency": {encode(w)}}}']
 
 
 def signal_text(values: SpectrumMap | FrequencyMap, first: int, sizes: Sizes) -> str:
@@ -310,8 +310,8 @@ def signal_text(values: SpectrumMap | FrequencyMap, first: int, sizes: Sizes) ->
     of_x = np.zeros(n) if values.C is None else values.C
     of_u = np.zeros(m) if values.D is None else values.D
     plain = bool((values.window == 1.0).all())
-    window = json.dumps(len(values.window)) if plain else encoded(values.window)
-    return f'"output": {encoded(np.concatenate([of_x, of_u]))}, "first": {first}, "window": {window}'
+    window = json.dumps(len(values.window)) if plain else encode(values.window)
+    return f'"output": {encode(np.concatenate([of_x, of_u]))}, "first": {first}, "window": {window}'
 
 
 @singledispatch

@@ -16,7 +16,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.hybrid.bound import LeafJudge, reached_nodes
 from lin_freq_ocp.certificate.hybrid.reach import Stages
-from lin_freq_ocp.explanation.blocks import with_bounds
+from lin_freq_ocp.explanation.blocks import replace_bounds
 from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -24,7 +24,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.proof.dual import domain_multipliers, signal_lines
-from lin_freq_ocp.proof.lines import Text, Value, encoded, line
+from lin_freq_ocp.proof.lines import Text, Value, encode, line
 from lin_freq_ocp.proof.statement import multiplier_lines
 
 
@@ -81,7 +81,7 @@ def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> Optim
             else:
                 lower[t, j] = max(lower[t, j], bound)
         found.append(StageRows(rows.C, rows.D, np.where(single, np.inf, limits), rows.name, rows.penalty))
-    controls = with_bounds(alone.control_set, Box(lower, upper))
+    controls = replace_bounds(alone.control_set, Box(lower, upper))
     return replace(alone, stage_rows=found, control_set=controls) if found else alone
 
 
@@ -162,4 +162,4 @@ def by_edge(values: Array, edges: Mask, used: Mask | None = None, keep: bool = F
 
 def as_object(entries: dict[str, Array]) -> Text:
     """Return numbers by key as JSON."""
-    return Text("{" + ", ".join(f"{json.dumps(key)}: {encoded(value)}" for key, value in entries.items()) + "}")
+    return Text("{" + ", ".join(f"{json.dumps(key)}: {encode(value)}" for key, value in entries.items()) + "}")

@@ -10,7 +10,7 @@ from rich.table import Table
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
-from lin_freq_ocp.cli.console import fitted, terms
+from lin_freq_ocp.cli.console import fit_table, terms
 from lin_freq_ocp.pages.report.tables import certificate_table, comparison_table
 
 
@@ -39,7 +39,7 @@ def tables():
 @pytest.mark.parametrize("width", [40, 52, 80, 100, 200])
 def test_a_table_is_as_wide_as_the_terminal_at_most_and_breaks_no_word(tables, width):
     for table, spare in tables:
-        out = printed(fitted(table, width, spare), width)
+        out = printed(fit_table(table, width, spare), width)
         assert max(map(len, out.splitlines())) <= width
         assert "\N{HORIZONTAL ELLIPSIS}" not in out
         gone = spare[: sum(f"{heading}," in out or f"{heading}." in out for heading in spare)]
@@ -51,14 +51,14 @@ def test_a_table_is_as_wide_as_the_terminal_at_most_and_breaks_no_word(tables, w
 def test_columns_that_are_left_out_are_named():
     table = Table("name", "long", "short")
     table.add_row("a", "x" * 16, "y")
-    assert "No room for: long." in " ".join(printed(fitted(table, 12, ("long",)), 12).split())
-    assert "No room" not in printed(fitted(table, 60, ("long",)), 60)
+    assert "No room for: long." in " ".join(printed(fit_table(table, 12, ("long",)), 12).split())
+    assert "No room" not in printed(fit_table(table, 60, ("long",)), 60)
 
 
 def test_what_has_no_spare_columns_is_shown_in_several_tables_that_repeat_the_first_column():
     table = Table("name", *(f"column{i}" for i in range(6)))
     table.add_row("row", *(f"{i}.000000" for i in range(6)))
-    out = printed(fitted(table, 30), 30)
+    out = printed(fit_table(table, 30), 30)
     assert out.count("row") > 1
     assert all(f"column{i}" in out and f"{i}.000000" in out for i in range(6))
 

@@ -57,10 +57,10 @@ HEADERS = {
 
 def page(session: Session) -> str:
     """Return the page that asks its server."""
-    return _rendered(session, None)
+    return _render_page(session, None)
 
 
-def _rendered(session: Session, solved: list[Data] | None) -> str:
+def _render_page(session: Session, solved: list[Data] | None) -> str:
     data: Data = {"sliders": [slider.data for slider in session.sliders], "points": solved}
     return (
         _environment()
@@ -96,21 +96,21 @@ def static_page(session: Session, progress: Callable[[int, int], object] = lambd
     for values in grid:
         solved.append({"values": values, "answer": session.answer(values), "beside": session.beside(values)})
         progress(len(solved), len(grid))
-    return _rendered(session, solved)
+    return _render_page(session, solved)
 
 
 def points(sliders: tuple[Slider, ...]) -> list[dict[str, float]]:
     """Return the values at the points of a sweep: of the sliders that are moved."""
     firsts = [[one for one in sliders if one.group == group][:1] for group in PAIR]
     paired = [one for first in firsts for one in first]
-    moved = [dict(pair) for pair in product(*([(one.key, v) for v in _along(one, PAIRED)] for one in paired))]
-    moved += [{one.key: value} for one in sliders if one not in paired for value in _along(one, ALONE)]
+    moved = [dict(pair) for pair in product(*([(one.key, v) for v in _points_along(one, PAIRED)] for one in paired))]
+    moved += [{one.key: value} for one in sliders if one not in paired for value in _points_along(one, ALONE)]
     own = {one.key: one.value for one in sliders}
     unique = {tuple({**own, **values}.items()): None for values in moved}
     return [dict(values) for values in unique] or [own]
 
 
-def _along(slider: Slider, count: int) -> Iterator[float]:
+def _points_along(slider: Slider, count: int) -> Iterator[float]:
     """Yield values from end to end, on notches, the problem's own among them."""
     first, last = (round((end - slider.value) / slider.step) for end in (slider.low, slider.high))
     notches = {round(first + (last - first) * i / (count - 1)) for i in range(count)} | {0}

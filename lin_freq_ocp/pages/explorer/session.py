@@ -26,7 +26,7 @@ from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome, Filtered
 from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import ABOVE, frequencies_around, vibration
-from lin_freq_ocp.comparison.trajectories import Signal, controls_of, outputs_of, replayed, states_of
+from lin_freq_ocp.comparison.trajectories import Signal, controls_of, outputs_of, replay_control, states_of
 from lin_freq_ocp.pages.explorer.frequencies import FREQUENCIES
 from lin_freq_ocp.pages.explorer.frequencies import GROUP as FREQUENCY
 from lin_freq_ocp.pages.explorer.movable import BOUNDS, ENDS, ROWS, Movable, Slider, Values, ends_at, sets_at
@@ -168,7 +168,7 @@ class Session:
         entries = ()
         if can_be_filtered(problem):
             control = filtered(PREFERRED_FILTER, problem, plan.u)
-            replay = replayed(PREFERRED_FILTER, problem, control.u, plan)
+            replay = replay_control(PREFERRED_FILTER, problem, control.u, plan)
             entries = (Filtered(PREFERRED_FILTER, control.description, replay),)
         compared = ComparisonOutcome(problem, classical, constrained, entries)
         shown = [("classical", compared.classical_solution), *(("filtered", one.replay) for one in entries)]
@@ -206,22 +206,22 @@ class Session:
         """Return how the problem at these values ends, with or without its frequency constraints."""
         moved = moved_values(self.sliders, values)
         if classical:
-            moved = self._of_groups(moved, lambda group: group != FREQUENCY)
-        return self._outcomes.get((classical, *moved.items()), lambda: self._solved(moved, classical))
+            moved = self._values_of_groups(moved, lambda group: group != FREQUENCY)
+        return self._outcomes.get((classical, *moved.items()), lambda: self._solve(moved, classical))
 
-    def _of_groups(self, moved: Values, wanted: Callable[[str], bool]) -> dict[str, float]:
+    def _values_of_groups(self, moved: Values, wanted: Callable[[str], bool]) -> dict[str, float]:
         """Return the moved values of some groups of sliders."""
         groups = {slider.key: slider.group for slider in self.sliders}
         return {key: value for key, value in moved.items() if wanted(groups[key])}
 
-    def _solved(self, moved: dict[str, float], classical: bool) -> Outcome:
-        structure = self._of_groups(moved, lambda group: group not in KEPT)
-        repeated = self._repeated.get((classical, *structure.items()), lambda: self._prepared(structure, classical))
+    def _solve(self, moved: dict[str, float], classical: bool) -> Outcome:
+        structure = self._values_of_groups(moved, lambda group: group not in KEPT)
+        repeated = self._repeated.get((classical, *structure.items()), lambda: self._prepare(structure, classical))
         sets, ends = sets_at(repeated.problem, moved), ends_at(repeated.problem, moved)
         change = Change(ends.get("initial_state"), ends.get("terminal_state"), bounds=sets or None)
         return repeated.solve(change, SOLVE_SECONDS)
 
-    def _prepared(self, structure: dict[str, float], classical: bool) -> Repeated:
+    def _prepare(self, structure: dict[str, float], classical: bool) -> Repeated:
         problem = problem_at(self.problem, self.rebuild, structure)
         if classical:
             problem = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)

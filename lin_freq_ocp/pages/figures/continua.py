@@ -32,7 +32,7 @@ from lin_freq_ocp.pages.figures.plot_data import (
     style_axes,
     thin_out,
 )
-from lin_freq_ocp.pages.units import aligned
+from lin_freq_ocp.pages.units import align
 from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies
 from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
@@ -156,7 +156,7 @@ def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing]) -> None:
     for one in shown:
         values = vibration(one.box, one.trajectory, frequencies)
         if inside.any() and values[inside].min() > ABOVE * box.limit:
-            times = aligned(float(values[inside].max()) / box.limit, 3)
+            times = align(float(values[inside].max()) / box.limit, 3)
             notes.append(Note(f"{one.label}: leaves the picture, {times} times the limit", one.color))
         ax.plot(frequencies, values, color=one.color, linestyle=one.line, linewidth=one.width, label=one.label)
     ax.set_xlim(frequencies[0], frequencies[-1])

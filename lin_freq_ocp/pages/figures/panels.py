@@ -164,7 +164,7 @@ def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
     drawing = "steps-post" if held else "default"
     for bound in component.bounds:
         if np.isfinite(bound).any():
-            values = _held(np.where(np.isfinite(bound), bound, np.nan), held)
+            values = _repeat_last(np.where(np.isfinite(bound), bound, np.nan), held)
             times = data.time.factor * np.arange(len(values))
             ax.plot(times, values, color=BOUND, linewidth=1.2, drawstyle=drawing, zorder=2)
     for line in component.row_bounds:
@@ -172,7 +172,7 @@ def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
     for line in component.references:
         _draw_line(ax, data, line, held, REFERENCE, REFERENCE_LINE)
     for trace in data.showing(component):
-        values, style = _held(trace.of(component), held), trace.style
+        values, style = _repeat_last(trace.of(component), held), trace.style
         ax.plot(
             *thin_out(data.time.factor * np.arange(len(values)), values),
             color=style.color,
@@ -199,7 +199,7 @@ def _draw_line(ax: Axes, data: PlotData, line: Line, held: bool, color: str, sty
     drawn.set(drawstyle=drawing, zorder=2)
 
 
-def _held(values: Array, held: bool) -> Array:
+def _repeat_last(values: Array, held: bool) -> Array:
     """Repeat the last control: it acts until the end of its step."""
     return np.append(values, values[-1]) if held else values
 

@@ -60,120 +60,6 @@ def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
     return save_page(Path(folder), render(comparison, drawings), drawings)
 
 
-def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
-    """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
-    drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
-    page = render_template(
-        "loop.html.jinja",
-        title=loop.problem.name or "Control loop",
-        finding=_loop_finding(loop),
-        tiles=_loop_tiles(loop),
-        drawing=drawing,
-        counts=_loop_counts(loop),
-        excess=_loop_violations(loop),
-        facts=problem_facts(loop.problem, loop.problem.gap),
-        problem=loop.problem,
-        version=version("lin-freq-ocp"),
-    )
-    return save_page(folder, page, [drawing])
-
-
-def _loop_finding(loop: LoopRecord) -> str:
-    steps = len(loop.steps)
-    proven = int(loop.satisfied.sum())
-    text = f"{plural(steps, 'step')}; the plans of {proven} satisfy the maximum principle"
-    known = loop.gaps[np.isfinite(loop.gaps)]
-    text += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
-    return text + (f" The loop stopped before its end: {loop.stopped}" if loop.stopped else "")
-
-
-def _loop_tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
-    """Return label, number and remark of the headline's figures."""
-    if not loop.steps:
-        return [("steps", "0", "")]
-    solve, certify = 1e3 * loop.solve_seconds, 1e3 * loop.certify_seconds
-    return [
-        ("steps", str(len(loop.steps)), ""),
-        ("time of a step", f"{number(float(np.median(solve)), 3)} ms", f"at most {number(float(solve.max()), 3)} ms"),
-        ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
-        ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
-    ]
-
-
-def _loop_counts(loop: LoopRecord) -> list[tuple[str, str, str, int]]:
-    """Return status, source and method of the steps, with how many there are of each."""
-    found = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
-    return [(*key, count) for key, count in found.most_common()]
-
-
-def _loop_violations(loop: LoopRecord) -> list[tuple[str, str, int]]:
-    """Return the largest excess of each softened constraint, and at how many steps there was one."""
-    names = dict.fromkeys(name for step in loop.steps for name in step.excess)
-    rows: list[tuple[str, str, int]] = []
-    for name in names:
-        amounts = [step.excess.get(name, 0.0) for step in loop.steps]
-        rows.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
-    return rows
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A figure, ready for the page and for files of its own: ``name``.svg and ``name``.png."""
-
-    name: str
-    title: str
-    caption: str
-    svg: str
-    png: bytes
-
-    @property
-    def inline(self) -> Markup:
-        """Return the figure as an element of a page: no header, own ids, and the page's colours."""
-        body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
-        view_box = re.search(r'viewBox="[^"]*"', body)
-        content = body[body.index(">") + 1 :].replace("xlink:href", "href")
-        content = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", content)
-        for color, variable in (THEMED | THEMED_TINTS).items():
-            content = content.replace(color, f"var(--{variable})")
-        view = Markup(view_box[0] if view_box else "")
-        return Markup('<svg role="img" aria-label="{}" {}>').format(self.title, view) + Markup(content)
-
-
-def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
-    """Return a figure as text and as an image."""
-    figure.set_dpi(PIXELS_PER_INCH)
-    svg, png = BytesIO(), BytesIO()
-    FigureCanvasAgg(figure).print_png(png)
-    figure.set_layout_engine("none")  # keeps the layout that was found
-    # Names of shapes do not change from run to run, and text looks the same on every machine.
-    with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
-        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
-    return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
-
-
-def render_template(template: str, **values: object) -> str:
-    """Return a page from its template."""
-    environment = Environment(
-        loader=PackageLoader("lin_freq_ocp.pages.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(template).render(**values)
-
-
-def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
-    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    contents = {folder / f"{drawing.name}.svg": drawing.svg.encode() for drawing in drawings}
-    contents |= {folder / f"{drawing.name}.png": drawing.png for drawing in drawings}
-    path = folder / "index.html"
-    write_each(contents | {path: page.encode()})
-    return path
-
-
 def draw(comparison: ComparisonOutcome) -> tuple[Drawing, ...]:
     """Return all figures that the comparison has something to show in."""
     return tuple(drawing_of(*parts) for parts in _figures(comparison))
@@ -295,3 +181,117 @@ def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
         bound = f"{proof.bound_kind(certificate)} bound"
         shown.append((f"gap to the {bound}", number(certificate.gap, 2), certificate.bound.kind))
     return shown
+
+
+def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
+    """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
+    drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
+    page = render_template(
+        "loop.html.jinja",
+        title=loop.problem.name or "Control loop",
+        finding=_loop_finding(loop),
+        tiles=_loop_tiles(loop),
+        drawing=drawing,
+        counts=_loop_counts(loop),
+        excess=_loop_violations(loop),
+        facts=problem_facts(loop.problem, loop.problem.gap),
+        problem=loop.problem,
+        version=version("lin-freq-ocp"),
+    )
+    return save_page(folder, page, [drawing])
+
+
+def _loop_finding(loop: LoopRecord) -> str:
+    steps = len(loop.steps)
+    proven = int(loop.satisfied.sum())
+    text = f"{plural(steps, 'step')}; the plans of {proven} satisfy the maximum principle"
+    known = loop.gaps[np.isfinite(loop.gaps)]
+    text += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
+    return text + (f" The loop stopped before its end: {loop.stopped}" if loop.stopped else "")
+
+
+def _loop_tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
+    """Return label, number and remark of the headline's figures."""
+    if not loop.steps:
+        return [("steps", "0", "")]
+    solve, certify = 1e3 * loop.solve_seconds, 1e3 * loop.certify_seconds
+    return [
+        ("steps", str(len(loop.steps)), ""),
+        ("time of a step", f"{number(float(np.median(solve)), 3)} ms", f"at most {number(float(solve.max()), 3)} ms"),
+        ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
+        ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
+    ]
+
+
+def _loop_counts(loop: LoopRecord) -> list[tuple[str, str, str, int]]:
+    """Return status, source and method of the steps, with how many there are of each."""
+    found = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
+    return [(*key, count) for key, count in found.most_common()]
+
+
+def _loop_violations(loop: LoopRecord) -> list[tuple[str, str, int]]:
+    """Return the largest excess of each softened constraint, and at how many steps there was one."""
+    names = dict.fromkeys(name for step in loop.steps for name in step.excess)
+    rows: list[tuple[str, str, int]] = []
+    for name in names:
+        amounts = [step.excess.get(name, 0.0) for step in loop.steps]
+        rows.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
+    return rows
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure, ready for the page and for files of its own: ``name``.svg and ``name``.png."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str
+    png: bytes
+
+    @property
+    def inline(self) -> Markup:
+        """Return the figure as an element of a page: no header, own ids, and the page's colours."""
+        body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
+        view_box = re.search(r'viewBox="[^"]*"', body)
+        content = body[body.index(">") + 1 :].replace("xlink:href", "href")
+        content = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", content)
+        for color, variable in (THEMED | THEMED_TINTS).items():
+            content = content.replace(color, f"var(--{variable})")
+        view = Markup(view_box[0] if view_box else "")
+        return Markup('<svg role="img" aria-label="{}" {}>').format(self.title, view) + Markup(content)
+
+
+def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
+    """Return a figure as text and as an image."""
+    figure.set_dpi(PIXELS_PER_INCH)
+    svg, png = BytesIO(), BytesIO()
+    FigureCanvasAgg(figure).print_png(png)
+    figure.set_layout_engine("none")  # keeps the layout that was found
+    # Names of shapes do not change from run to run, and text looks the same on every machine.
+    with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
+        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
+    return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
+
+
+def render_template(template: str, **values: object) -> str:
+    """Return a page from its template."""
+    environment = Environment(
+        loader=PackageLoader("lin_freq_ocp.pages.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(**values)
+
+
+def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
+    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    contents = {folder / f"{drawing.name}.svg": drawing.svg.encode() for drawing in drawings}
+    contents |= {folder / f"{drawing.name}.png": drawing.png for drawing in drawings}
+    path = folder / "index.html"
+    write_each(contents | {path: page.encode()})
+    return path

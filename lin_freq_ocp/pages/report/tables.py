@@ -17,7 +17,7 @@ from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.moves import OURS, Move, Moves
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation, controls_of
 from lin_freq_ocp.pages.report.proof import bound_kind
-from lin_freq_ocp.pages.units import aligned
+from lin_freq_ocp.pages.units import align
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 NOT_MEANINGFUL = "not meaningful"  # in place of numbers that need a replay, where there is no meaningful one
@@ -98,7 +98,7 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     groups = [
         _group("", ["cost"], columns, lambda one, _: _measured_cell(one, one.measures.cost, digits=COST_DIGITS)),
         _group(
-            "Largest magnitude", problem.control_names, columns, lambda one, j: Cell(aligned(one.largest(controls[j])))
+            "Largest magnitude", problem.control_names, columns, lambda one, j: Cell(align(one.largest(controls[j])))
         ),
         _violation_group("Beyond the control bounds by", problem.control_names, columns, lambda one: one.controls),
         _violation_group("Beyond the state bounds by", problem.state_names, columns, lambda one: one.states),
@@ -109,9 +109,7 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     ]
     if not all(one.meaningful for one in found):
         title = "Misses the next planned state, in one step, by"
-        groups.append(
-            _group(title, problem.state_names, columns, lambda one, i: Cell(aligned(one.one_step_residual[i])))
-        )
+        groups.append(_group(title, problem.state_names, columns, lambda one, i: Cell(align(one.one_step_residual[i]))))
     return ComparisonRows(tuple(labels), tuple(group for group in groups if group.rows))
 
 
@@ -135,7 +133,7 @@ def _group(
 def _measured_cell(
     trajectory: MeasuredTrajectory, value: float | None, passed: bool | None = None, digits: int = 4
 ) -> Cell:
-    return Cell(NOT_MEANINGFUL if value is None and not trajectory.meaningful else aligned(value, digits), passed)
+    return Cell(NOT_MEANINGFUL if value is None and not trajectory.meaningful else align(value, digits), passed)
 
 
 def _violation_group(
@@ -145,7 +143,7 @@ def _violation_group(
 
     def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
         found = violation(trajectory)
-        return Cell(NOT_MEANINGFUL) if found is None else Cell(aligned(float(found.values[i])), bool(found.passed[i]))
+        return Cell(NOT_MEANINGFUL) if found is None else Cell(align(float(found.values[i])), bool(found.passed[i]))
 
     found = [violation(one) for one in columns if one is not None]
     bounded = np.any([one.bounded for one in found if one is not None], axis=0)
@@ -254,7 +252,7 @@ def sweep_table(sweep: SweepOutcome) -> Table:
         table.add_row(
             *(Text(_cell_text(value)) for value in row["parameters"].values()),
             Text(status, style=style),
-            Text(aligned(row["cost"], SWEEP_DIGITS)),
+            Text(align(row["cost"], SWEEP_DIGITS)),
             Text(number(row["gap"], 2)),
             Text(row["method"] or NOTHING),
             Text(number(row["seconds"], 3)),
@@ -282,11 +280,11 @@ def moves_rows(moves: Moves) -> ComparisonRows:
     def vibration(move: Move) -> Cell:
         if move.ratio is None:
             return Cell(NOTHING)
-        return Cell(aligned(move.ratio), move.keeps_everything)
+        return Cell(align(move.ratio), move.keeps_everything)
 
     rows = (
         Row("samples", "", tuple(Cell(length(move, str(move.samples))) for move in found)),
-        Row("move time", "s", tuple(Cell(length(move, aligned(move.seconds))) for move in found)),
+        Row("move time", "s", tuple(Cell(length(move, align(move.seconds))) for move in found)),
         Row("longer than the optimal move by", "%", tuple(Cell(longer(move)) for move in found)),
         Row("largest vibration, of its limit", "", tuple(map(vibration, found))),
     )
