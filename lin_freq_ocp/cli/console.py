@@ -34,18 +34,6 @@ if TYPE_CHECKING:
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 Command = TypeVar("Command", bound=Callable[..., object])
-settings_option = click.option(
-    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
-)
-backend_option = click.option(
-    "--backend", default="auto", show_default=True, help="clarabel, osqp, qpsolvers:NAME; scip, daqp."
-)
-METHOD_HELP = "auto; spectral, structured or convex; for modes branch_and_bound, enumerate or miqp; smooth: nonsmooth."
-method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
-tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
-time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
-
 LONGEST_WORD = 16  # longer words may be broken: names of files, for instance
 ROOMY = 60  # columns from which on a term stands beside its text, and not above it
 FIRST = 16  # least width of the first column, which says what a row is, where a table is shown in several
@@ -216,6 +204,17 @@ def first_line_of(function: Callable[..., object]) -> str:
 
 
 problem_argument = click.argument("problem", metavar="NAME|FILE.toml", shell_complete=complete_problem)
+settings_option = click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
+)
+backend_option = click.option(
+    "--backend", default="auto", show_default=True, help="clarabel, osqp, qpsolvers:NAME; scip, daqp."
+)
+METHOD_HELP = "auto; spectral, structured or convex; for modes branch_and_bound, enumerate or miqp; smooth: nonsmooth."
+method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
+tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
+time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
 
 
 def solve_options(command: Command) -> Command:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 import tomli_w
@@ -24,17 +23,17 @@ from lin_freq_ocp.cli.console import (
     problem_argument,
     say,
     settings_option,
+    terms,
 )
 from lin_freq_ocp.cli.problems import build, is_file, parsed_settings
 from lin_freq_ocp.files.problem_file import (
+    Parameter,
     about_function,
     description_summary,
+    init_problem_file,
     parameters_of_file,
     parameters_of_function,
 )
-
-if TYPE_CHECKING:
-    from lin_freq_ocp.files.problem_file import Parameter
 
 LONGEST_VALUE = 50  # characters of a value that are shown
 
@@ -42,8 +41,6 @@ LONGEST_VALUE = 50  # characters of a value that are shown
 @click.command("list")
 def list_command() -> int:
     """List the library's problems and what each shows."""
-    from lin_freq_ocp.cli.console import terms
-
     out.print(terms([(name, first_line_of(builder)) for name, builder in library.PROBLEMS.items()], out.width))
     return PROVEN
 
@@ -65,8 +62,6 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     if as_json:
         print_json(summary)
         return PROVEN
-    from lin_freq_ocp.cli.console import terms
-
     print_lines(str(shown))
     out.print(Text(f"{about}\n" if about else ""))
     out.print(terms([(fact["what"], fact["words"]) for fact in summary["facts"]], out.width))
@@ -89,8 +84,6 @@ def _shorten(text: str) -> str:
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
 def init_command(file: Path) -> int:
     """Write a commented problem file to start from."""
-    from lin_freq_ocp.files.problem_file import init_problem_file
-
     init_problem_file(file)
     say(f"wrote {file}; next: lin-freq-ocp solve {file}")
     return PROVEN
