@@ -28,12 +28,11 @@ leave_silently()
 
 if TYPE_CHECKING:
     from lin_freq_ocp import costs, dynamics, errors, formulas, io, library, results, sets, solvers, spectrum
+    from lin_freq_ocp.api.batch import Solver, solve_many, sweep
     from lin_freq_ocp.api.compare import compare
-    from lin_freq_ocp.api.many import Solver, solve_many
     from lin_freq_ocp.api.minimum_time import minimum_time
     from lin_freq_ocp.api.receding_horizon import RecedingHorizon
     from lin_freq_ocp.api.solve import solve
-    from lin_freq_ocp.api.sweep import sweep
     from lin_freq_ocp.costs import QuadraticCost
     from lin_freq_ocp.dynamics import (
         AffineMode,
@@ -70,12 +69,11 @@ NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "i
 
 # The module of every name of everyday use.
 _HOMES = {
+    "api.batch": "Solver solve_many sweep",
     "api.compare": "compare",
-    "api.many": "Solver solve_many",
     "api.minimum_time": "minimum_time",
     "api.receding_horizon": "RecedingHorizon",
     "api.solve": "solve",
-    "api.sweep": "sweep",
     "costs": "QuadraticCost",
     "dynamics": "AffineMode FrequencyResponse LinearDynamics PiecewiseAffineDynamics PiecewiseSmoothDynamics",
     "explanation.explanation": "explain",

@@ -60,7 +60,7 @@ def pytest_collection_finish():
 def _coarse_images():
     """Draw pages with few pixels: no test counts them, and most of the pixels of a page are drawn for nothing."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lin_freq_ocp.pages.report.drawing.PIXELS_PER_INCH", 60)
+        patch.setattr("lin_freq_ocp.pages.report.page.PIXELS_PER_INCH", 60)
         yield
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, final
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.base.html import html_table
-from lin_freq_ocp.comparison.compare import ComparisonOutcome, compared
+from lin_freq_ocp.comparison.compare import ComparisonOutcome, compare_methods
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 if TYPE_CHECKING:
@@ -105,4 +105,4 @@ def compare(
     >>> comparison.classical.cost <= comparison.constrained.cost
     True
     """
-    return shown_as(Comparison, compared(problem, solve, filters, backend, time_limit, start))
+    return shown_as(Comparison, compare_methods(problem, solve, filters, backend, time_limit, start))

@@ -19,8 +19,7 @@ from lin_freq_ocp.base.arrays import Array, known_entries, positive_integer, rea
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.loop.controller import Controller, Preview
-from lin_freq_ocp.loop.plant import plant_of
-from lin_freq_ocp.loop.record import LoopRecord
+from lin_freq_ocp.loop.record import LoopRecord, plant_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.solving.method import Method
@@ -58,7 +57,7 @@ class ClosedLoop(LoopRecord):
 
     def save(self, folder: str | PathLike[str]) -> Path:
         """Write a self-contained HTML page and its figures into a folder; return the page's path."""
-        from lin_freq_ocp.pages.report.loop_page import save_loop_report  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.report.page import save_loop_report  # Matplotlib is slow to import
 
         return save_loop_report(self, Path(folder))
 

@@ -13,11 +13,9 @@ from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.html import html_table
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound
 from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
-from lin_freq_ocp.files.results.conversions import to_frame, to_time_response
-from lin_freq_ocp.files.results.csv_file import save_csv
-from lin_freq_ocp.files.results.mat_file import save_mat
-from lin_freq_ocp.files.results.solution_file import save_trajectory
-from lin_freq_ocp.files.results.summary import result_summary, save_json
+from lin_freq_ocp.files.conversions import to_frame, to_time_response
+from lin_freq_ocp.files.solution_files import save_csv, save_mat, save_trajectory
+from lin_freq_ocp.files.summary import result_summary, save_json
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
 from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
@@ -153,7 +151,7 @@ class Result(Outcome):
 
     def dump(self, path: str | Path) -> None:
         """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
-        from lin_freq_ocp.files.runs.run_file import dump_run  # slow to import
+        from lin_freq_ocp.files.run_file import dump_run  # slow to import
 
         dump_run(path, self.problem, self.options, self)
 

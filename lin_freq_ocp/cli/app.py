@@ -31,16 +31,16 @@ from lin_freq_ocp.cli.console import (
 
 # The commands, in the order of the help, and their modules.
 COMMANDS = {
-    "list": "start",
+    "list": "show",
     "show": "show",
     "solve": "solve",
     "compare": "compare",
     "sweep": "sweep",
-    "minimum-time": "minimum_time",
+    "minimum-time": "sweep",
     "explore": "explore",
-    "certify": "certify",
-    "rerun": "certify",
-    "init": "start",
+    "certify": "solve",
+    "rerun": "solve",
+    "init": "show",
 }
 
 

@@ -14,14 +14,13 @@ from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
 from lin_freq_ocp.certificate.sensitivities import bin_prices
 from lin_freq_ocp.comparison.filters import FILTERS, can_be_filtered, filtered, has_frequency_constraint
-from lin_freq_ocp.comparison.moves import Moves, shortest_moves, why_not_shaped
-from lin_freq_ocp.comparison.shapers import SHAPERS
+from lin_freq_ocp.comparison.moves import SHAPERS, Moves, shortest_moves, why_not_shaped
 from lin_freq_ocp.comparison.trajectories import (
     CLASSICAL,
     CONSTRAINED,
     MeasuredTrajectory,
     measured_solution,
-    replayed,
+    replay_control,
     solution_label,
 )
 from lin_freq_ocp.problem.measures import Measures
@@ -162,7 +161,7 @@ def _in_words(measures: Measures) -> list[str]:
     return cost + [f"{what} {value:.2g}" for what, value in figures.items() if value is not None]
 
 
-def compared(
+def compare_methods(
     problem: OptimalControlProblem,
     solve: Solve,
     filters: Sequence[str] | None,
@@ -194,7 +193,7 @@ def compared(
     entries = list[Filtered]()
     for name in names:
         control = filtered(name, problem, plan.u)
-        replay = replayed(name.replace("_", " "), problem, control.u, plan)
+        replay = replay_control(name.replace("_", " "), problem, control.u, plan)
         entries.append(Filtered(name, control.description, replay))
     if not shapers:
         return ComparisonOutcome(problem, classical, constrained, tuple(entries))

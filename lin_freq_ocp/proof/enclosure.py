@@ -51,9 +51,8 @@ class Enclosure:
 
 
 def require_checker() -> None:
-    """Raise MissingExtraError unless the checker and its numbers are installed."""
-    for module, name in (("flint", "python-flint"), ("lfo_check", "the module lfo_check")):
-        if find_spec(module) is None:
-            raise MissingExtraError(
-                f"proofs need {name}, which is not installed. Install it with: pip install 'lin-freq-ocp[proof]'."
-            )
+    """Raise MissingExtraError unless the numbers of the checker are installed."""
+    if find_spec("flint") is None:
+        raise MissingExtraError(
+            "proofs need python-flint, which is not installed. Install it with: pip install 'lin-freq-ocp[proof]'."
+        )

@@ -15,12 +15,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-import lfo_check
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
 from benchmark.record import Record, build_parser
+from lin_freq_ocp.proof import lfo_check
 from lin_freq_ocp.proof.enclosure import LONGEST_CHECK
 from lin_freq_ocp.proof.proof import proof_of, unchecked_proof
 

@@ -16,8 +16,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from lin_freq_ocp.base import errors
-from lin_freq_ocp.batch.sweep.tasks import process_pool
-from lin_freq_ocp.files.problem_file import toml_file
+from lin_freq_ocp.batch.tasks import process_pool
+from lin_freq_ocp.files import problem_file as toml_file
 from lin_freq_ocp.methods.spectral.rows.violations import Violations
 from lin_freq_ocp.pages.report import page
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.results.csv_file import save_csv
+from lin_freq_ocp.files.solution_files import save_csv
 from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

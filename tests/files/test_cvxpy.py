@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.files.cvxpy_problem import to_cvxpy
+from lin_freq_ocp.files.conversions import to_cvxpy
 from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -187,5 +187,5 @@ def test_a_cost_that_is_not_convex_is_refused(cost, where):
 
 
 def test_cvxpy_is_imported_by_its_users_only():
-    code = "import sys, lin_freq_ocp.files.cvxpy_problem; sys.exit('cvxpy' in sys.modules)"
+    code = "import sys, lin_freq_ocp.files.conversions; sys.exit('cvxpy' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

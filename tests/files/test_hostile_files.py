@@ -19,11 +19,11 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
 from lin_freq_ocp.api.runs import Rerun, outcome_fields, rerun_summary
-from lin_freq_ocp.files import files
-from lin_freq_ocp.files.files import MOST_ENTRIES
-from lin_freq_ocp.files.results.summary import to_json
-from lin_freq_ocp.files.runs import run_file
-from lin_freq_ocp.files.runs.sweep_file import BEGINNING, sweep_summary
+from lin_freq_ocp.files import reading as files
+from lin_freq_ocp.files import run_file
+from lin_freq_ocp.files.batch_files import BEGINNING, sweep_summary
+from lin_freq_ocp.files.reading import MOST_ENTRIES
+from lin_freq_ocp.files.summary import to_json
 from lin_freq_ocp.pages.report.tables import sweep_table
 
 SMOOTH = {

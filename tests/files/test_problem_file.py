@@ -15,15 +15,9 @@ from hypothesis.extra.numpy import arrays
 
 from helpers.problem_files import assert_same, bands, everything_at_once
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.problem_file.tables import NORM_COSTS, SETS, SPECTRUM
-from lin_freq_ocp.files.problem_file.toml_file import (
-    INLINE_LIMIT,
-    init_problem_file,
-    read_problem,
-    template,
-    write_problem,
-)
-from lin_freq_ocp.files.results.solution_file import save_solution
+from lin_freq_ocp.files.problem_file import INLINE_LIMIT, init_problem_file, read_problem, template, write_problem
+from lin_freq_ocp.files.problem_tables import NORM_COSTS, SETS, SPECTRUM
+from lin_freq_ocp.files.solution_files import save_solution
 from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

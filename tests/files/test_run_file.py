@@ -20,8 +20,8 @@ from helpers.problem_files import assert_same, everything_at_once
 from lin_freq_ocp.api.runs import SAME_COST, Rerun
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.cli import app as cli
-from lin_freq_ocp.files.results.summary import result_summary
-from lin_freq_ocp.files.runs.run_file import dump_run
+from lin_freq_ocp.files.run_file import dump_run
+from lin_freq_ocp.files.summary import result_summary
 from lin_freq_ocp.methods.convex import sparse_program as convex
 
 CART = lfo.OptimalControlProblem(

@@ -22,11 +22,12 @@ from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.rays import Conflict
 from lin_freq_ocp.cli.app import cli
-from lin_freq_ocp.files.problem_file import dynamics, tables
-from lin_freq_ocp.files.problem_file.codec import Record
-from lin_freq_ocp.files.problem_file.tables import SETS
-from lin_freq_ocp.files.problem_file.toml_file import template
-from lin_freq_ocp.files.results.summary import comparison_summary, failed_comparison_summary, result_summary
+from lin_freq_ocp.files import problem_tables as dynamics
+from lin_freq_ocp.files import problem_tables as tables
+from lin_freq_ocp.files.codec import Record
+from lin_freq_ocp.files.problem_file import template
+from lin_freq_ocp.files.problem_tables import SETS
+from lin_freq_ocp.files.summary import comparison_summary, failed_comparison_summary, result_summary
 from lin_freq_ocp.problem.measures import Measures
 
 PARTS = PROBLEM["$defs"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.results.solution_file import load_solution, save_solution
+from lin_freq_ocp.files.solution_files import load_solution, save_solution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 

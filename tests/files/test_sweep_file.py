@@ -11,7 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.sweeps import GRID, SHORT, assert_same
-from lin_freq_ocp.batch.sweep import point as sweep_point
+from lin_freq_ocp.batch import sweep as sweep_point
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.formulas import random_formula
 from lin_freq_ocp import library
-from lin_freq_ocp.batch.sweep.grid import fingerprint
+from lin_freq_ocp.batch.grid import fingerprint
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.dynamics import SmoothMode
 from lin_freq_ocp.formulas.definitions import EXACT

@@ -9,8 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.browsers import chromium, complaints, requested
-from lin_freq_ocp.pages.explorer.page import static_page
-from lin_freq_ocp.pages.explorer.server import ExploreServer
+from lin_freq_ocp.pages.explorer.server import ExploreServer, static_page
 from lin_freq_ocp.pages.explorer.session import Session
 
 PATIENCE = 600  # seconds, after which something hangs

@@ -21,8 +21,7 @@ from lin_freq_ocp.pages.figures.figures import (
     result_figure,
     states_figure,
 )
-from lin_freq_ocp.pages.figures.plot_data import view
-from lin_freq_ocp.pages.figures.style import MOST_POINTS, STYLES, thinned
+from lin_freq_ocp.pages.figures.plot_data import MOST_POINTS, STYLES, thin_out, view
 from lin_freq_ocp.pages.report import findings, proof
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts
@@ -161,13 +160,13 @@ def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
 def test_long_signals_keep_their_extremes():
     t = np.arange(50_000.0)
     y = np.sin(t / 7) + (t == 31_234) * 5
-    x, thin = thinned(t, y)
+    x, thin = thin_out(t, y)
     assert len(thin) <= MOST_POINTS + 2
     assert thin.max() == y.max()
     assert x[thin.argmax()] == 31_234
     assert (x[0], x[-1]) == (0, 49_999)
     assert np.all(np.diff(x) > 0)
-    same = thinned(t[:10], y[:10])
+    same = thin_out(t[:10], y[:10])
     assert same[1] is not None
     np.testing.assert_array_equal(same[0], t[:10])
 

@@ -7,9 +7,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.pages.explorer.page import points
-from lin_freq_ocp.pages.explorer.session import Session, answer_data
-from lin_freq_ocp.pages.explorer.sliders import checked
+from lin_freq_ocp.pages.explorer.server import points
+from lin_freq_ocp.pages.explorer.session import Session, answer_data, checked_values
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +97,7 @@ def test_an_infeasible_setting_names_the_conflict_and_its_least_cure(integrator)
 def test_a_numerical_ray_is_said_to_be_no_proof(integrator):
     given = {"cutoff": of(integrator, "cutoff").low}
     assert not integrator.answer(given)["practical"]
-    outcome = integrator.outcome(checked(integrator.sliders, given))
+    outcome = integrator.outcome(checked_values(integrator.sliders, given))
     numerical = replace(outcome.infeasibility, bound=replace(outcome.infeasibility.bound, kind="numerical"))
     assert answer_data(replace(outcome, infeasibility=numerical))["practical"]
 

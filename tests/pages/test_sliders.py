@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.pages.explorer.session import Session
-from lin_freq_ocp.pages.explorer.sliders import GROUPS, HORIZON, MOVABLE, sliders_of
+from lin_freq_ocp.pages.explorer.session import GROUPS, HORIZON, MOVABLE, Session, sliders_of
 
 PLANT = lfo.LinearDynamics(
     [[1.0, 0.1], [0.0, 1.0]],

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.stage_rows import cart
-from lin_freq_ocp.files.results.summary import comparison_summary
+from lin_freq_ocp.files.summary import comparison_summary
 from lin_freq_ocp.pages.report.findings import finding
 from lin_freq_ocp.pages.report.page import draw, render
 from lin_freq_ocp.pages.report.tables import certificate_rows, comparison_rows

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from helpers.pages import double_integrator
 from lin_freq_ocp.base.phrases import NOTHING, listed, number, runs_in_words, split_unit
-from lin_freq_ocp.pages.report.units import aligned, frequency_scale, quantity, rough, time_scale
+from lin_freq_ocp.pages.units import align, frequency_scale, quantity, rough, time_scale
 from lin_freq_ocp.problem.spectrum.bands import notch
 
 
@@ -30,7 +30,7 @@ def test_axes_have_readable_units():
 
 @given(st.floats(-1e300, 1e300))
 def test_numbers_are_close_to_what_they_show(value: float):
-    for shown, accuracy in ((number(value), 5e-2), (aligned(value), 5e-2), (rough(value), 6e-2)):
+    for shown, accuracy in ((number(value), 5e-2), (align(value), 5e-2), (rough(value), 6e-2)):
         assert float(shown) == pytest.approx(value, rel=accuracy, abs=0)
     assert value == 0 or float(number(value)) != 0
 
@@ -40,7 +40,7 @@ def test_numbers_read_well():
         NOTHING,
         *("0", "2852.7", "12346", "9.0e-27", "8.1e46", "0.25"),
     ]
-    assert [aligned(one) for one in (None, 0, 5.0, 2852.7, 9.0e-27)] == [NOTHING, "0", "5.000", "2852.7", "9.0e-27"]
+    assert [align(one) for one in (None, 0, 5.0, 2852.7, 9.0e-27)] == [NOTHING, "0", "5.000", "2852.7", "9.0e-27"]
     assert split_unit("angular speed [rad/s]") == ("angular speed", "rad/s")
     assert split_unit("x_0") == ("x_0", "")
     assert quantity(0.85752, "force [N]") == "0.858 N"

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.batch.minimum_time.search import Search
-from lin_freq_ocp.files.results.summary import result_summary
+from lin_freq_ocp.batch.minimum_time import Search
+from lin_freq_ocp.files.summary import result_summary
 from lin_freq_ocp.pages.explorer.session import answer_data
 
 H = 0.1

@@ -11,8 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.comparison.signals import Signal
-from lin_freq_ocp.comparison.trajectories import measured_solution
+from lin_freq_ocp.comparison.trajectories import Signal, measured_solution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MASK = lfo.MagnitudeBound

@@ -13,7 +13,7 @@ from math import ceil, floor, isfinite, pi
 
 import numpy as np
 
-from lin_freq_ocp.pages.explorer.slider import NOTCHES, Movable, Slider, Values, notches
+from lin_freq_ocp.pages.explorer.movable import NOTCHES, Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import Band, low_pass
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, component_words, entries_of
@@ -72,7 +72,7 @@ def _sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
 def _fields(problem: OptimalControlProblem, moved: Values) -> dict[str, object]:
     """Return the spectra of which a constraint is moved."""
     axis = Axis.of(problem)
-    found = {key: changed for key, one, _ in _entries(problem) if (changed := _moved(key, one, moved, axis)) is not one}
+    found = {key: changed for key, one, _ in _entries(problem) if (changed := _move(key, one, moved, axis)) is not one}
     fields = dict[str, object]()
     for field in ("control_spectrum", "state_spectrum"):
         given = entries_of(getattr(problem, field))
@@ -152,7 +152,7 @@ def _band(one: FrequencyConstraint) -> Band | None:
     return band if band.kind in EDGES else None
 
 
-def _within(one: FrequencyConstraint, band: Band) -> FrequencyConstraint:
+def _replace_band(one: FrequencyConstraint, band: Band) -> FrequencyConstraint:
     """Return a constraint with another band."""
     match one:
         case MagnitudeBound() | EnergyBound():
@@ -198,7 +198,7 @@ def _level(key: str, one: FrequencyConstraint, of: str) -> Iterator[Slider]:
         yield Slider(f"level.{key}", GROUP, f"level {of}", "dB", low, high, notch, 0.0, high)
 
 
-def _moved(key: str, one: FrequencyConstraint, moved: Values, axis: Axis) -> FrequencyConstraint:
+def _move(key: str, one: FrequencyConstraint, moved: Values, axis: Axis) -> FrequencyConstraint:
     """Return a constraint with its moved edges and level."""
     band, level = _band(one), moved.get(f"level.{key}")
     if band is not None:
@@ -206,5 +206,5 @@ def _moved(key: str, one: FrequencyConstraint, moved: Values, axis: Axis) -> Fre
         new = {i: value / axis.per_unit(band) for i, value in values.items() if value is not None}
         if new:
             band = replace(band, edges=tuple(new.get(i, edge) for i, edge in enumerate(band.edges)))
-            one = _within(one, band)
+            one = _replace_band(one, band)
     return one if level is None else one.scaled(10 ** (level / 20)) or one

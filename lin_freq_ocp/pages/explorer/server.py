@@ -1,8 +1,10 @@
-"""The live page over HTTP, for the browser on this machine alone.
+"""The live page as one HTML file, and its server for the browser on this machine alone.
 
-It listens on the loopback address; every path begins with a random token, and the Host header must be its own, so that
-neither other users nor pages of other sites (by a name that resolves to 127.0.0.1) get an answer. Solves are made one
-after another; a request that a newer one of the same page has overtaken is not solved.
+The page is live, asking its server, or has a solved sweep inside, and then works from disk.
+
+The server listens on the loopback address; every path begins with a random token, and the Host header must be its own,
+so that neither other users nor pages of other sites (by a name that resolves to 127.0.0.1) get an answer. Solves are
+made one after another; a request that a newer one of the same page has overtaken is not solved.
 """
 
 from __future__ import annotations
@@ -12,17 +14,28 @@ import re
 import secrets
 import sys
 import threading
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.metadata import version
+from itertools import product
 from socket import socket
 from typing import NoReturn
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.base.interrupt import interrupts_noted
-from lin_freq_ocp.pages.explorer.page import page
-from lin_freq_ocp.pages.explorer.session import Session
-from lin_freq_ocp.pages.explorer.view import Data
+from lin_freq_ocp.pages.explorer.frequencies import CUTOFF
+from lin_freq_ocp.pages.explorer.movable import Slider
+from lin_freq_ocp.pages.explorer.session import FOLDED, GROUPS, Data, Session
+from lin_freq_ocp.problem.description import problem_facts
+
+# Points of a solved sweep along each slider, the own value among them: all pairs of two, the others alone.
+PAIRED, ALONE = 7, 5
+PAIR = "frequency", "bounds"  # groups of which the first sliders are moved together
 
 Connection = socket | tuple[bytes, socket]  # the second for datagrams, which this server does not get
 LOOPBACK = "127.0.0.1"
@@ -40,6 +53,68 @@ HEADERS = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
     "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 }
+
+
+def page(session: Session) -> str:
+    """Return the page that asks its server."""
+    return _render_page(session, None)
+
+
+def _render_page(session: Session, solved: list[Data] | None) -> str:
+    data: Data = {"sliders": [slider.data for slider in session.sliders], "points": solved}
+    return (
+        _environment()
+        .get_template("explore.html.jinja")
+        .render(
+            title=session.problem.name or "Optimal control problem",
+            facts=problem_facts(session.problem),
+            cutoff=any(slider.key == CUTOFF for slider in session.sliders),
+            live=solved is None,
+            groups=[(key, heading) for key, heading in GROUPS.items() if key not in FOLDED],
+            folded=[(key, GROUPS[key]) for key in FOLDED],
+            version=version("lin-freq-ocp"),
+            data=data,
+        )
+    )
+
+
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=PackageLoader("lin_freq_ocp.pages.explorer"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def static_page(session: Session, progress: Callable[[int, int], object] = lambda done, count: None) -> str:
+    """Return the page with a solved sweep inside; ``progress`` is told how many points are solved, and of how many."""
+    grid = points(session.sliders)
+    solved = list[Data]()
+    for values in grid:
+        solved.append({"values": values, "answer": session.answer(values), "beside": session.beside(values)})
+        progress(len(solved), len(grid))
+    return _render_page(session, solved)
+
+
+def points(sliders: tuple[Slider, ...]) -> list[dict[str, float]]:
+    """Return the values at the points of a sweep: of the sliders that are moved."""
+    firsts = [[one for one in sliders if one.group == group][:1] for group in PAIR]
+    paired = [one for first in firsts for one in first]
+    moved = [dict(pair) for pair in product(*([(one.key, v) for v in _points_along(one, PAIRED)] for one in paired))]
+    moved += [{one.key: value} for one in sliders if one not in paired for value in _points_along(one, ALONE)]
+    own = {one.key: one.value for one in sliders}
+    unique = {tuple({**own, **values}.items()): None for values in moved}
+    return [dict(values) for values in unique] or [own]
+
+
+def _points_along(slider: Slider, count: int) -> Iterator[float]:
+    """Yield values from end to end, on notches, the problem's own among them."""
+    first, last = (round((end - slider.value) / slider.step) for end in (slider.low, slider.high))
+    notches = {round(first + (last - first) * i / (count - 1)) for i in range(count)} | {0}
+    yield from (slider.notch(n) for n in sorted(notches))
 
 
 class Overtaken(Exception):  # noqa: N818  (no error: nobody waits for the answer any more)

@@ -22,8 +22,7 @@ from lin_freq_ocp.base.phrases import number, short_name, split_unit
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import has_frequency_constraint
-from lin_freq_ocp.comparison.signals import Signal
-from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, measured_solution, solution_label
+from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, Signal, measured_solution, solution_label
 from lin_freq_ocp.pages.figures.modes import mode_legend
 from lin_freq_ocp.pages.figures.panels import (
     control_panel,
@@ -34,8 +33,7 @@ from lin_freq_ocp.pages.figures.panels import (
     state_panel,
     states_panel,
 )
-from lin_freq_ocp.pages.figures.plot_data import PlotData
-from lin_freq_ocp.pages.figures.style import (
+from lin_freq_ocp.pages.figures.plot_data import (
     BAND,
     BOUND,
     COMPONENTS,
@@ -49,12 +47,13 @@ from lin_freq_ocp.pages.figures.style import (
     ROW_HEIGHT,
     SOFT,
     STYLES,
+    PlotData,
     Trace,
     legend_above,
     legend_rows,
     new_figure,
     style_axes,
-    thinned,
+    thin_out,
 )
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -190,8 +189,8 @@ def gap_figure(data: PlotData, certificate: Certificate) -> Figure | None:
     floor = max(SMALLEST_SHOWN * max(float(gaps.max()), ROUNDING * allowed), float(gaps[gaps > 0].min(initial=allowed)))
     times, low = data.time.factor * np.arange(len(gaps)), gaps < floor
     color, at_floor = STYLES[CONSTRAINED].color, np.full(int(low.sum()), floor)
-    ax.plot(*thinned(times[~low], gaps[~low]), "o", color=color, markersize=3.2, markeredgewidth=0)
-    ax.plot(*thinned(times[low], at_floor), "v", color=color, markersize=4, markerfacecolor="none")
+    ax.plot(*thin_out(times[~low], gaps[~low]), "o", color=color, markersize=3.2, markeredgewidth=0)
+    ax.plot(*thin_out(times[low], at_floor), "v", color=color, markersize=4, markerfacecolor="none")
     ax.axhline(allowed, color=MUTED, linewidth=1.1, linestyle=(0, (5, 2)))
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
@@ -252,7 +251,7 @@ def _look_at(ax: Axes, frequency: np.ndarray) -> None:
 def _draw_prices(ax: Axes, component: Signal, frequency: np.ndarray, price: np.ndarray, i: int) -> None:
     """Draw one stem per stopped bin."""
     color = COMPONENTS[i % len(COMPONENTS)]
-    x, y = thinned(frequency[component.stop], price[component.stop])
+    x, y = thin_out(frequency[component.stop], price[component.stop])
     ax.vlines(x, 0, y, color=color, linewidth=1.0, alpha=0.7)
     marker = MARKERS[i % len(MARKERS)]
     ax.plot(x, y, label=short_name(component.name), marker=marker, linestyle="none", color=color, markersize=5)

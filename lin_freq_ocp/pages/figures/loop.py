@@ -13,7 +13,7 @@ from scipy import fft, signal
 from lin_freq_ocp.base.arrays import NO_BOUND, Array
 from lin_freq_ocp.base.phrases import number, plural, short_name
 from lin_freq_ocp.loop.record import LoopRecord, Source
-from lin_freq_ocp.pages.figures.style import (
+from lin_freq_ocp.pages.figures.plot_data import (
     BOUND,
     COMPONENTS,
     FILTERED,
@@ -24,7 +24,7 @@ from lin_freq_ocp.pages.figures.style import (
     Note,
     new_figure,
     style_axes,
-    thinned,
+    thin_out,
 )
 
 LONGEST_WINDOW = 64  # samples of a window of the spectrogram; an eighth of the loop, if that is less
@@ -71,7 +71,7 @@ def _bounds(loop: LoopRecord, component: int, of_state: bool = False) -> Iterato
 def _in_time(ax: Axes, loop: LoopRecord, values: Array, name: str, bounds: Iterator[float]) -> None:
     times, label = _clock(loop, len(values))
     held = len(values) == len(loop.steps)
-    ax.plot(*thinned(times, values), color=COMPONENTS[0], linewidth=1.5, drawstyle="steps-post" if held else "default")
+    ax.plot(*thin_out(times, values), color=COMPONENTS[0], linewidth=1.5, drawstyle="steps-post" if held else "default")
     for limit in bounds:
         ax.axhline(limit, color=BOUND, linewidth=1.1)
     other = np.array([source is not Source.PLAN for source in loop.sources], dtype=bool)
@@ -110,7 +110,7 @@ def _times(ax: Axes, loop: LoopRecord) -> None:
         (loop.solve_seconds, "solve", COMPONENTS[0]),
         (loop.certify_seconds, "certificate", COMPONENTS[2]),
     ):
-        ax.semilogy(*thinned(steps, 1e3 * np.maximum(values, 1e-7)), ".", color=color, markersize=4, label=label)
+        ax.semilogy(*thin_out(steps, 1e3 * np.maximum(values, 1e-7)), ".", color=color, markersize=4, label=label)
     ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK)
     median = number(1e3 * float(np.median(loop.solve_seconds)), 3) if len(steps) else "0"
     style_axes(ax, "Times of the steps", "step", "time [ms]", [Note(f"median without certificate: {median} ms")])
@@ -119,7 +119,7 @@ def _times(ax: Axes, loop: LoopRecord) -> None:
 def _gaps(ax: Axes, loop: LoopRecord) -> None:
     steps, gaps = np.arange(float(len(loop.steps))), loop.gaps
     known = np.isfinite(gaps)
-    ax.semilogy(*thinned(steps[known], np.maximum(gaps[known], 1e-17)), ".", color=COMPONENTS[0], markersize=4)
+    ax.semilogy(*thin_out(steps[known], np.maximum(gaps[known], 1e-17)), ".", color=COMPONENTS[0], markersize=4)
     if not known.all():
         for step in steps[~known]:
             ax.axvline(step, color=MUTED, linewidth=0.8)

@@ -20,14 +20,14 @@ from lin_freq_ocp.certificate.hybrid.smooth import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.trajectories import NO_MODE
-from lin_freq_ocp.pages.figures.plot_data import MARGIN, PlotData, Span, spans
-from lin_freq_ocp.pages.figures.style import (
+from lin_freq_ocp.pages.figures.plot_data import (
     COMPONENTS,
     FILTERED,
     GRID,
     HATCHES,
     INK,
     LABEL_SIZE,
+    MARGIN,
     MUTED,
     NOTE_SIZE,
     PAPER,
@@ -36,11 +36,14 @@ from lin_freq_ocp.pages.figures.style import (
     TINTS,
     WIDTH,
     Note,
+    PlotData,
+    Span,
     legend_above,
     new_figure,
     plain,
+    spans,
     style_axes,
-    thinned,
+    thin_out,
 )
 from lin_freq_ocp.pages.report.proof import ETA
 
@@ -166,7 +169,9 @@ def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: flo
         shade_modes(ax, data)
         times = data.time.factor * np.arange(len(eta))
         marker = "o" if len(eta) <= MARKED else ""
-        ax.plot(*thinned(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, marker=marker, markersize=3.2)
+        ax.plot(
+            *thin_out(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, marker=marker, markersize=3.2
+        )
         for kink in found:
             _draw_kink(ax, data, kink, i)
         end = data.time.factor * data.problem.horizon

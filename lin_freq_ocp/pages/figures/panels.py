@@ -14,10 +14,9 @@ from matplotlib.typing import LineStyleType
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.phrases import number, short_name, split_unit
-from lin_freq_ocp.comparison.signals import Line, Signal
+from lin_freq_ocp.comparison.trajectories import Line, Signal
 from lin_freq_ocp.pages.figures.modes import shade_modes
-from lin_freq_ocp.pages.figures.plot_data import PlotData, View
-from lin_freq_ocp.pages.figures.style import (
+from lin_freq_ocp.pages.figures.plot_data import (
     BAND,
     BOUND,
     COMPONENTS,
@@ -28,10 +27,12 @@ from lin_freq_ocp.pages.figures.style import (
     REFERENCE_LINE,
     SOFT,
     Note,
+    PlotData,
     Trace,
+    View,
     plain,
     style_axes,
-    thinned,
+    thin_out,
 )
 from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 
@@ -70,7 +71,7 @@ def states_panel(ax: Axes, data: PlotData, indices: Sequence[int], letter: str) 
         values = data.main.of(state)
         times = data.time.factor * np.arange(len(values))
         label = plain(shorten(short_name(state.name), LABEL_CHARACTERS, placeholder="\N{HORIZONTAL ELLIPSIS}"))
-        ax.plot(*thinned(times, values), color=color, linewidth=1.5, label=label)
+        ax.plot(*thin_out(times, values), color=color, linewidth=1.5, label=label)
     ax.margins(x=0.015)
     ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK, ncols=2)
     unit = split_unit(states[0].name)[1]
@@ -109,7 +110,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: Signal, title: str) -> N
     for trace, spectrum in zip(traces, padded, strict=True):
         omega, magnitude = _drawn_line(*spectrum)
         ax.plot(
-            *thinned(data.frequency.factor * omega, np.maximum(magnitude, floor)),
+            *thin_out(data.frequency.factor * omega, np.maximum(magnitude, floor)),
             color=trace.style.color,
             linewidth=0.65 * trace.style.width,
             zorder=trace.style.order,
@@ -132,7 +133,7 @@ def _draw_levels(ax: Axes, data: PlotData, component: Signal, floor: float, ceil
     for line in component.levels:
         cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
         for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
-            x, y = thinned(data.frequency.factor * at, np.maximum(level, floor))
+            x, y = thin_out(data.frequency.factor * at, np.maximum(level, floor))
             style, marker = SOFT if line.soft else "-", "_" if len(at) == 1 else None
             ax.plot(x, y, color=BOUND, linewidth=1.6, linestyle=style, marker=marker, markersize=9, zorder=2.5)
         near = line.values[line.values <= ceiling]
@@ -163,7 +164,7 @@ def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
     drawing = "steps-post" if held else "default"
     for bound in component.bounds:
         if np.isfinite(bound).any():
-            values = _held(np.where(np.isfinite(bound), bound, np.nan), held)
+            values = _repeat_last(np.where(np.isfinite(bound), bound, np.nan), held)
             times = data.time.factor * np.arange(len(values))
             ax.plot(times, values, color=BOUND, linewidth=1.2, drawstyle=drawing, zorder=2)
     for line in component.row_bounds:
@@ -171,9 +172,9 @@ def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
     for line in component.references:
         _draw_line(ax, data, line, held, REFERENCE, REFERENCE_LINE)
     for trace in data.showing(component):
-        values, style = _held(trace.of(component), held), trace.style
+        values, style = _repeat_last(trace.of(component), held), trace.style
         ax.plot(
-            *thinned(data.time.factor * np.arange(len(values)), values),
+            *thin_out(data.time.factor * np.arange(len(values)), values),
             color=style.color,
             linestyle=style.line,
             linewidth=style.width,
@@ -193,12 +194,12 @@ def _draw_line(ax: Axes, data: PlotData, line: Line, held: bool, color: str, sty
     marker = "D" if np.isfinite(values).sum() <= 1 + step else ""
     drawing = "steps-post" if held else "default"
     (drawn,) = ax.plot(
-        *thinned(times, values), color=color, linestyle=style, linewidth=1.2, marker=marker, markersize=4.5
+        *thin_out(times, values), color=color, linestyle=style, linewidth=1.2, marker=marker, markersize=4.5
     )
     drawn.set(drawstyle=drawing, zorder=2)
 
 
-def _held(values: Array, held: bool) -> Array:
+def _repeat_last(values: Array, held: bool) -> Array:
     """Repeat the last control: it acts until the end of its step."""
     return np.append(values, values[-1]) if held else values
 
@@ -236,7 +237,7 @@ def _draw_bins(ax: Axes, trace: Trace, frequency: Array, magnitude: Array, floor
         (frequency[low], edge, {"marker": "v", "markersize": 4, "markeredgewidth": 0.8, "markerfacecolor": "none"}),
     )
     for x, y, look in looks:
-        points = Line2D(*thinned(x, y), linestyle="none", color=style.color, zorder=style.order + 1)
+        points = Line2D(*thin_out(x, y), linestyle="none", color=style.color, zorder=style.order + 1)
         points.set(**look)
         ax.add_line(points)
 

@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import number
-from lin_freq_ocp.batch.sweep.point import Row
-from lin_freq_ocp.batch.sweep.sweep import SweepOutcome
-from lin_freq_ocp.pages.figures.style import (
+from lin_freq_ocp.batch.sweep import Row, SweepOutcome
+from lin_freq_ocp.pages.figures.plot_data import (
     COMPONENTS,
     INK,
     LABEL_SIZE,

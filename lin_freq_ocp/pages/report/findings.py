@@ -12,11 +12,10 @@ from lin_freq_ocp.base.phrases import listed, number, plural, runs_in_words, sho
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
-from lin_freq_ocp.comparison.signals import Signal, controls_of
-from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Violation
-from lin_freq_ocp.pages.report.moves import moves_sentence
+from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Signal, Violation, controls_of
 from lin_freq_ocp.pages.report.proof import RIGOROUS, proven_optimal
-from lin_freq_ocp.pages.report.units import frequency_scale, quantity, rough
+from lin_freq_ocp.pages.report.tables import moves_sentence
+from lin_freq_ocp.pages.units import frequency_scale, quantity, rough
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome

@@ -92,7 +92,7 @@ def switching_sentences(borders: SwitchingFacts) -> list[str]:
     """Return what the judge found where the dynamics have no single derivative."""
     sentences = list[str]()
     if borders.jumping is not None:
-        first, second = (_quoted(borders.mode_names[i]) for i in (borders.jumping.first, borders.jumping.second))
+        first, second = (_quote(borders.mode_names[i]) for i in (borders.jumping.first, borders.jumping.second))
         sentences.append(
             f"The map jumps at the border between {first} and {second}, so the maximum principle makes no statement "
             "there; what follows was looked at all the same."
@@ -106,8 +106,8 @@ def switching_sentences(borders: SwitchingFacts) -> list[str]:
     if not borders.times and not borders.norms:
         what = "No two modes meet along this trajectory" if len(borders.mode_names) > 1 else "No kink lies on it"
         return [*sentences, f"{what}: the dynamics have one derivative at every step, and nothing had to be chosen."]
-    where = f"{_where(borders)}. There the dynamics have no single derivative."
-    return [*sentences, where, _joint(borders), _flips(borders), _printed(borders)]
+    where = f"{_switching_text(borders)}. There the dynamics have no single derivative."
+    return [*sentences, where, _joint(borders), _flips(borders), _printed_form(borders)]
 
 
 def search_sentences(result: Outcome) -> list[str]:
@@ -176,7 +176,7 @@ def _choices(borders: SwitchingFacts) -> list[str]:
     return [*parts[:NAMED_TIMES], *([f"{len(parts) - NAMED_TIMES} more"] if len(parts) > NAMED_TIMES else [])]
 
 
-def _where(borders: SwitchingFacts) -> str:
+def _switching_text(borders: SwitchingFacts) -> str:
     parts = list[str]()
     if borders.times:
         parts.append(f"modes meet{' or end' if borders.gaps else ''} at {_times(borders.times)}")
@@ -228,11 +228,11 @@ def _flip(flip: Flip, borders: SwitchingFacts) -> str:
         False: ", where the cost does not fall: that sequence has other multipliers",
         None: "",
     }
-    mode = _quoted(borders.mode_names[flip.mode])
+    mode = _quote(borders.mode_names[flip.mode])
     return f"towards {mode} at t = {flip.time} (rate {number(flip.rate, 2)}{known[flip.improves]})"
 
 
-def _printed(borders: SwitchingFacts) -> str:
+def _printed_form(borders: SwitchingFacts) -> str:
     function = f"\N{MINUS SIGN}<{ETA}, f>"
     holds = "holds, too" if borders.joint and borders.printed else "holds" if borders.printed else "does not hold"
     regular = "is" if borders.regular else "is not"
@@ -245,10 +245,10 @@ def _printed(borders: SwitchingFacts) -> str:
 def _weights(alpha: Array, names: Sequence[str]) -> str:
     """Return the weights that are not zero, with the modes they belong to."""
     used = [int(i) for i in np.flatnonzero(alpha)]
-    return listed([f"{number(float(alpha[i]), 3)} {_quoted(names[i])}" for i in used] or ["0"])
+    return listed([f"{number(float(alpha[i]), 3)} {_quote(names[i])}" for i in used] or ["0"])
 
 
-def _quoted(name: str) -> str:
+def _quote(name: str) -> str:
     """Return a mode's name in quotation marks: it may have commas."""
     return f"\N{LEFT DOUBLE QUOTATION MARK}{name}\N{RIGHT DOUBLE QUOTATION MARK}"
 

@@ -27,7 +27,7 @@ class Cost(ABC):
     """A convex cost; sums of costs are costs, and ``sum`` of a list of them, too.
 
     A new nonsmooth cost is a subclass of ``NonsmoothCost`` in a file of its own. To be written to problem files it is
-    listed in ``files/problem_file/tables.py``. ``tests/problem/test_new_term.py`` shows a complete one.
+    listed in ``files/problem_tables.py``. ``tests/problem/test_new_term.py`` shows a complete one.
     """
 
     @property

@@ -6,7 +6,7 @@ and the CVXPY export need nothing else of it.
 
 A new set is a subclass of ``ConvexSet`` in a file of its own, with ``dimension``, ``parts`` and ``describe``; a part
 takes any penalty of ``problem/terms``. To be written to problem files it is listed in
-``files/problem_file/tables.py``. ``tests/problem/test_new_set.py`` shows a complete one.
+``files/problem_tables.py``. ``tests/problem/test_new_set.py`` shows a complete one.
 """
 
 from __future__ import annotations

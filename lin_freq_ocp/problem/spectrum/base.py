@@ -1,7 +1,7 @@
 """The protocol of frequency constraints on signals: states, controls, or linear outputs of both.
 
 A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe``, ``terms``
-and ``extended``. To be written to problem files it is listed in ``files/problem_file/tables.py``.
+and ``extended``. To be written to problem files it is listed in ``files/problem_tables.py``.
 ``lin_freq_ocp.testing.check_terms`` checks it.
 """
 

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.loop.softening import softened
+from lin_freq_ocp.loop.step_problem import soften
 from lin_freq_ocp.program.transcription import LinearTranscription
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")
@@ -313,7 +313,7 @@ def _with_prices(
     price = prices.pop("control_set", None)
     if price is not None:
         problem = replace(problem, control_set=lfo.sets.Soft(problem.control_tube.at(0), price))
-    return softened(problem, prices)
+    return soften(problem, prices)
 
 
 def least_cost(problem: lfo.OptimalControlProblem) -> lfo.Trajectory:

@@ -15,8 +15,8 @@ from helpers.schemas import RESULT, faults, printed
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.cli.app import cli
-from lin_freq_ocp.files.results.solution_file import save_solution
-from lin_freq_ocp.files.results.summary import certificate_summary
+from lin_freq_ocp.files.solution_files import save_solution
+from lin_freq_ocp.files.summary import certificate_summary
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.pages.report.proof import verdict
