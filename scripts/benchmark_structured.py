@@ -23,8 +23,7 @@ from structured_layers import table_of
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.kkt import recursions
-from lin_freq_ocp.methods.structured.kkt.compiled import loops
+from lin_freq_ocp.methods.structured.kkt import kernels, recursions
 
 Solve = Callable[[], lfo.results.Result]
 
@@ -81,7 +80,7 @@ def main() -> None:
     parser.add_argument("--alone", action="store_true")
     parser.add_argument("--layers", action="store_true")
     given = parser.parse_args()
-    loops.KERNELS.prepare()  # compiled before the first clock starts
+    kernels.KERNELS.prepare()  # compiled before the first clock starts
     with benchmark_record.Record(given.write) as record:
         record.show(table_of(given.repeats) if given.layers else compared(given))
 

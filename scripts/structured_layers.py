@@ -18,10 +18,8 @@ from structured_cases import CASES
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.structured import choice, solver
-from lin_freq_ocp.methods.structured.algorithm import embedding
-from lin_freq_ocp.methods.structured.kkt import blocks, low_rank, recursions
-from lin_freq_ocp.methods.structured.model import all_rows
+from lin_freq_ocp.methods.structured import choice, embedding, solver, stages
+from lin_freq_ocp.methods.structured.kkt import blocks, range_space, recursions
 
 
 def both_sweeps(regulator: blocks.BlockRegulator, channels: Indices, R: Array, E: Array) -> Array:
@@ -37,8 +35,8 @@ LAYERS = {
     "refinement where steps fall short": (embedding, "EXPECTED", -np.inf),
     "sweeps one way": (blocks.BlockRegulator, "gram", both_sweeps),
     "blocks of stages": (blocks, "NARROW", 10**9),
-    "rows by one matrix": (all_rows, "DENSE", 0),
-    "low rank of fine masks": (low_rank, "WORTH", 0.0),
+    "rows by one matrix": (stages, "DENSE", 0),
+    "low rank of fine masks": (range_space, "WORTH", 0.0),
     "the smaller side": (choice.Sizes, "seconds", lambda sizes: {"stopped": 0.0}),
     "conjugate gradients": (choice, "ITERATIONS", np.inf),
 }

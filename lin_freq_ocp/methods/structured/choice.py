@@ -13,17 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
-from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
-from lin_freq_ocp.methods.structured.kkt.kept.space import GROWTH, break_times
-from lin_freq_ocp.methods.structured.kkt.kept.two_level import TwoLevel
-from lin_freq_ocp.methods.structured.kkt.low_rank import fine_rows
+from lin_freq_ocp.methods.structured.kkt.null_space import GROWTH, KeptSide, break_times, sort_rows
+from lin_freq_ocp.methods.structured.kkt.range_space import Response, fine_rows, stopped_side
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
-from lin_freq_ocp.methods.structured.kkt.response import Response
-from lin_freq_ocp.methods.structured.kkt.side import Side
-from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
-from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced, TwoLevel
+from lin_freq_ocp.methods.structured.kkt.system import Side
+from lin_freq_ocp.methods.structured.stages import Stages
 
 COLUMN = 17e-9  # seconds for one entry of y of one stage of one column
 BACKWARD = 5e-9  # the same for the sweep backwards alone

@@ -1,4 +1,7 @@
-"""A problem with linear dynamics by the structured interior point, in units in which it should be of order 1."""
+"""A problem with linear dynamics by the structured interior point, in units in which it should be of order 1.
+
+What solves of one problem with other numbers share: stages, the responses of their rows, and an answer nearby.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +13,41 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.memory import require_memory
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.methods.structured.algorithm.active import solve_active
-from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
+from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
+from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
 from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
+from lin_freq_ocp.methods.structured.embedding import Answer, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
-from lin_freq_ocp.methods.structured.kkt.system import System, Values
-from lin_freq_ocp.methods.structured.model.assembly import Assembly
-from lin_freq_ocp.methods.structured.model.recovery import Recovery
-from lin_freq_ocp.methods.structured.prepared import Prepared
+from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System, Values
+from lin_freq_ocp.methods.structured.recovery import Recovery
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+
+class Prepared:
+    """Made when it is needed, and kept as long as it fits."""
+
+    def __init__(self):
+        self.near: Trajectory | None = None  # a trajectory near the answer
+        self._assembly: Assembly | None = None
+        self._rows: tuple[Assembly, bool, RowResponses] | None = None
+
+    def assembly(self, problem: OptimalControlProblem) -> Assembly:
+        """Return the stages of a problem, with the numbers of the last exchanged if no more differs."""
+        exchanged = None if self._assembly is None else self._assembly.exchanged(problem)
+        if self._assembly is None or exchanged is None or not exchanged.same_matrices(self._assembly):
+            self.near = None  # responses are worth finding for many solves only
+        self._assembly = exchanged or stages_of(problem)
+        return self._assembly
+
+    def responses(self, assembly: Assembly, loops: Loops) -> RowResponses:
+        """Return what active rows of stages add to an answer, which depends on all but their right-hand sides."""
+        if self._rows is None or not self._rows[0].same_matrices(assembly) or self._rows[1] != loops.compiled:
+            stages = assembly.stages
+            rows = RowResponses(System(stages, loops), choose_side(stages, loops))
+            self._rows = assembly, loops.compiled, rows
+        return self._rows[2]
+
 
 MATRICES, VECTORS = 12, 100  # of a stage's size that there are at a time
 LATE = 2.0  # an estimated step may take so many times as long

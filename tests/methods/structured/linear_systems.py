@@ -4,17 +4,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.side import Compliance, Step
-from lin_freq_ocp.methods.structured.kkt.system import System
-from lin_freq_ocp.methods.structured.model.coupling import (
+from lin_freq_ocp.methods.structured.kkt.system import Compliance, Step, System
+from lin_freq_ocp.methods.structured.stages import (
     Balls,
     Coupling,
     Equations,
     Inequalities,
     SparseRows,
     SpectrumRows,
+    Stages,
 )
-from lin_freq_ocp.methods.structured.model.stages import Stages
 
 
 def stop_band(channels, entry, T, bins, scale):

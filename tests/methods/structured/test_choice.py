@@ -8,14 +8,11 @@ import pytest
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured import choice
 from lin_freq_ocp.methods.structured.choice import Sizes, choose_side, sizes_of
-from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
-from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
-from lin_freq_ocp.methods.structured.kkt.kept.slacks import Slacks
-from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
+from lin_freq_ocp.methods.structured.kkt.null_space import KeptSide, KeptSpace, Slacks, sort_rows
+from lin_freq_ocp.methods.structured.kkt.range_space import StoppedSide
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
-from lin_freq_ocp.methods.structured.model.coupling import Coupling, Equations
+from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
+from lin_freq_ocp.methods.structured.stages import Coupling, Equations
 from methods.structured.examples import spectrum, stages
 
 

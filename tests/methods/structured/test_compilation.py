@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("numba", reason="the extra fast is not installed")
 
-from lin_freq_ocp.methods.structured.kkt.compiled import compilation
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import Kernels, jit
+from lin_freq_ocp.methods.structured.kkt import compilation
+from lin_freq_ocp.methods.structured.kkt.compilation import Kernels, jit
 
 
 class Kernel:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.methods.structured.model.cones import Cone
+from lin_freq_ocp.methods.structured.cones import Cone
 
 SIZES = (3, 2)
 

@@ -5,13 +5,17 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lin_freq_ocp.methods.structured.kkt.kept.coefficients import Coefficients, sort_rows, unit_scale
-from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
-from lin_freq_ocp.methods.structured.kkt.kept.slacks import Slacks
-from lin_freq_ocp.methods.structured.kkt.kept.space import break_times
+from lin_freq_ocp.methods.structured.kkt.null_space import (
+    Coefficients,
+    KeptSide,
+    Slacks,
+    break_times,
+    sort_rows,
+    unit_scale,
+)
+from lin_freq_ocp.methods.structured.kkt.range_space import stopped_side
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
+from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
 from methods.structured.linear_systems import random_system, solved
 
 GROWTHS = (0.0, 12.0, -5.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from helpers.linear_kinds import KINDS, T
-from lin_freq_ocp.methods.structured.model.assembly import stages_of
-from lin_freq_ocp.methods.structured.model.origin import origin_of
+from lin_freq_ocp.methods.structured.assembly import stages_of
+from lin_freq_ocp.methods.structured.recovery import origin_of
 
 
 def test_references_and_fixed_controls_are_the_origin():

@@ -9,7 +9,7 @@ import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, PLANT, T, infeasible
 from helpers.stage_programs import solved_stages, stage_operator
 from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.methods.structured.model.assembly import stages_of
+from lin_freq_ocp.methods.structured.assembly import stages_of
 
 
 def pulled_back(problem, multipliers):

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from lin_freq_ocp.methods.structured.kkt import recursions
-from lin_freq_ocp.methods.structured.kkt.banded import BandedLoops
 from lin_freq_ocp.methods.structured.kkt.blocks import OpenLoop
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import BandedLoops, loops
 
 NONE = np.zeros(0, dtype=np.intp)
 
@@ -229,11 +228,11 @@ def test_columns_are_sweeps_side_by_side(chosen, seed):
 
 def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
     pytest.importorskip("numba", reason="the extra fast is not installed")
-    from lin_freq_ocp.methods.structured.kkt.compiled import loops as compiled
+    from lin_freq_ocp.methods.structured.kkt import kernels
 
-    assert isinstance(loops(), compiled.CompiledLoops)
-    assert isinstance(loops(patient=False), compiled.CompiledLoops)  # compiled by now
-    monkeypatch.setattr(compiled, "KERNELS", SimpleNamespace(ready=False))
+    assert isinstance(loops(), kernels.CompiledLoops)
+    assert isinstance(loops(patient=False), kernels.CompiledLoops)  # compiled by now
+    monkeypatch.setattr(kernels, "KERNELS", SimpleNamespace(ready=False))
     assert isinstance(loops(patient=False), BandedLoops)
 
 

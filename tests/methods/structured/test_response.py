@@ -2,9 +2,8 @@
 
 import pytest
 
+from lin_freq_ocp.methods.structured.kkt.range_space import Response, StoppedSide
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.response import Response
-from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
 
 from .linear_systems import random_system, solved
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from helpers.linear_kinds import KINDS, T
-from lin_freq_ocp.methods.structured.model.assembly import stages_of
-from lin_freq_ocp.methods.structured.model.origin import origin_of
-from lin_freq_ocp.methods.structured.model.stage_rows import joined, places, term_rows
+from lin_freq_ocp.methods.structured.assembly import stages_of
+from lin_freq_ocp.methods.structured.recovery import origin_of
+from lin_freq_ocp.methods.structured.rows import joined, places, term_rows
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD

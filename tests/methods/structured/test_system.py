@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lin_freq_ocp.methods.structured.algorithm.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.low_rank import FineRows, fine_rows
+from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
+from lin_freq_ocp.methods.structured.kkt.range_space import FineRows, Response, StoppedSide, fine_rows
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
-from lin_freq_ocp.methods.structured.kkt.response import Response
-from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
-from lin_freq_ocp.methods.structured.kkt.system import BALLS, EQUATIONS, INEQUALITIES, STAGES, System
+from lin_freq_ocp.methods.structured.kkt.system import (
+    BALLS,
+    EQUATIONS,
+    INEQUALITIES,
+    STAGES,
+    StepSystem,
+    System,
+    largest,
+)
 from lin_freq_ocp.program.backends.base import Claim, backend
 from lin_freq_ocp.program.program import Program
 
@@ -169,7 +174,7 @@ def test_correctors_reach_the_gap_near_the_boundary_of_cones(seed, monkeypatch):
     """Without them, outlying products end the steps at gaps of 1e-8."""
     problem = soft_stages(seed, cones=(2, 4))
     assert embedded(problem, False)[1].end is End.OPTIMAL
-    monkeypatch.setattr("lin_freq_ocp.methods.structured.algorithm.embedding.CORRECTORS", 0)
+    monkeypatch.setattr("lin_freq_ocp.methods.structured.embedding.CORRECTORS", 0)
     assert embedded(problem, False)[1].end is End.STALLED
 
 

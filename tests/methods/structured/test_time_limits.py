@@ -10,12 +10,11 @@ from helpers.clocks import Clock
 from helpers.linear_kinds import KINDS
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.algorithm.embedding import Embedding, End, Targets
+from lin_freq_ocp.methods.structured.assembly import stages_of
 from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
+from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
-from lin_freq_ocp.methods.structured.kkt.system import System
-from lin_freq_ocp.methods.structured.model.assembly import stages_of
+from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
 
 
 @pytest.mark.parametrize("limit", [4.0, 6.0, 9.0])

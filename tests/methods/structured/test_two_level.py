@@ -5,10 +5,9 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lin_freq_ocp.methods.structured.kkt.kept.excess import CLIP, LEAST_EXCESS, clip
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
-from lin_freq_ocp.methods.structured.kkt.kept.two_level import TwoLevel
+from lin_freq_ocp.methods.structured.kkt.null_space import KeptSide
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.reduced import CLIP, LEAST_EXCESS, TwoLevel, clip
 from methods.structured.linear_systems import random_system, solved
 
 GROWTHS = (0.0, 12.0, -5.0)

@@ -23,15 +23,12 @@ from lin_freq_ocp.methods.hybrid.smooth.interior import inverse, moved_inside
 from lin_freq_ocp.methods.hybrid.smooth.local import Local, Objective, Point, Trial
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.choice import choose_side
-from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
-from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
+from lin_freq_ocp.methods.structured.kkt.null_space import KeptSide, sort_rows
+from lin_freq_ocp.methods.structured.kkt.range_space import stopped_side
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
-from lin_freq_ocp.methods.structured.kkt.reduction import largest
-from lin_freq_ocp.methods.structured.kkt.side import Side
-from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
-from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, System
-from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
+from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, Side, System, largest
+from lin_freq_ocp.methods.structured.stages import Stages
 
 FIRST_MU, LEAST_MU = 0.1, 1e-11  # in units in which the steepest slope of the cost is 10
 MU_FACTOR, MU_POWER = 0.2, 1.5  # mu falls to the smaller of MU_FACTOR mu and mu^MU_POWER

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.methods.structured.model.cones import Cone
+from lin_freq_ocp.methods.structured.cones import Cone
 
 MARGIN = 1e-2  # distance of the first point to the boundary, in units in which limits are of order 1
 

@@ -2,16 +2,85 @@
 
 Rows are a list of arrays: dynamics x_{t+1} - A_t x_t - B_t w_t (T+1, n), the last zero; x_0 (n,); stages G y (T+1, p);
 equations, those of x_T first, flat; inequalities (rows, 1); -(head, values) (balls, 1 + d) for each family of balls.
+
+One step's linear system after the elimination of stage cones and of constant heads of balls.
+
+    Phi y + gradient + (dynamics)'eta + (x_0 rows)'lam0 + F'nu = 0
+    x_{t+1} - A x_t - B w_t = c_t,   x_0 = x0 where it is fixed,   F y - C nu = f
+
+F are all coupling rows in the order of ``Coupling``: x_T, equations, inequalities, balls (each with its head in front
+if it is soft). C > 0 is block diagonal: tiny for equations, squares of scalings else.
+
+The linear system of one step, [P A'; A -W^2] (y, z) = (r_y, r_z), reduced to the system of a side, and refined.
+
+Of a hard ball, the head is constant: its row is eliminated, and leaves on the values the compliance
+eta^2 (I - 2 v v'/(1 + 2 |v|^2)), w = (w_0, v), which would lose its definiteness if it were computed by subtraction.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, Protocol
+
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.methods.structured.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
-from lin_freq_ocp.methods.structured.model.cones import Cone
-from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.methods.structured.stages import Stages
+
+
+@dataclass(frozen=True, eq=False)
+class Compliance:
+    """C: (count,) for all equations and inequalities, and (balls, d, d) for every family of balls.
+
+    ``roots``, (balls, d, d) for every family of hard balls, are R with R'R = C^-1, which inverting C would lose near
+    the boundary.
+    """
+
+    rows: Array
+    balls: tuple[Array, ...]
+    roots: tuple[Array, ...] = ()
+
+    def add_to(self, S: Array, chosen: Indices | None = None) -> None:
+        """Add C to the last rows of S: those of ``rows`` that are chosen, or all, and those of the balls."""
+        rows = self.rows if chosen is None else self.rows[chosen]
+        first = len(S) - len(rows) - sum(len(part) * part.shape[1] for part in self.balls)
+        for blocks in (rows[:, None, None], *self.balls):
+            count, d = blocks.shape[:2]
+            at = first + np.arange(count * d).reshape(count, d)
+            S[at[:, :, None], at[:, None, :]] += blocks
+            first += count * d
+
+
+class Step(NamedTuple):
+    """The solution of the system."""
+
+    y: Array  # (T+1, n + k)
+    eta: Array  # (T+1, n), the last zero
+    initial: Array  # lam0, (n,)
+    coupling: Array  # nu, (rows,)
+
+
+class Side(Protocol):
+    """A way to solve the system, exact up to rounding and the tolerance of an iteration; residuals are refined."""
+
+    indefinite: ClassVar[
+        bool
+    ]  # whether Phi may be indefinite on the dynamics: ``factor`` says if the rows make up for it
+
+    def exchanged(self, stages: Stages) -> Side:
+        """Return the same for stages with other dynamics and Hessians."""
+        ...
+
+    def factor(self, Phi: Array, compliance: Compliance) -> bool:
+        """Prepare for Phi (T+1, n+k, n+k) and C; return whether the problem is convex as far as it was looked at."""
+        ...
+
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+        """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
+        ...
+
 
 DYNAMICS, INITIAL, STAGES, EQUATIONS, INEQUALITIES, BALLS = range(6)
 Values = list[Array]
@@ -92,3 +161,114 @@ class System:
     def degree(self) -> int:
         """Return the degree of the cone."""
         return sum(cone.degree for cone in self.cones.values())
+
+
+REFINEMENTS = 3  # at most; each halves the digits that are missing, or is not taken
+REGULARISATION = 1e-9  # of the Hessian, in units of order 1; refinement takes it back where anything else curves
+DUAL_REGULARISATION = 1e-12  # compliance of equations, for those that nothing can change or that repeat others
+REFINED = 1e-8  # residual, relative to the right-hand side, that is not refined
+
+
+class StepSystem:
+    """The system of a step at the scalings of the cones; ``factor`` it before ``solve``."""
+
+    def __init__(self, system: System, side: Side):
+        self.system, self._side, self._loops = system, side, system.loops
+
+    def factor(self) -> bool:
+        """Factor at the present scalings; return what the side says of convexity."""
+        system, stages = self.system, self.system.stages
+        Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
+        diagonal = np.arange(Phi.shape[1])
+        Phi[:, diagonal, diagonal] += REGULARISATION
+        balls = list(zip(system.coupling.balls, self._ball_cones(), strict=True))
+        squares = [_of_values(cone) if part.heads is None else cone.block_squares(0) for part, cone in balls]
+        roots = [_root_of_values(cone) for part, cone in balls if part.heads is None]
+        unequal = system.cones[INEQUALITIES].w[:, 0] ** 2 if INEQUALITIES in system.cones else np.zeros(0)
+        equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
+        return self._side.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
+
+    def solve(self, of_y: Array, of_z: Values, refined: bool = True) -> tuple[Array, Values]:
+        """Return (y, z), by default refined as long as the residual falls."""
+        y, z = self._once(of_y, of_z)
+        if not refined:
+            return y, z
+        target = REFINED * largest([of_y, *of_z])
+        left = self._residual(of_y, of_z, y, z)
+        error = largest([left[0], *left[1]])
+        for _ in range(REFINEMENTS):
+            if error <= target:
+                break
+            dy, dz = self._once(*left)
+            better = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
+            left = self._residual(of_y, of_z, *better)
+            after = largest([left[0], *left[1]])
+            if not after < error:
+                break
+            (y, z), error = better, after
+        return y, z
+
+    def _once(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
+        system, stages = self.system, self.system.stages
+        cone = system.cones[STAGES]
+        gradient = -of_y - self._loops.transposed_times(stages.G, cone.scaled(of_z[STAGES], -2))
+        f = [of_z[EQUATIONS], of_z[INEQUALITIES][:, 0]]
+        for part, own, rows in zip(system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
+            right = -rows
+            if part.heads is None:
+                right = right[:, 1:] + _head_ratio(own) * rows[:, :1]
+            f.append(right.ravel())
+        step = self._side.solve(gradient, of_z[DYNAMICS], of_z[INITIAL], np.concatenate(f))
+        of_stages = cone.scaled(self._loops.times(stages.G, step.y) - of_z[STAGES], -2)
+        return step.y, [step.eta, step.initial, of_stages, *self._multipliers(step.coupling, of_z)]
+
+    def _multipliers(self, nu: Array, of_z: Values) -> Values:
+        """Return the duals of all rows that couple times from those of the reduced system."""
+        counts = [len(of_z[EQUATIONS]), len(of_z[INEQUALITIES])]
+        equations, unequal, rest = np.split(nu, np.cumsum(counts))
+        found: Values = [equations, unequal[:, None]]
+        for part, own, rows in zip(self.system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
+            dim = part.dim + (part.heads is not None)
+            values, rest = np.split(rest, [len(part.radius) * dim])
+            z = -values.reshape(-1, dim)
+            if part.heads is None:
+                w, eta = own.w, own.eta[:, 0]
+                head = -rows[:, 0] / (eta**2 * (2 * w[:, 0] ** 2 - 1)) - (_head_ratio(own) * z).sum(1)
+                z = np.column_stack([head, z])
+            found.append(z)
+        return found
+
+    def _residual(self, of_y: Array, of_z: Values, y: Array, z: Values) -> tuple[Array, Values]:
+        system = self.system
+        left = [right - rows for right, rows in zip(of_z, system.rows(y), strict=True)]
+        for i, cone in system.cones.items():
+            left[i] += cone.scaled(z[i], 2)
+        return of_y - system.curvature(y) - system.adjoint(z), left
+
+    def _ball_cones(self) -> list[Cone]:
+        return [self.system.cones[BALLS + i] for i in range(len(self.system.coupling.balls))]
+
+
+def largest(parts: Values) -> float:
+    """Return the largest absolute entry; inf if one is not finite."""
+    found = max((float(np.abs(part).max(initial=0.0)) for part in parts), default=0.0)
+    return found if np.isfinite(found) else np.inf
+
+
+def _of_values(cone: Cone) -> Array:
+    """Return the compliance of the values of hard balls, (balls, d, d)."""
+    v, square = cone.w[:, 1:], cone.eta[:, 0, None, None] ** 2
+    return square * (np.eye(v.shape[1]) - (2 / (1 + 2 * (v * v).sum(1)))[:, None, None] * v[:, :, None] * v[:, None, :])
+
+
+def _root_of_values(cone: Cone) -> Array:
+    """Return the symmetric root of its inverse, (I + 2 v v')^(1/2)/eta."""
+    v = cone.w[:, 1:]
+    along = 2 / (1 + np.sqrt(1 + 2 * (v * v).sum(1)))
+    return (np.eye(v.shape[1]) + along[:, None, None] * v[:, :, None] * v[:, None, :]) / cone.eta[:, 0, None, None]
+
+
+def _head_ratio(cone: Cone) -> Array:
+    """Return the entries of W^2 beside its first one, divided by that, (balls, d)."""
+    head, v = cone.w[:, :1], cone.w[:, 1:]
+    return 2 * head * v / (2 * head**2 - 1)

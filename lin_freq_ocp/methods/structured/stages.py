@@ -1,13 +1,26 @@
-"""Rows that depend on several times: frequency constraints, fixed ends, and linear equations over all times.
+"""A linear problem over stages, in the units of the method.
+
+    minimise    sum_t 1/2 y_t'H_t y_t + h_t'y_t + constant,  t = 0 .. T,  y_t = (x_t, w_t)
+    subject to  x_{t+1} = A_t x_t + B_t w_t + d_t,  t < T;   x_0 given where it is fixed
+                s_t = g_t - G_t y_t in K:  entries >= 0, then second-order cones s_0 >= |(s_1, ...)|
+                rows that couple times: coupling.py
+
+w_t holds the controls u_t, then slacks, on which no state depends. At t = T, A, B and d are zero, and u_T costs
+1/2 |u_T|^2, so that every stage is alike.
+
+Rows that depend on several times: frequency constraints, fixed ends, and linear equations over all times.
 
 They depend on some entries of y_t only, the *channels*: signals Y (T+1, channels, k) are those entries, k signals side
 by side. A family of rows maps signals to values (count, k), and has the adjoint of that map.
+
+All rows that couple times as one map of y: by a matrix where that is small, else family by family.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -261,3 +274,105 @@ class Coupling:
                 yield part.heads, at[:, 0]
             yield part.rows, at[:, heads:].ravel()
             first += at.size
+
+
+DENSE = 3e5  # entries up to which products with a matrix take less time than FFTs; measured
+
+
+class AllRows:
+    """The rows F of a coupling, in its order, on y (stages, n + k)."""
+
+    def __init__(self, coupling: Coupling, stages: int, states: int):
+        self._coupling, self._states, self._shape = coupling, states, (stages, len(coupling.channels))
+        self._families = tuple(coupling.families())
+        self._dense = coupling.count * stages * len(coupling.channels) <= DENSE
+
+    @cached_property
+    def gradients(self) -> tuple[Array, Array]:
+        """Return all rows as gradients on channels (stages, channels, rows) and on x_T (n, rows)."""
+        return self.chosen(np.arange(self._coupling.count))
+
+    def chosen(self, chosen: Indices) -> tuple[Array, Array]:
+        """Return chosen rows as gradients on channels (stages, channels, k) and on x_T (n, k)."""
+        terminal, signals = self._coupling.terminal, np.zeros((*self._shape, len(chosen)))
+        end = np.zeros((self._states, len(chosen)))
+        of_end = np.flatnonzero(chosen < len(terminal))
+        end[terminal[chosen[of_end]], of_end] = 1.0
+        for rows, at in self._families:
+            inside = np.flatnonzero(np.isin(chosen, at, assume_unique=True))
+            if len(inside):
+                part = np.zeros((*self._shape, len(inside)))
+                rows.add_columns(np.searchsorted(at, chosen[inside]), part)
+                signals[:, :, inside] += part
+        return signals, end
+
+    def values(self, y: Array) -> Array:
+        """Return F y."""
+        terminal, signals = self._coupling.terminal, y[:, self._coupling.channels]
+        if self._dense:
+            found = self._matrix.T @ signals.ravel()
+        else:
+            found = np.zeros(self._coupling.count)
+            for rows, at in self._families:
+                found[at] = rows.forward(signals[:, :, None])[:, 0]
+        found[: len(terminal)] = y[-1, terminal]
+        return found
+
+    def add_adjoint(self, nu: Array, gradient: Array) -> None:
+        """Add F'nu to a gradient (stages, n + k)."""
+        terminal, channels = self._coupling.terminal, self._coupling.channels
+        gradient[-1, terminal] += nu[: len(terminal)]
+        if self._dense:
+            gradient[:, channels] += (self._matrix @ nu).reshape(self._shape)
+        elif len(channels):
+            signals = np.zeros((*self._shape, 1))
+            for rows, at in self._families:
+                rows.add_adjoint(nu[at, None], signals)
+            gradient[:, channels] += signals[:, :, 0]
+
+    @cached_property
+    def _matrix(self) -> Array:
+        """F' without the rows of x_T, (stages * channels, rows)."""
+        return self.gradients[0].reshape(self._shape[0] * self._shape[1], self._coupling.count)
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """The arrays of a problem, contiguous, with n states, k entries of w, and p rows a stage."""
+
+    A: Array  # (T+1, n, n)
+    B: Array  # (T+1, n, k)
+    d: Array  # (T+1, n)
+    H: Array  # (T+1, n+k, n+k), symmetric positive semidefinite
+    h: Array  # (T+1, n+k)
+    G: Array  # (T+1, p, n+k)
+    g: Array  # (T+1, p): inf where there is no such row; all entries of a cone are inf, or none
+    cones: tuple[int, ...]  # sizes of the second-order cones, which are the last rows of every stage
+    initial: Array  # (n,): nan where x_0 is free
+    coupling: Coupling
+    constant: float = 0.0
+
+    @property
+    def horizon(self) -> int:
+        """Return T."""
+        return len(self.A) - 1
+
+    @property
+    def states(self) -> int:
+        """Return n."""
+        return self.A.shape[1]
+
+    @property
+    def present(self) -> Mask:
+        """Return which rows there are, (T+1, p)."""
+        return np.isfinite(self.g)
+
+    @property
+    def fixed(self) -> Mask:
+        """Return which entries of x_0 are given, (n,)."""
+        return ~np.isnan(self.initial)
+
+    @cached_property
+    def coupled(self) -> AllRows:
+        """Return all rows that couple times."""
+        return AllRows(self.coupling, len(self.A), self.states)

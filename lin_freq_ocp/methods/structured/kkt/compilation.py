@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import ParamSpec, Protocol, TypeVar, cast
+from typing import ClassVar, ParamSpec, Protocol, TypeVar, cast
 
 import numba
 from llvmlite import binding
@@ -68,11 +68,15 @@ def _compiled(function: Callable[Arguments, Value], cache: bool) -> Callable[Arg
 class Kernels:
     """The functions of a module that Python calls, each with the types of its arguments."""
 
+    registered: ClassVar[list[Kernels]] = []
+    """Those of all modules imported so far: ``python -m lin_freq_ocp.methods.structured`` compiles them."""
+
     def __init__(self, sources: tuple[str, ...], *signatures: tuple[Callable[..., object], tuple[types.Type, ...]]):
         """Compile nothing yet; ``sources`` are the files that the code is made of, that of the functions first."""
         self._sources = [Path(source) for source in sources]
         self._kernels = [(cast("_Dispatcher", function), given) for function, given in signatures]
         self._loaded = False
+        self.registered.append(self)
 
     @property
     def ready(self) -> bool:

@@ -27,9 +27,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
-from lin_freq_ocp.methods.structured.kkt.system import System, Values
-from lin_freq_ocp.methods.structured.model.cones import Cone, into
+from lin_freq_ocp.methods.structured.cones import Cone, into
+from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System, Values, largest
 
 FRACTION = 0.99  # of the way to the boundary
 MOST_FRACTION = 0.999  # of it where a whole step is nearly possible

@@ -13,26 +13,31 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.model.coupled_rows import (
+from lin_freq_ocp.methods.structured.recovery import (
+    Origin,
+    Recovery,
+    Units,
+    multiplier_layout,
+    origin_of,
+    own_units,
+    scaled,
+    scaled_dynamics,
+    unused_entries_held,
+)
+from lin_freq_ocp.methods.structured.rows import (
     Columns,
     CoupledPart,
-    on_channels,
-    stopped_parts,
-    term_parts,
-)
-from lin_freq_ocp.methods.structured.model.coupling import Balls, Coupling, Equations, Inequalities, SparseRows
-from lin_freq_ocp.methods.structured.model.origin import Origin, origin_of
-from lin_freq_ocp.methods.structured.model.recovery import Recovery, multiplier_layout
-from lin_freq_ocp.methods.structured.model.stage_rows import (
     StageRowList,
     box_rows,
     joined,
     nonnegative_slacks,
+    on_channels,
     places,
+    stopped_parts,
+    term_parts,
     term_rows,
 )
-from lin_freq_ocp.methods.structured.model.stages import Stages
-from lin_freq_ocp.methods.structured.model.units import Units, own_units, scaled, scaled_dynamics, unused_entries_held
+from lin_freq_ocp.methods.structured.stages import Balls, Coupling, Equations, Inequalities, SparseRows, Stages
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
