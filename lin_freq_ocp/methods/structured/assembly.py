@@ -127,22 +127,6 @@ class Assembly:
         return all(one is another for one, another in pairs)
 
 
-def _ends(problem: OptimalControlProblem) -> tuple[Array, Mask]:
-    """Return the bounds of both ends, (2, 2, n), lower ones first, and which are equal, (2, n)."""
-    tube = problem.state_tube
-    bounds = np.stack([tube.lower[[0, -1]], tube.upper[[0, -1]]])
-    return bounds, bounds[0] == bounds[1]
-
-
-def _dynamics(problem: OptimalControlProblem, origin: Origin, width: int) -> tuple[Array, Array, Array]:
-    """Return A, B and d in deviations from the origin, with so many entries of y."""
-    linear, (T, n, m) = problem.linear, (problem.horizon, problem.state_dim, problem.control_dim)
-    A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
-    A[:-1], d[:-1] = linear.A, linear.successors(origin.x, origin.u) - origin.x[1:]
-    B[:-1, :, :m] = np.where(origin.held[:-1, None, n:], 0.0, linear.B)
-    return A, B, d
-
-
 def stages_of(problem: OptimalControlProblem) -> Assembly:
     """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit."""
     builder = _Builder(problem)
@@ -153,21 +137,6 @@ def stages_of(problem: OptimalControlProblem) -> Assembly:
     targets, signs = builder.recovered(parts)
     recovery = Recovery(problem, builder.origin, units, builder.layout, targets, signs)
     return Assembly(unused_entries_held(stages, used), recovery, builder.slack_columns, used, priced)
-
-
-def _column_units(
-    problem: OptimalControlProblem, x: Array, u: Array, slacks: tuple[Indices, ...], shape: tuple[int, ...]
-) -> Array:
-    """Return units of y, (T+1, n+k), from those of states (n,) and controls (m,)."""
-    columns, n, m, T = np.ones(shape), problem.state_dim, problem.control_dim, problem.horizon
-    columns[:, :n], columns[:, n : n + m] = x, u
-    signals = np.broadcast_to(x, (T + 1, n)), np.broadcast_to(u, (T, m))
-    for term, flat in zip(problem.terms, slacks, strict=True):
-        if len(flat):
-            paid = term.penalty.conic(*term.shape).paid
-            sizes = term.map.sizes(*signals).ravel()[paid].max(axis=1, initial=0.0)
-            columns.flat[flat] = np.where(sizes > 0, sizes, 1.0)
-    return columns
 
 
 class _Builder:
@@ -287,3 +256,34 @@ class _Builder:
         targets = [initial, of_stages.ravel(), end, *(part.targets.ravel() for part in ordered)]
         of_parts = [np.full(part.targets.size, part.sign) for part in ordered]
         return np.concatenate(targets), np.concatenate([np.ones(n), signs.ravel(), np.ones(len(end)), *of_parts])
+
+
+def _column_units(
+    problem: OptimalControlProblem, x: Array, u: Array, slacks: tuple[Indices, ...], shape: tuple[int, ...]
+) -> Array:
+    """Return units of y, (T+1, n+k), from those of states (n,) and controls (m,)."""
+    columns, n, m, T = np.ones(shape), problem.state_dim, problem.control_dim, problem.horizon
+    columns[:, :n], columns[:, n : n + m] = x, u
+    signals = np.broadcast_to(x, (T + 1, n)), np.broadcast_to(u, (T, m))
+    for term, flat in zip(problem.terms, slacks, strict=True):
+        if len(flat):
+            paid = term.penalty.conic(*term.shape).paid
+            sizes = term.map.sizes(*signals).ravel()[paid].max(axis=1, initial=0.0)
+            columns.flat[flat] = np.where(sizes > 0, sizes, 1.0)
+    return columns
+
+
+def _dynamics(problem: OptimalControlProblem, origin: Origin, width: int) -> tuple[Array, Array, Array]:
+    """Return A, B and d in deviations from the origin, with so many entries of y."""
+    linear, (T, n, m) = problem.linear, (problem.horizon, problem.state_dim, problem.control_dim)
+    A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
+    A[:-1], d[:-1] = linear.A, linear.successors(origin.x, origin.u) - origin.x[1:]
+    B[:-1, :, :m] = np.where(origin.held[:-1, None, n:], 0.0, linear.B)
+    return A, B, d
+
+
+def _ends(problem: OptimalControlProblem) -> tuple[Array, Mask]:
+    """Return the bounds of both ends, (2, 2, n), lower ones first, and which are equal, (2, n)."""
+    tube = problem.state_tube
+    bounds = np.stack([tube.lower[[0, -1]], tube.upper[[0, -1]]])
+    return bounds, bounds[0] == bounds[1]

@@ -1,20 +1,16 @@
-"""The way back from stages: points y as trajectories, duals z as multipliers of the maximum principle.
+"""The variables of the method: deviations from an origin in units of order 1, and the way back to the problem.
 
-z is a list: dynamics (T+1, n), x_0 (n,), stages (T+1, p), equations flat, inequalities (count, 1), and (balls, 1 + dim)
-for each family of balls, with H y + h + A'z = 0 where A are the rows of dynamics, x_0, G, equations, inequalities, and
-minus those of balls. The multiplier of a value is then the sum of its rows' duals, times 1 or -1.
-
-The point that y is measured from: the references, and the value of a control where its bounds are equal.
-
-A control that is fixed at some times leaves the stages there, unless it is in a row that couples times: its deviation
-is zero. Its multiplier follows from stationarity, nu = -(eta_C dJ/du - B'eta + (rows of stages)'lambda).
-
-Units of stages: entries of y of order 1, limits of rows and cones of order 1, a cost whose steepest slope is 10.
+The origin has the references, and the value of a control where its bounds are equal. A control that is fixed at some
+times leaves the stages there, unless it is in a row that couples times: its deviation is zero.
 
     y = columns * y',   row' = factor * row,   cost' = factor * cost;   z = factor of the row * z' / factor of the cost
 
-An entry of y that is not used at a time has Hessian 1 there. The first units are the sizes in the data; a solution
-that is very different from them has units of its own.
+Entries of y, limits of rows and cones are of order 1, and the steepest slope of the cost is 10. The first units are the
+sizes in the data; a solution that is very different from them has units of its own.
+
+Duals z are a list: dynamics (T+1, n), x_0 (n,), stages (T+1, p), equations flat, inequalities (count, 1), and
+(balls, 1 + dim) for each family of balls, with H y + h + A'z = 0 where A are the rows of dynamics, x_0, G, equations,
+inequalities, and minus those of balls. The multiplier of a value is the sum of its rows' duals, times 1 or -1.
 """
 
 from __future__ import annotations
@@ -28,6 +24,10 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.methods.structured.stages import Balls, Coupling, Stages
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+COST_LEVEL = 10.0  # steepest slope of the scaled cost, the others being smaller
+UNIT_ROUNDING = 1e-12  # of the previous unit: smaller signals are rounding
+UNNOTICED = 1e-3  # least unit of a component, relative to the change, over the horizon, that others would notice
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,22 +60,6 @@ def origin_of(problem: OptimalControlProblem) -> Origin:
     return Origin(values, held, n)
 
 
-def held_multipliers(
-    problem: OptimalControlProblem, origin: Origin, found: Multipliers, trajectory: Trajectory | None
-) -> Array:
-    """Return nu, (T, m), with those of the held controls; at eta_C = 0, no trajectory is needed."""
-    held, n, m = origin.held[:-1, origin.states :], problem.state_dim, problem.control_dim
-    shapes = (problem.horizon + 1, n), (problem.horizon, m)
-    slopes = -problem.linear.pull_back(found.eta)[1]
-    for term in problem.terms:
-        if term.map.stage_form(n, m) is not None:
-            slopes += term.map.pull_back(found.stage[term.name], shapes)[1]
-    if found.eta_C:
-        assert trajectory is not None  # the cost has slopes
-        slopes += found.eta_C * problem.quadratic.gradient(trajectory.x, trajectory.u)[1]
-    return np.where(held, -slopes, found.nu)
-
-
 def _coupled_controls(problem: OptimalControlProblem) -> Mask:
     """Return which controls are in rows that couple times, (m,)."""
     n, m = problem.state_dim, problem.control_dim
@@ -85,11 +69,6 @@ def _coupled_controls(problem: OptimalControlProblem) -> Mask:
             form = term.map.spectrum_form(n, m)
             coupled = coupled | (True if form is None else form.row[n:] != 0)
     return np.asarray(coupled)
-
-
-COST_LEVEL = 10.0  # steepest slope of the scaled cost, the others being smaller
-UNIT_ROUNDING = 1e-12  # of the previous unit: smaller signals are rounding
-UNNOTICED = 1e-3  # least unit of a component, relative to the change, over the horizon, that others would notice
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,39 +116,16 @@ def scaled_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array
     return A * columns[:, None, :n] / after[:, :, None], B * columns[:, None, n:] / after[:, :, None], d / after
 
 
-def own_units(stages: Stages, y: Array, controls: int) -> Array:
-    """Return the units of states and controls, (n+m,), in which y is of order 1, relative to those of the stages.
-
-    None is smaller than what the others would notice through the dynamics.
-    """
-    n = stages.states
-    size = np.abs(y[:, : n + controls]).max(axis=0)
-    gain = np.abs(np.concatenate([stages.A, stages.B[:, :, :controls]], axis=2)).max(axis=0)
-    part = UNNOTICED / stages.horizon
-    size[:n] = np.maximum(size[:n], part * (gain @ size + np.abs(stages.d).max(axis=0)))
-    counts = (gain > 0) & (size[:n, None] > 0)
-    noticed = np.divide(size[:n, None], gain, out=np.full(gain.shape, np.inf), where=counts).min(axis=0)
-    size = np.maximum(size, np.where(np.isfinite(noticed), part * noticed, 0.0))
-    return np.where(size > UNIT_ROUNDING, size, 1.0)
-
-
-def unused_entries_held(stages: Stages, used: Mask) -> Stages:
-    """Return the stages with Hessian 1 for the entries of y that are not used at a time, (T+1, n+k)."""
-    H, (time, entry) = stages.H.copy(), np.nonzero(~used)
-    H[time, entry, entry] = 1.0
-    return replace(stages, H=H)
-
-
-def _typical(y: Array, columns: Array) -> Array:
-    """Return the magnitudes of y in units ``columns``, where a component moves at all no smaller than is noticed."""
-    return np.where(y.max(axis=0) > UNIT_ROUNDING, np.maximum(y / columns, UNNOTICED), 0.0)
-
-
 def _cost_factor(slopes: Array, priced: Mask) -> float:
     steepest = float(slopes[priced].max(initial=0.0))
     if steepest == 0:  # nothing but penalties
         steepest = float(slopes.max(initial=0.0))
     return COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
+
+
+def _typical(y: Array, columns: Array) -> Array:
+    """Return the magnitudes of y in units ``columns``, where a component moves at all no smaller than is noticed."""
+    return np.where(y.max(axis=0) > UNIT_ROUNDING, np.maximum(y / columns, UNNOTICED), 0.0)
 
 
 def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
@@ -231,6 +187,29 @@ def _scaled_balls(part: Balls, units: Array) -> tuple[Balls, Array]:
 
 def _inverse(sizes: Array) -> Array:
     return 1.0 / np.where(sizes > 0, sizes, 1.0)
+
+
+def own_units(stages: Stages, y: Array, controls: int) -> Array:
+    """Return the units of states and controls, (n+m,), in which y is of order 1, relative to those of the stages.
+
+    None is smaller than what the others would notice through the dynamics.
+    """
+    n = stages.states
+    size = np.abs(y[:, : n + controls]).max(axis=0)
+    gain = np.abs(np.concatenate([stages.A, stages.B[:, :, :controls]], axis=2)).max(axis=0)
+    part = UNNOTICED / stages.horizon
+    size[:n] = np.maximum(size[:n], part * (gain @ size + np.abs(stages.d).max(axis=0)))
+    counts = (gain > 0) & (size[:n, None] > 0)
+    noticed = np.divide(size[:n, None], gain, out=np.full(gain.shape, np.inf), where=counts).min(axis=0)
+    size = np.maximum(size, np.where(np.isfinite(noticed), part * noticed, 0.0))
+    return np.where(size > UNIT_ROUNDING, size, 1.0)
+
+
+def unused_entries_held(stages: Stages, used: Mask) -> Stages:
+    """Return the stages with Hessian 1 for the entries of y that are not used at a time, (T+1, n+k)."""
+    H, (time, entry) = stages.H.copy(), np.nonzero(~used)
+    H[time, entry, entry] = 1.0
+    return replace(stages, H=H)
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,6 +284,22 @@ class Recovery:
             return multipliers
         nu = held_multipliers(problem, self.origin, multipliers, None if y is None else self.trajectory(y))
         return replace(multipliers, nu=nu)
+
+
+def held_multipliers(
+    problem: OptimalControlProblem, origin: Origin, found: Multipliers, trajectory: Trajectory | None
+) -> Array:
+    """Return nu, (T, m), with those of the held controls; at eta_C = 0, no trajectory is needed."""
+    held, n, m = origin.held[:-1, origin.states :], problem.state_dim, problem.control_dim
+    shapes = (problem.horizon + 1, n), (problem.horizon, m)
+    slopes = -problem.linear.pull_back(found.eta)[1]
+    for term in problem.terms:
+        if term.map.stage_form(n, m) is not None:
+            slopes += term.map.pull_back(found.stage[term.name], shapes)[1]
+    if found.eta_C:
+        assert trajectory is not None  # the cost has slopes
+        slopes += found.eta_C * problem.quadratic.gradient(trajectory.x, trajectory.u)[1]
+    return np.where(held, -slopes, found.nu)
 
 
 def _bins(pairs: Array, components: int) -> ComplexArray:

@@ -1,13 +1,14 @@
-"""Rows on the state and the control of single times, from boxes and terms, and their places in the stages.
+"""The rows of a problem: boxes, stop bands and terms, of single times and of several.
 
-    lower_i <= m_i'(x_t, u_t) + (slacks of time t) <= upper_i,   or rows less their lower limits in second-order cones
+Rows on the state and the control of single times are
 
-A stage has the same number of places at every time: first the single inequalities, then cones by their size. Rows fill
-them in their order; what is left over has no limit.
+    lower_i <= m_i'(x_t, u_t) + (slacks of time t) <= upper_i,   or rows less their lower limits in second-order cones.
 
-Rows that couple times, in a problem's own units: stop bands, and the terms of spectra and of several times.
+A stage has the same number of slots at every time: first the single inequalities, then cones by their size. Rows fill
+them in their order; the slots that remain have no limit.
 
-Rows are on all entries of y at first, and on the channels only in the end (``on_channels``). A spectrum stays one.
+Rows that couple times are on all entries of y at first, and on the channels only in the end (``on_channels``); a
+spectrum stays a spectrum. All are in the problem's own units.
 """
 
 from __future__ import annotations
@@ -65,41 +66,6 @@ class StageRowList:
     def empty(self) -> Mask:
         """Return which rows have no coefficient."""
         return np.asarray(~self.matrix.any(axis=1) & (np.diff(self.slacks.indptr) == 0))
-
-
-@dataclass(frozen=True, eq=False)
-class StagePlaces:
-    """Where rows and slacks stand: row ``source`` times ``sign`` at (time, slot), <= its limit or in a cone."""
-
-    source: Indices
-    sign: Array
-    slot: Indices
-    count: int  # of slots of a stage
-    cones: tuple[int, ...]  # sizes, of the last slots
-    equations: Indices  # rows lower = upper
-    slack_slot: Indices  # (slacks,)
-
-    @property
-    def slack_count(self) -> int:
-        """Return how many slacks a stage has."""
-        return int(self.slack_slot.max(initial=-1)) + 1
-
-
-def joined(parts: Sequence[StageRowList]) -> StageRowList:
-    """Return all rows in one list."""
-    firsts = np.cumsum([0, *(len(part.lower) for part in parts)])
-    return StageRowList(
-        np.concatenate([part.targets for part in parts]),
-        np.concatenate([part.times for part in parts]),
-        np.concatenate([part.matrix for part in parts]),
-        _block_diagonal([part.slacks for part in parts]),
-        np.concatenate([part.lower for part in parts]),
-        np.concatenate([part.upper for part in parts]),
-        np.concatenate([part.rounding for part in parts]),
-        np.concatenate([part.cones + first for part, first in zip(parts, firsts, strict=False)]),
-        np.concatenate([part.slack_times for part in parts]),
-        np.concatenate([part.prices for part in parts]),
-    )
 
 
 def box_rows(tube: Box, free: Mask, first: int, origin: Origin, target: int) -> StageRowList:
@@ -165,9 +131,67 @@ def term_rows(term: Term, stage_form: tuple[Array, Array], origin: Origin, targe
     )
 
 
-def cone_rows(form: ConicForm) -> Indices:
-    """Return the first row of each cone and the one behind its last, (cones, 2)."""
-    return np.array([(cone.start, cone.stop) for cone in form.cones], dtype=int).reshape(-1, 2)
+def _times(term: Term, form: ConicForm, of_values: Indices) -> tuple[Indices, Indices]:
+    """Return the time of each row and of each slack, from those of the values in them (-1: no value)."""
+    times, cones = of_values.copy(), cone_rows(form)
+    in_cones, cone = cone_members(cones)
+    of_cones = np.full(len(cones), -1)
+    np.maximum.at(of_cones, cone, times[in_cones])
+    times[in_cones] = of_cones[cone]
+    entries = sp.coo_array(form.slacks)
+    row, slack = entries.coords
+    slack_times = np.full(form.slacks.shape[1], -1)
+    np.maximum.at(slack_times, slack, times[row])
+    np.maximum.at(times, row, slack_times[slack])
+    split = (of_values >= 0) & (of_values != times)
+    if split.any() or (times[row] != slack_times[slack]).any() or (times < 0).any() or (slack_times < 0).any():
+        raise UnsupportedError(f"method 'structured': the slacks or cones of {term.name!r} join several times.")
+    return times, slack_times
+
+
+def joined(parts: Sequence[StageRowList]) -> StageRowList:
+    """Return all rows in one list."""
+    firsts = np.cumsum([0, *(len(part.lower) for part in parts)])
+    return StageRowList(
+        np.concatenate([part.targets for part in parts]),
+        np.concatenate([part.times for part in parts]),
+        np.concatenate([part.matrix for part in parts]),
+        _block_diagonal([part.slacks for part in parts]),
+        np.concatenate([part.lower for part in parts]),
+        np.concatenate([part.upper for part in parts]),
+        np.concatenate([part.rounding for part in parts]),
+        np.concatenate([part.cones + first for part, first in zip(parts, firsts, strict=False)]),
+        np.concatenate([part.slack_times for part in parts]),
+        np.concatenate([part.prices for part in parts]),
+    )
+
+
+def _block_diagonal(blocks: Sequence[sp.csr_array]) -> sp.csr_array:
+    """Return the blocks on a diagonal; ``sp.block_diag`` takes several times as long."""
+    columns, entries = (np.cumsum([0, *sizes]) for sizes in zip(*((b.shape[1], b.nnz) for b in blocks), strict=True))
+    indices = np.concatenate([block.indices + first for block, first in zip(blocks, columns, strict=False)])
+    pointers = [block.indptr[1:] + first for block, first in zip(blocks, entries, strict=False)]
+    pointers = np.concatenate([np.zeros(1, dtype=int), *pointers])
+    shape = len(pointers) - 1, int(columns[-1])
+    return sp.csr_array((np.concatenate([block.data for block in blocks]), indices, pointers), shape=shape)
+
+
+@dataclass(frozen=True, eq=False)
+class StagePlaces:
+    """Where rows and slacks stand: row ``source`` times ``sign`` at (time, slot), <= its limit or in a cone."""
+
+    source: Indices
+    sign: Array
+    slot: Indices
+    count: int  # of slots of a stage
+    cones: tuple[int, ...]  # sizes, of the last slots
+    equations: Indices  # rows lower = upper
+    slack_slot: Indices  # (slacks,)
+
+    @property
+    def slack_count(self) -> int:
+        """Return how many slacks a stage has."""
+        return int(self.slack_slot.max(initial=-1)) + 1
 
 
 def places(rows: StageRowList) -> StagePlaces:
@@ -191,41 +215,6 @@ def places(rows: StageRowList) -> StagePlaces:
     sign = np.where(np.arange(len(sources)) < int(above.sum()), 1.0, -1.0)
     equations = np.flatnonzero(equal & ~(empty & (np.abs(rows.lower) <= rows.rounding)))
     return StagePlaces(sources, sign, np.concatenate(slot), count, tuple(cones), equations, _ranks(rows.slack_times))
-
-
-def _block_diagonal(blocks: Sequence[sp.csr_array]) -> sp.csr_array:
-    """Return the blocks on a diagonal; ``sp.block_diag`` takes several times as long."""
-    columns, entries = (np.cumsum([0, *sizes]) for sizes in zip(*((b.shape[1], b.nnz) for b in blocks), strict=True))
-    indices = np.concatenate([block.indices + first for block, first in zip(blocks, columns, strict=False)])
-    pointers = [block.indptr[1:] + first for block, first in zip(blocks, entries, strict=False)]
-    pointers = np.concatenate([np.zeros(1, dtype=int), *pointers])
-    shape = len(pointers) - 1, int(columns[-1])
-    return sp.csr_array((np.concatenate([block.data for block in blocks]), indices, pointers), shape=shape)
-
-
-def _times(term: Term, form: ConicForm, of_values: Indices) -> tuple[Indices, Indices]:
-    """Return the time of each row and of each slack, from those of the values in them (-1: no value)."""
-    times, cones = of_values.copy(), cone_rows(form)
-    in_cones, cone = cone_members(cones)
-    of_cones = np.full(len(cones), -1)
-    np.maximum.at(of_cones, cone, times[in_cones])
-    times[in_cones] = of_cones[cone]
-    entries = sp.coo_array(form.slacks)
-    row, slack = entries.coords
-    slack_times = np.full(form.slacks.shape[1], -1)
-    np.maximum.at(slack_times, slack, times[row])
-    np.maximum.at(times, row, slack_times[slack])
-    split = (of_values >= 0) & (of_values != times)
-    if split.any() or (times[row] != slack_times[slack]).any() or (times < 0).any() or (slack_times < 0).any():
-        raise UnsupportedError(f"method 'structured': the slacks or cones of {term.name!r} join several times.")
-    return times, slack_times
-
-
-def cone_members(cones: Indices) -> tuple[Indices, Indices]:
-    """Return the rows of all cones (first, behind the last), and the cone of each of them."""
-    sizes = cones[:, 1] - cones[:, 0]
-    cone = np.repeat(np.arange(len(cones)), sizes)
-    return np.arange(len(cone)) + np.repeat(cones[:, 0] - np.cumsum(sizes) + sizes, sizes), cone
 
 
 def _ranks(keys: Indices) -> Indices:
@@ -371,6 +360,15 @@ class _Selection:
         return SparseRows(matrix) if matrix.nnz else None
 
 
+def _spectrum(form: SpectrumForm, kept: Mask, width: int) -> SpectrumRows:
+    row = np.append(form.row, np.zeros(width - len(form.row)))
+    return SpectrumRows(row, form.window, form.points, form.bins, np.ones(len(form.bins)), kept)
+
+
+def _padded(reference: Array, width: int) -> Array:
+    return np.pad(reference, ((0, 0), (0, width - reference.shape[1])))
+
+
 def on_channels(parts: Sequence[CoupledPart], width: int, terminal: Indices, terminal_state: Array) -> Coupling:
     """Return all parts on the entries of y that they depend on."""
     families = [part.family for part in parts]
@@ -393,10 +391,13 @@ def on_channels(parts: Sequence[CoupledPart], width: int, terminal: Indices, ter
     )
 
 
-def _spectrum(form: SpectrumForm, kept: Mask, width: int) -> SpectrumRows:
-    row = np.append(form.row, np.zeros(width - len(form.row)))
-    return SpectrumRows(row, form.window, form.points, form.bins, np.ones(len(form.bins)), kept)
+def cone_rows(form: ConicForm) -> Indices:
+    """Return the first row of each cone and the one behind its last, (cones, 2)."""
+    return np.array([(cone.start, cone.stop) for cone in form.cones], dtype=int).reshape(-1, 2)
 
 
-def _padded(reference: Array, width: int) -> Array:
-    return np.pad(reference, ((0, 0), (0, width - reference.shape[1])))
+def cone_members(cones: Indices) -> tuple[Indices, Indices]:
+    """Return the rows of all cones (first, behind the last), and the cone of each of them."""
+    sizes = cones[:, 1] - cones[:, 0]
+    cone = np.repeat(np.arange(len(cones)), sizes)
+    return np.arange(len(cone)) + np.repeat(cones[:, 0] - np.cumsum(sizes) + sizes, sizes), cone

@@ -1,19 +1,14 @@
-"""A linear problem over stages, in the units of the method.
+"""The linear program of the method: stages, and rows that couple times.
 
     minimise    sum_t 1/2 y_t'H_t y_t + h_t'y_t + constant,  t = 0 .. T,  y_t = (x_t, w_t)
     subject to  x_{t+1} = A_t x_t + B_t w_t + d_t,  t < T;   x_0 given where it is fixed
                 s_t = g_t - G_t y_t in K:  entries >= 0, then second-order cones s_0 >= |(s_1, ...)|
-                rows that couple times: coupling.py
+                coupling rows F on several times: frequency constraints, a fixed x_T, linear equations and inequalities
 
-w_t holds the controls u_t, then slacks, on which no state depends. At t = T, A, B and d are zero, and u_T costs
-1/2 |u_T|^2, so that every stage is alike.
-
-Rows that depend on several times: frequency constraints, fixed ends, and linear equations over all times.
-
-They depend on some entries of y_t only, the *channels*: signals Y (T+1, channels, k) are those entries, k signals side
-by side. A family of rows maps signals to values (count, k), and has the adjoint of that map.
-
-All rows that couple times as one map of y: by a matrix where that is small, else family by family.
+w_t contains the controls u_t, then slacks, on which no state depends. At t = T, A, B and d are zero, and u_T costs
+1/2 |u_T|^2, so that all stages have one form. Coupling rows depend on some entries of y_t only, the *channels*: signals
+Y (T+1, channels, k) are those entries, k signals side by side. A family of rows maps signals to values (count, k), and
+has the adjoint of that map.
 """
 
 from __future__ import annotations
@@ -28,6 +23,128 @@ import scipy.sparse as sp
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+
+DENSE = 3e5  # entries up to which products with a matrix take less time than FFTs; measured
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """The arrays of a problem, contiguous, with n states, k entries of w, and p rows a stage."""
+
+    A: Array  # (T+1, n, n)
+    B: Array  # (T+1, n, k)
+    d: Array  # (T+1, n)
+    H: Array  # (T+1, n+k, n+k), symmetric positive semidefinite
+    h: Array  # (T+1, n+k)
+    G: Array  # (T+1, p, n+k)
+    g: Array  # (T+1, p): inf where there is no such row; all entries of a cone are inf, or none
+    cones: tuple[int, ...]  # sizes of the second-order cones, which are the last rows of every stage
+    initial: Array  # (n,): nan where x_0 is free
+    coupling: Coupling
+    constant: float = 0.0
+
+    @property
+    def horizon(self) -> int:
+        """Return T."""
+        return len(self.A) - 1
+
+    @property
+    def states(self) -> int:
+        """Return n."""
+        return self.A.shape[1]
+
+    @property
+    def present(self) -> Mask:
+        """Return which rows there are, (T+1, p)."""
+        return np.isfinite(self.g)
+
+    @property
+    def fixed(self) -> Mask:
+        """Return which entries of x_0 are given, (n,)."""
+        return ~np.isnan(self.initial)
+
+    @cached_property
+    def coupled(self) -> AllRows:
+        """Return all rows that couple times."""
+        return AllRows(self.coupling, len(self.A), self.states)
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """All rows that couple times; entries ``terminal`` of x_T are fixed to ``terminal_state``."""
+
+    channels: Indices  # (channels,): entries of y_t
+    terminal: Indices
+    terminal_state: Array
+    equations: tuple[Equations, ...] = ()
+    inequalities: tuple[Inequalities, ...] = ()
+    balls: tuple[Balls, ...] = field(default=())
+
+    @property
+    def equation_count(self) -> int:
+        """Return the number of equations, of which those of x_T come first."""
+        return len(self.terminal) + sum(part.rows.count for part in self.equations)
+
+    @property
+    def count(self) -> int:
+        """Return the number of all rows, with constant heads of balls left out."""
+        unequal = sum(part.rows.count for part in self.inequalities)
+        round_ = sum(part.rows.count + (0 if part.heads is None else part.heads.count) for part in self.balls)
+        return self.equation_count + unequal + round_
+
+    def families(self) -> Iterator[tuple[Rows, Indices]]:
+        """Yield every family of rows beyond those of x_T, with its places among all rows."""
+        first = len(self.terminal)
+        for part in (*self.equations, *self.inequalities):
+            yield part.rows, first + np.arange(part.rows.count)
+            first += part.rows.count
+        for part in self.balls:
+            heads = 0 if part.heads is None else 1
+            at = first + np.arange(len(part.radius) * (part.dim + heads)).reshape(len(part.radius), -1)
+            if part.heads is not None:
+                yield part.heads, at[:, 0]
+            yield part.rows, at[:, heads:].ravel()
+            first += at.size
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """rows(y) = right, (count,)."""
+
+    rows: Rows
+    right: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Inequalities:
+    """rows(y) <= limits, (count,)."""
+
+    rows: Rows
+    limits: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """|v_j + offset_j| <= radius_j + slack_j for groups v_j of values (balls * dim,): masks and energies.
+
+    A soft ball has a slack, which is an entry of y that ``heads`` picks; it is not negative by a row of its stage.
+    """
+
+    rows: Rows
+    radius: Array  # (balls,), above zero; 0 or above with slacks
+    heads: Rows | None = None
+    offset: Array | None = None  # (balls, dim); None: zeros
+
+    @property
+    def dim(self) -> int:
+        """Return the size of a group."""
+        return self.rows.count // len(self.radius)
+
+    @property
+    def right(self) -> Array:
+        """Return (radius, offset), (balls, 1 + dim): with (slack, v) added, a point of the cone."""
+        offset = np.zeros((len(self.radius), self.dim)) if self.offset is None else self.offset
+        return np.column_stack([self.radius, offset])
 
 
 class Rows(Protocol):
@@ -198,87 +315,6 @@ class SparseRows:
         return SparseRows(sp.csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape))
 
 
-@dataclass(frozen=True, eq=False)
-class Equations:
-    """rows(y) = right, (count,)."""
-
-    rows: Rows
-    right: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Inequalities:
-    """rows(y) <= limits, (count,)."""
-
-    rows: Rows
-    limits: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Balls:
-    """|v_j + offset_j| <= radius_j + slack_j for groups v_j of values (balls * dim,): masks and energies.
-
-    A soft ball has a slack, which is an entry of y that ``heads`` picks; it is not negative by a row of its stage.
-    """
-
-    rows: Rows
-    radius: Array  # (balls,), above zero; 0 or above with slacks
-    heads: Rows | None = None
-    offset: Array | None = None  # (balls, dim); None: zeros
-
-    @property
-    def dim(self) -> int:
-        """Return the size of a group."""
-        return self.rows.count // len(self.radius)
-
-    @property
-    def right(self) -> Array:
-        """Return (radius, offset), (balls, 1 + dim): with (slack, v) added, a point of the cone."""
-        offset = np.zeros((len(self.radius), self.dim)) if self.offset is None else self.offset
-        return np.column_stack([self.radius, offset])
-
-
-@dataclass(frozen=True, eq=False)
-class Coupling:
-    """All rows that couple times; entries ``terminal`` of x_T are fixed to ``terminal_state``."""
-
-    channels: Indices  # (channels,): entries of y_t
-    terminal: Indices
-    terminal_state: Array
-    equations: tuple[Equations, ...] = ()
-    inequalities: tuple[Inequalities, ...] = ()
-    balls: tuple[Balls, ...] = field(default=())
-
-    @property
-    def equation_count(self) -> int:
-        """Return the number of equations, of which those of x_T come first."""
-        return len(self.terminal) + sum(part.rows.count for part in self.equations)
-
-    @property
-    def count(self) -> int:
-        """Return the number of all rows, with constant heads of balls left out."""
-        unequal = sum(part.rows.count for part in self.inequalities)
-        round_ = sum(part.rows.count + (0 if part.heads is None else part.heads.count) for part in self.balls)
-        return self.equation_count + unequal + round_
-
-    def families(self) -> Iterator[tuple[Rows, Indices]]:
-        """Yield every family of rows beyond those of x_T, with its places among all rows."""
-        first = len(self.terminal)
-        for part in (*self.equations, *self.inequalities):
-            yield part.rows, first + np.arange(part.rows.count)
-            first += part.rows.count
-        for part in self.balls:
-            heads = 0 if part.heads is None else 1
-            at = first + np.arange(len(part.radius) * (part.dim + heads)).reshape(len(part.radius), -1)
-            if part.heads is not None:
-                yield part.heads, at[:, 0]
-            yield part.rows, at[:, heads:].ravel()
-            first += at.size
-
-
-DENSE = 3e5  # entries up to which products with a matrix take less time than FFTs; measured
-
-
 class AllRows:
     """The rows F of a coupling, in its order, on y (stages, n + k)."""
 
@@ -334,45 +370,3 @@ class AllRows:
     def _matrix(self) -> Array:
         """F' without the rows of x_T, (stages * channels, rows)."""
         return self.gradients[0].reshape(self._shape[0] * self._shape[1], self._coupling.count)
-
-
-@dataclass(frozen=True, eq=False)
-class Stages:
-    """The arrays of a problem, contiguous, with n states, k entries of w, and p rows a stage."""
-
-    A: Array  # (T+1, n, n)
-    B: Array  # (T+1, n, k)
-    d: Array  # (T+1, n)
-    H: Array  # (T+1, n+k, n+k), symmetric positive semidefinite
-    h: Array  # (T+1, n+k)
-    G: Array  # (T+1, p, n+k)
-    g: Array  # (T+1, p): inf where there is no such row; all entries of a cone are inf, or none
-    cones: tuple[int, ...]  # sizes of the second-order cones, which are the last rows of every stage
-    initial: Array  # (n,): nan where x_0 is free
-    coupling: Coupling
-    constant: float = 0.0
-
-    @property
-    def horizon(self) -> int:
-        """Return T."""
-        return len(self.A) - 1
-
-    @property
-    def states(self) -> int:
-        """Return n."""
-        return self.A.shape[1]
-
-    @property
-    def present(self) -> Mask:
-        """Return which rows there are, (T+1, p)."""
-        return np.isfinite(self.g)
-
-    @property
-    def fixed(self) -> Mask:
-        """Return which entries of x_0 are given, (n,)."""
-        return ~np.isnan(self.initial)
-
-    @cached_property
-    def coupled(self) -> AllRows:
-        """Return all rows that couple times."""
-        return AllRows(self.coupling, len(self.A), self.states)

@@ -37,6 +37,16 @@ from lin_freq_ocp.methods.structured.stages import Balls, Stages
 
 TERMINAL_WEIGHT = 1e2  # of the distance from the terminal state, relative to the largest curvature
 LEAST_CURVATURE = 1e-3  # of order 1 are the units
+STRONG = 1e6  # stiffness of a row times its response from which it is solved for itself: six of sixteen digits are lost
+SPARE = 40  # directions beyond the number of bins of a band: its ends leak into as many, growing like log T
+WORTH = 0.75  # rank relative to the number of rows below which the low rank pays
+
+
+def stopped_side(stages: Stages, loops: Loops) -> Side:
+    """Return the side: with rows on a fine grid by their low rank, else dense."""
+    response = Response(stages, loops)
+    fine = fine_rows(response)
+    return StoppedSide(response) if fine is None else FineRows(response, fine)
 
 
 class Response:
@@ -86,9 +96,34 @@ class Response:
         return gradient
 
 
-STRONG = 1e6  # stiffness of a row times its response from which it is solved for itself: six of sixteen digits are lost
-SPARE = 40  # directions beyond the number of bins of a band: its ends leak into as many, growing like log T
-WORTH = 0.75  # rank relative to the number of rows below which the low rank pays
+class StoppedSide:
+    """The dense Schur complement on all rows that couple times."""
+
+    indefinite: ClassVar[bool] = False
+
+    def __init__(self, response: Response):
+        self._response, self._count = response, response.coupling.count
+        self._rows = response.rows.gradients
+
+    def exchanged(self, stages: Stages) -> StoppedSide:
+        """Return the same for stages with other dynamics and Hessians."""
+        other = copy(self)
+        other._response = self._response.exchanged(stages)
+        return other
+
+    def factor(self, Phi: Array, compliance: Compliance) -> bool:
+        """Prepare for Phi (T+1, n+k, n+k) and C."""
+        self._response.factor(Phi)
+        S = self._response.gram(*self._rows)
+        compliance.add_to(S)
+        self._schur = Cholesky(S)
+        return True
+
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+        """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
+        given = gradient, c, x0, f
+        nu = self._schur.solve(self._response.missing(*given)) if self._count else np.zeros(0)
+        return self._response.step(*given, nu)
 
 
 def fine_rows(response: Response) -> Indices | None:
@@ -103,6 +138,10 @@ def fine_rows(response: Response) -> Indices | None:
         first += count
     rows = np.concatenate(found) if found else np.arange(0)
     return rows if rank < WORTH * len(rows) else None
+
+
+def _is_fine(part: Balls) -> bool:
+    return part.rows.oversampling > 1 and part.heads is None
 
 
 class FineRows:
@@ -208,44 +247,3 @@ class FineRows:
             first += balls * d
         found[self._strong] = 0.0
         return found
-
-
-def _is_fine(part: Balls) -> bool:
-    return part.rows.oversampling > 1 and part.heads is None
-
-
-def stopped_side(stages: Stages, loops: Loops) -> Side:
-    """Return the side: with rows on a fine grid by their low rank, else dense."""
-    response = Response(stages, loops)
-    fine = fine_rows(response)
-    return StoppedSide(response) if fine is None else FineRows(response, fine)
-
-
-class StoppedSide:
-    """The dense Schur complement on all rows that couple times."""
-
-    indefinite: ClassVar[bool] = False
-
-    def __init__(self, response: Response):
-        self._response, self._count = response, response.coupling.count
-        self._rows = response.rows.gradients
-
-    def exchanged(self, stages: Stages) -> StoppedSide:
-        """Return the same for stages with other dynamics and Hessians."""
-        other = copy(self)
-        other._response = self._response.exchanged(stages)
-        return other
-
-    def factor(self, Phi: Array, compliance: Compliance) -> bool:
-        """Prepare for Phi (T+1, n+k, n+k) and C."""
-        self._response.factor(Phi)
-        S = self._response.gram(*self._rows)
-        compliance.add_to(S)
-        self._schur = Cholesky(S)
-        return True
-
-    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
-        """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
-        given = gradient, c, x0, f
-        nu = self._schur.solve(self._response.missing(*given)) if self._count else np.zeros(0)
-        return self._response.step(*given, nu)

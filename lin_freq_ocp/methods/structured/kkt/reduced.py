@@ -39,12 +39,81 @@ from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.blocks import Cholesky, OpenLoop
 from lin_freq_ocp.methods.structured.kkt.null_space import KeptSpace, break_times
 
+WEIGHT = 10.0  # of E'E, relative to the mean diagonal of M: of order 1, for both to keep their digits
+RAISED = (1.0, 1e2, 1e4)  # factors of the weight, for an M that is definite only on what the rows leave
+COLUMNS = 128  # of M at once
+CACHED_BYTES = 3e8  # of the signals of the coefficients that are kept between steps
+PROJECTIONS = 2  # on the rows: the second leaves rounding, which large weights multiply
 CLIP = 5.0  # of a'S a: (4/6)^2, so the approximation is within a factor of 2; 2 to 100 cost the same
 LEAST_EXCESS = 0.5  # of a weight, relative to the clip, that is worth a direction
 MOST_DIRECTIONS = 300  # beyond the clip; the largest are taken
 NOISES = 4  # signals for a covariance
 NOISE_GROWTH = 10.0  # of states between restarts: what grows further is slow, and left to the kept coefficients
 SHARE = 1e-3  # of the noise in all coefficients: weights from CLIP/SHARE times those of the control on
+REDUCTION = 1e-9  # of the residual in one solution, so that seldom another is needed
+MOST_ITERATIONS = 100  # 5 to 15 are common
+PATIENCE = 10  # iterations in which the residual should fall: else rounding holds it
+JUMP_WEIGHT = 10.0  # rho relative to the weight of the control: of order 1, for both to keep their digits
+BLOCK_BYTES = 3e7  # of the signals of one block: they stay in the cache
+MOST_COLUMNS = 64
+
+
+class DenseReduced:
+    """Cholesky factors of M + rho E'E and of the Schur complement of the rows."""
+
+    def __init__(self, space: KeptSpace):
+        self._space, self._E, self._noise = space, space.rows(), Noise(space)
+        kept = space.coefficients.count
+        self._blocks = [slice(a, min(kept, a + COLUMNS)) for a in range(0, kept, COLUMNS)]
+        cached = 8 * (space.horizon + 1) * space.controls * kept <= CACHED_BYTES
+        self._signals = [self._signals_of(block) for block in self._blocks] if cached else None
+
+    def factor(self, Phi: Array, C: Array) -> bool:
+        """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
+        clipped, excess = self._noise.clipped(Phi)
+        M, E = self._hessian(clipped), self._E
+        self._exact = ~C.any(axis=1)
+        held = E[self._exact]
+        size = WEIGHT * float(np.abs(np.diag(M)).mean()) / (1 + float((held * held).sum(0).max(initial=0.0)))
+        for raised in RAISED:
+            self._weight = raised * size
+            self._M = Cholesky(M + self._weight * (held.T @ held))
+            if self._M.definite or not len(held):
+                break
+        self._B = np.concatenate([rows_of(excess, self._space), E])
+        self._MB = self._M.solve(self._B.T)
+        self._C = la.block_diag(np.diag(1 / excess.weights), C)
+        self._S = Cholesky(self._B @ self._MB + self._C)
+        return self._M.definite
+
+    def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
+        """Return v and nu."""
+        exact, count = self._exact, len(self._B) - len(e)
+        v = self._M.solve(r + self._weight * (self._E[exact].T @ e[exact]))
+        right, nu = np.concatenate([np.zeros(count), e]), np.zeros(len(self._B))
+        for _ in range(PROJECTIONS if len(nu) else 0):
+            more = self._S.solve(self._B @ v - self._C @ nu - right)
+            v, nu = v - self._MB @ more, nu + more
+        return v, nu[count:]
+
+    def _hessian(self, Phi: Array) -> Array:
+        space, kept = self._space, self._space.coefficients.count
+        M = np.empty((space.size, space.size))
+        sweeps = OpenLoop(space.A, space.B, Phi, space.breaks)
+        for i, block in enumerate(self._blocks):
+            W = self._signals[i] if self._signals is not None else self._signals_of(block)
+            starts = np.zeros((*space.zero.shape, W.shape[2]))
+            GW, of_starts, _, _ = sweeps.columns(starts, W)
+            M[block, :kept] = space.coefficients.analysis(GW)
+            M[block, kept : kept + space.continuity] = of_starts.reshape(-1, W.shape[2]).T
+        for i in range(kept, space.size):
+            M[i] = space.curvature(Phi, np.eye(1, space.size, i)[0])
+            M[:kept, i] = M[i, :kept]
+        return M
+
+    def _signals_of(self, block: slice) -> Array:
+        coefficients = self._space.coefficients
+        return coefficients.synthesis(np.eye(block.stop - block.start, coefficients.count, block.start))
 
 
 class Excess(NamedTuple):
@@ -66,21 +135,32 @@ class Noise:
         return clip(Phi, np.einsum("j,jab->ab", 1 / control_weights(Phi, self._states), self._covariances))
 
 
+def _covariances(space: KeptSpace) -> Array:
+    """Return for every control the mean covariance of y under unit white noise in its coefficients."""
+    n, m, T = space.states, space.controls, space.horizon
+    random, still = np.random.default_rng(0), np.zeros((T + 1, n))
+    breaks = break_times(space.A, NOISE_GROWTH)
+    starts = np.zeros((len(breaks), n))
+    found = np.zeros((m, n + m, n + m))
+    for j, banded in enumerate(space.coefficients.banded):
+        noise = random.standard_normal((NOISES, T))
+        for share, signals in ((1.0, space.coefficients.stopped(j, noise)), (SHARE, noise)):
+            own = np.zeros((n + m, n + m))
+            for signal in signals:
+                y = np.zeros((T + 1, n + m))
+                y[:-1, n + j] = signal
+                space.loops.forward(space.A, space.B, still, breaks, starts, y)
+                own += y[:-1].T @ y[:-1] / (NOISES * T)
+            if not banded:  # weights on single unknowns take no digits
+                own[n + j], own[:, n + j] = 0.0, 0.0
+            found[j] += share * own
+    return found
+
+
 def control_weights(Phi: Array, n: int) -> Array:
     """Return the median weight of every control, above zero."""
     level = np.median(np.einsum("tii->ti", Phi[:-1, n:, n:]), axis=0)
     return np.maximum(level, np.finfo(float).eps * max(float(level.max()), np.finfo(float).tiny))
-
-
-def rows_of(excess: Excess, space: KeptSpace) -> Array:
-    """Return the directions as rows on v."""
-    found = np.empty((len(excess.times), space.size))
-    of_y = np.zeros((space.horizon + 1, space.states + space.controls))
-    for row, t, direction in zip(found, excess.times, excess.directions, strict=True):
-        of_y[t] = direction
-        row[:] = space.gradient(of_y)
-        of_y[t] = 0.0
-    return found
 
 
 def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Excess]:
@@ -115,102 +195,15 @@ def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Exce
     return clipped, Excess(peeled.times[chosen], peeled.directions[chosen], (peeled.weights - left)[chosen])
 
 
-def _covariances(space: KeptSpace) -> Array:
-    """Return for every control the mean covariance of y under unit white noise in its coefficients."""
-    n, m, T = space.states, space.controls, space.horizon
-    random, still = np.random.default_rng(0), np.zeros((T + 1, n))
-    breaks = break_times(space.A, NOISE_GROWTH)
-    starts = np.zeros((len(breaks), n))
-    found = np.zeros((m, n + m, n + m))
-    for j, banded in enumerate(space.coefficients.banded):
-        noise = random.standard_normal((NOISES, T))
-        for share, signals in ((1.0, space.coefficients.stopped(j, noise)), (SHARE, noise)):
-            own = np.zeros((n + m, n + m))
-            for signal in signals:
-                y = np.zeros((T + 1, n + m))
-                y[:-1, n + j] = signal
-                space.loops.forward(space.A, space.B, still, breaks, starts, y)
-                own += y[:-1].T @ y[:-1] / (NOISES * T)
-            if not banded:  # weights on single unknowns take no digits
-                own[n + j], own[:, n + j] = 0.0, 0.0
-            found[j] += share * own
+def rows_of(excess: Excess, space: KeptSpace) -> Array:
+    """Return the directions as rows on v."""
+    found = np.empty((len(excess.times), space.size))
+    of_y = np.zeros((space.horizon + 1, space.states + space.controls))
+    for row, t, direction in zip(found, excess.times, excess.directions, strict=True):
+        of_y[t] = direction
+        row[:] = space.gradient(of_y)
+        of_y[t] = 0.0
     return found
-
-
-JUMP_WEIGHT = 10.0  # rho relative to the weight of the control: of order 1, for both to keep their digits
-BLOCK_BYTES = 3e7  # of the signals of one block: they stay in the cache
-MOST_COLUMNS = 64
-
-
-class SecondLevel:
-    """The clipped regulator of a space, restricted to v."""
-
-    def __init__(self, space: KeptSpace, height: float):
-        self._space, n, m, T = space, space.states, space.controls, space.horizon
-        self._height = height  # largest squared column of the rows of starts and x_T
-        per = -(-n // m)  # stages for a jump, of m components each
-        jumps = np.zeros(T + 1, dtype=np.intp)
-        jumps[space.breaks] = per
-        self._at = np.arange(T + 1) + np.cumsum(jumps)
-        self._starts = self._at[space.breaks]
-        stages = T + 1 + per * len(space.breaks)
-        self._jumps = np.setdiff1d(np.arange(stages), self._at)
-        self._A, self._B = np.tile(np.eye(n), (stages, 1, 1)), np.zeros((stages, n, m))
-        self._A[self._at], self._B[self._at] = space.A, space.B
-        for i in range(n):
-            self._B[self._starts - per + i // m, i, i % m] = 1.0
-        self._still = np.zeros((stages, n))
-        self._entries = np.arange(n + m) if len(space.breaks) or len(space.free) else np.arange(n, n + m)
-        per_column = 8 * stages * len(self._entries)
-        self._block = int(np.clip(BLOCK_BYTES / per_column, 8, MOST_COLUMNS))
-
-    def factor(self, clipped: Array) -> None:
-        """Factor the regulator of clipped weights (T+1, nz, nz)."""
-        space, n, m = self._space, self._space.states, self._space.controls
-        clipped, level = clipped.copy(), float(control_weights(clipped, n).mean())
-        rho = JUMP_WEIGHT * level / (1 + self._height)
-        clipped[-1, space.terminal, space.terminal] += rho
-        expanded = np.zeros((len(self._A), n + m, n + m))
-        expanded[self._at] = clipped
-        expanded[self._jumps[:, None], np.arange(n, n + m), np.arange(n, n + m)] = rho
-        self._regulator = space.loops.factor(self._A, self._B, expanded, space.fixed)
-
-    def solve(self, r: Array) -> Array:
-        """Return the approximate M^-1 r."""
-        space, n, kept = self._space, self._space.states, self._space.coefficients.count
-        gradient = np.zeros((len(self._A), n + space.controls))
-        gradient[self._at, n:] = -space.coefficients.synthesis(r[None, :kept])[:, :, 0]
-        starts, first = np.split(-r[kept:], [space.continuity])
-        gradient[self._starts, :n] = starts.reshape(-1, n)
-        gradient[0, space.free] += first
-        y, _, _ = self._regulator.solve(gradient, self._still, self._still[0])
-        z = space.coefficients.analysis(y[self._at, n:, None])[0]
-        return np.concatenate([z, y[self._starts, :n].ravel(), y[0, space.free]])
-
-    def solve_many(self, rows: Array) -> Array:
-        """Return the approximate M^-1 of rows (count, size), as rows."""
-        space, n, kept = self._space, self._space.states, self._space.coefficients.count
-        found = np.empty_like(rows)
-        controls, states = slice(-space.controls, None), slice(0, n)
-        for a in range(0, len(rows), self._block):
-            part = rows[a : a + self._block]
-            R = np.zeros((len(self._A), len(self._entries), len(part)))
-            R[self._at, controls] = space.coefficients.synthesis(part[:, :kept])
-            if len(self._entries) > space.controls:
-                R[self._starts, states] = part[:, kept : kept + space.continuity].T.reshape(-1, n, len(part))
-                R[0, space.free] += part[:, kept + space.continuity :].T
-            Y, _ = self._regulator.responses(self._entries, R, np.zeros((n, len(part))))
-            own = found[a : a + self._block]
-            own[:, :kept] = -space.coefficients.analysis(Y[self._at, controls])
-            if len(self._entries) > space.controls:
-                own[:, kept : kept + space.continuity] = -Y[self._starts, states].reshape(-1, len(part)).T
-                own[:, kept + space.continuity :] = -Y[0, space.free].T
-        return found
-
-
-REDUCTION = 1e-9  # of the residual in one solution, so that seldom another is needed
-MOST_ITERATIONS = 100  # 5 to 15 are common
-PATIENCE = 10  # iterations in which the residual should fall: else rounding holds it
 
 
 class TwoLevel:
@@ -284,66 +277,67 @@ def _largest(values: Array) -> float:
     return float(np.abs(values).max(initial=0.0))
 
 
-COLUMNS = 128  # of M at once
-CACHED_BYTES = 3e8  # of the signals of the coefficients that are kept between steps
-PROJECTIONS = 2  # on the rows: the second leaves rounding, which large weights multiply
-WEIGHT = 10.0  # of E'E, relative to the mean diagonal of M: of order 1, for both to keep their digits
-RAISED = (1.0, 1e2, 1e4)  # factors of the weight, for an M that is definite only on what the rows leave
+class SecondLevel:
+    """The clipped regulator of a space, restricted to v."""
 
+    def __init__(self, space: KeptSpace, height: float):
+        self._space, n, m, T = space, space.states, space.controls, space.horizon
+        self._height = height  # largest squared column of the rows of starts and x_T
+        per = -(-n // m)  # stages for a jump, of m components each
+        jumps = np.zeros(T + 1, dtype=np.intp)
+        jumps[space.breaks] = per
+        self._at = np.arange(T + 1) + np.cumsum(jumps)
+        self._starts = self._at[space.breaks]
+        stages = T + 1 + per * len(space.breaks)
+        self._jumps = np.setdiff1d(np.arange(stages), self._at)
+        self._A, self._B = np.tile(np.eye(n), (stages, 1, 1)), np.zeros((stages, n, m))
+        self._A[self._at], self._B[self._at] = space.A, space.B
+        for i in range(n):
+            self._B[self._starts - per + i // m, i, i % m] = 1.0
+        self._still = np.zeros((stages, n))
+        self._entries = np.arange(n + m) if len(space.breaks) or len(space.free) else np.arange(n, n + m)
+        per_column = 8 * stages * len(self._entries)
+        self._block = int(np.clip(BLOCK_BYTES / per_column, 8, MOST_COLUMNS))
 
-class DenseReduced:
-    """Cholesky factors of M + rho E'E and of the Schur complement of the rows."""
+    def factor(self, clipped: Array) -> None:
+        """Factor the regulator of clipped weights (T+1, nz, nz)."""
+        space, n, m = self._space, self._space.states, self._space.controls
+        clipped, level = clipped.copy(), float(control_weights(clipped, n).mean())
+        rho = JUMP_WEIGHT * level / (1 + self._height)
+        clipped[-1, space.terminal, space.terminal] += rho
+        expanded = np.zeros((len(self._A), n + m, n + m))
+        expanded[self._at] = clipped
+        expanded[self._jumps[:, None], np.arange(n, n + m), np.arange(n, n + m)] = rho
+        self._regulator = space.loops.factor(self._A, self._B, expanded, space.fixed)
 
-    def __init__(self, space: KeptSpace):
-        self._space, self._E, self._noise = space, space.rows(), Noise(space)
-        kept = space.coefficients.count
-        self._blocks = [slice(a, min(kept, a + COLUMNS)) for a in range(0, kept, COLUMNS)]
-        cached = 8 * (space.horizon + 1) * space.controls * kept <= CACHED_BYTES
-        self._signals = [self._signals_of(block) for block in self._blocks] if cached else None
+    def solve(self, r: Array) -> Array:
+        """Return the approximate M^-1 r."""
+        space, n, kept = self._space, self._space.states, self._space.coefficients.count
+        gradient = np.zeros((len(self._A), n + space.controls))
+        gradient[self._at, n:] = -space.coefficients.synthesis(r[None, :kept])[:, :, 0]
+        starts, first = np.split(-r[kept:], [space.continuity])
+        gradient[self._starts, :n] = starts.reshape(-1, n)
+        gradient[0, space.free] += first
+        y, _, _ = self._regulator.solve(gradient, self._still, self._still[0])
+        z = space.coefficients.analysis(y[self._at, n:, None])[0]
+        return np.concatenate([z, y[self._starts, :n].ravel(), y[0, space.free]])
 
-    def factor(self, Phi: Array, C: Array) -> bool:
-        """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
-        clipped, excess = self._noise.clipped(Phi)
-        M, E = self._hessian(clipped), self._E
-        self._exact = ~C.any(axis=1)
-        held = E[self._exact]
-        size = WEIGHT * float(np.abs(np.diag(M)).mean()) / (1 + float((held * held).sum(0).max(initial=0.0)))
-        for raised in RAISED:
-            self._weight = raised * size
-            self._M = Cholesky(M + self._weight * (held.T @ held))
-            if self._M.definite or not len(held):
-                break
-        self._B = np.concatenate([rows_of(excess, self._space), E])
-        self._MB = self._M.solve(self._B.T)
-        self._C = la.block_diag(np.diag(1 / excess.weights), C)
-        self._S = Cholesky(self._B @ self._MB + self._C)
-        return self._M.definite
-
-    def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
-        """Return v and nu."""
-        exact, count = self._exact, len(self._B) - len(e)
-        v = self._M.solve(r + self._weight * (self._E[exact].T @ e[exact]))
-        right, nu = np.concatenate([np.zeros(count), e]), np.zeros(len(self._B))
-        for _ in range(PROJECTIONS if len(nu) else 0):
-            more = self._S.solve(self._B @ v - self._C @ nu - right)
-            v, nu = v - self._MB @ more, nu + more
-        return v, nu[count:]
-
-    def _hessian(self, Phi: Array) -> Array:
-        space, kept = self._space, self._space.coefficients.count
-        M = np.empty((space.size, space.size))
-        sweeps = OpenLoop(space.A, space.B, Phi, space.breaks)
-        for i, block in enumerate(self._blocks):
-            W = self._signals[i] if self._signals is not None else self._signals_of(block)
-            starts = np.zeros((*space.zero.shape, W.shape[2]))
-            GW, of_starts, _, _ = sweeps.columns(starts, W)
-            M[block, :kept] = space.coefficients.analysis(GW)
-            M[block, kept : kept + space.continuity] = of_starts.reshape(-1, W.shape[2]).T
-        for i in range(kept, space.size):
-            M[i] = space.curvature(Phi, np.eye(1, space.size, i)[0])
-            M[:kept, i] = M[i, :kept]
-        return M
-
-    def _signals_of(self, block: slice) -> Array:
-        coefficients = self._space.coefficients
-        return coefficients.synthesis(np.eye(block.stop - block.start, coefficients.count, block.start))
+    def solve_many(self, rows: Array) -> Array:
+        """Return the approximate M^-1 of rows (count, size), as rows."""
+        space, n, kept = self._space, self._space.states, self._space.coefficients.count
+        found = np.empty_like(rows)
+        controls, states = slice(-space.controls, None), slice(0, n)
+        for a in range(0, len(rows), self._block):
+            part = rows[a : a + self._block]
+            R = np.zeros((len(self._A), len(self._entries), len(part)))
+            R[self._at, controls] = space.coefficients.synthesis(part[:, :kept])
+            if len(self._entries) > space.controls:
+                R[self._starts, states] = part[:, kept : kept + space.continuity].T.reshape(-1, n, len(part))
+                R[0, space.free] += part[:, kept + space.continuity :].T
+            Y, _ = self._regulator.responses(self._entries, R, np.zeros((n, len(part))))
+            own = found[a : a + self._block]
+            own[:, :kept] = -space.coefficients.analysis(Y[self._at, controls])
+            if len(self._entries) > space.controls:
+                own[:, kept : kept + space.continuity] = -Y[self._starts, states].reshape(-1, len(part)).T
+                own[:, kept + space.continuity :] = -Y[0, space.free].T
+        return found

@@ -1,20 +1,18 @@
-"""The rows of a problem over stages, as the embedding sees them: b - A y in a cone, with the Hessian P.
+"""The KKT system of a step: the rows as the embedding sees them, and their reduction to stages with coupling rows.
 
-Rows are a list of arrays: dynamics x_{t+1} - A_t x_t - B_t w_t (T+1, n), the last zero; x_0 (n,); stages G y (T+1, p);
-equations, those of x_T first, flat; inequalities (rows, 1); -(head, values) (balls, 1 + d) for each family of balls.
+The rows b - A y in a cone are a list of arrays: dynamics x_{t+1} - A_t x_t - B_t w_t (T+1, n), the last zero; x_0 (n,);
+stages G y (T+1, p); equations, those of x_T first, flat; inequalities (rows, 1); -(head, values) (balls, 1 + d) for
+each family of balls. One step solves, refined,
 
-One step's linear system after the elimination of stage cones and of constant heads of balls.
+    [P A'; A -W^2] (y, z) = (r_y, r_z).
+
+Stage cones are eliminated, Phi = H + G'W^-2 G, and so are the constant heads of hard balls. A KKT solver is left with
 
     Phi y + gradient + (dynamics)'eta + (x_0 rows)'lam0 + F'nu = 0
     x_{t+1} - A x_t - B w_t = c_t,   x_0 = x0 where it is fixed,   F y - C nu = f
 
 F are all coupling rows in the order of ``Coupling``: x_T, equations, inequalities, balls (each with its head in front
-if it is soft). C > 0 is block diagonal: tiny for equations, squares of scalings else.
-
-The linear system of one step, [P A'; A -W^2] (y, z) = (r_y, r_z), reduced to the system of a side, and refined.
-
-Of a hard ball, the head is constant: its row is eliminated, and leaves on the values the compliance
-eta^2 (I - 2 v v'/(1 + 2 |v|^2)), w = (w_0, v), which would lose its definiteness if it were computed by subtraction.
+if it is soft). C > 0 is block diagonal: tiny for equations, squares of scalings for the others.
 """
 
 from __future__ import annotations
@@ -29,61 +27,12 @@ from lin_freq_ocp.methods.structured.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.stages import Stages
 
-
-@dataclass(frozen=True, eq=False)
-class Compliance:
-    """C: (count,) for all equations and inequalities, and (balls, d, d) for every family of balls.
-
-    ``roots``, (balls, d, d) for every family of hard balls, are R with R'R = C^-1, which inverting C would lose near
-    the boundary.
-    """
-
-    rows: Array
-    balls: tuple[Array, ...]
-    roots: tuple[Array, ...] = ()
-
-    def add_to(self, S: Array, chosen: Indices | None = None) -> None:
-        """Add C to the last rows of S: those of ``rows`` that are chosen, or all, and those of the balls."""
-        rows = self.rows if chosen is None else self.rows[chosen]
-        first = len(S) - len(rows) - sum(len(part) * part.shape[1] for part in self.balls)
-        for blocks in (rows[:, None, None], *self.balls):
-            count, d = blocks.shape[:2]
-            at = first + np.arange(count * d).reshape(count, d)
-            S[at[:, :, None], at[:, None, :]] += blocks
-            first += count * d
-
-
-class Step(NamedTuple):
-    """The solution of the system."""
-
-    y: Array  # (T+1, n + k)
-    eta: Array  # (T+1, n), the last zero
-    initial: Array  # lam0, (n,)
-    coupling: Array  # nu, (rows,)
-
-
-class Side(Protocol):
-    """A way to solve the system, exact up to rounding and the tolerance of an iteration; residuals are refined."""
-
-    indefinite: ClassVar[
-        bool
-    ]  # whether Phi may be indefinite on the dynamics: ``factor`` says if the rows make up for it
-
-    def exchanged(self, stages: Stages) -> Side:
-        """Return the same for stages with other dynamics and Hessians."""
-        ...
-
-    def factor(self, Phi: Array, compliance: Compliance) -> bool:
-        """Prepare for Phi (T+1, n+k, n+k) and C; return whether the problem is convex as far as it was looked at."""
-        ...
-
-    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
-        """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
-        ...
-
-
 DYNAMICS, INITIAL, STAGES, EQUATIONS, INEQUALITIES, BALLS = range(6)
 Values = list[Array]
+REFINEMENTS = 3  # at most; each halves the digits that are missing, or is not taken
+REGULARISATION = 1e-9  # of the Hessian, in units of order 1; refinement takes it back where anything else curves
+DUAL_REGULARISATION = 1e-12  # compliance of equations, for those that nothing can change or that repeat others
+REFINED = 1e-8  # residual, relative to the right-hand side, that is not refined
 
 
 class System:
@@ -163,10 +112,56 @@ class System:
         return sum(cone.degree for cone in self.cones.values())
 
 
-REFINEMENTS = 3  # at most; each halves the digits that are missing, or is not taken
-REGULARISATION = 1e-9  # of the Hessian, in units of order 1; refinement takes it back where anything else curves
-DUAL_REGULARISATION = 1e-12  # compliance of equations, for those that nothing can change or that repeat others
-REFINED = 1e-8  # residual, relative to the right-hand side, that is not refined
+@dataclass(frozen=True, eq=False)
+class Compliance:
+    """C: (count,) for all equations and inequalities, and (balls, d, d) for every family of balls.
+
+    ``roots``, (balls, d, d) for every family of hard balls, are R with R'R = C^-1, which inverting C would lose near
+    the boundary.
+    """
+
+    rows: Array
+    balls: tuple[Array, ...]
+    roots: tuple[Array, ...] = ()
+
+    def add_to(self, S: Array, chosen: Indices | None = None) -> None:
+        """Add C to the last rows of S: those of ``rows`` that are chosen, or all, and those of the balls."""
+        rows = self.rows if chosen is None else self.rows[chosen]
+        first = len(S) - len(rows) - sum(len(part) * part.shape[1] for part in self.balls)
+        for blocks in (rows[:, None, None], *self.balls):
+            count, d = blocks.shape[:2]
+            at = first + np.arange(count * d).reshape(count, d)
+            S[at[:, :, None], at[:, None, :]] += blocks
+            first += count * d
+
+
+class Step(NamedTuple):
+    """The solution of the system."""
+
+    y: Array  # (T+1, n + k)
+    eta: Array  # (T+1, n), the last zero
+    initial: Array  # lam0, (n,)
+    coupling: Array  # nu, (rows,)
+
+
+class Side(Protocol):
+    """A way to solve the system, exact up to rounding and the tolerance of an iteration; residuals are refined."""
+
+    indefinite: ClassVar[
+        bool
+    ]  # whether Phi may be indefinite on the dynamics: ``factor`` says if the rows make up for it
+
+    def exchanged(self, stages: Stages) -> Side:
+        """Return the same for stages with other dynamics and Hessians."""
+        ...
+
+    def factor(self, Phi: Array, compliance: Compliance) -> bool:
+        """Prepare for Phi (T+1, n+k, n+k) and C; return whether the problem is convex as far as it was looked at."""
+        ...
+
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+        """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
+        ...
 
 
 class StepSystem:
@@ -249,12 +244,6 @@ class StepSystem:
         return [self.system.cones[BALLS + i] for i in range(len(self.system.coupling.balls))]
 
 
-def largest(parts: Values) -> float:
-    """Return the largest absolute entry; inf if one is not finite."""
-    found = max((float(np.abs(part).max(initial=0.0)) for part in parts), default=0.0)
-    return found if np.isfinite(found) else np.inf
-
-
 def _of_values(cone: Cone) -> Array:
     """Return the compliance of the values of hard balls, (balls, d, d)."""
     v, square = cone.w[:, 1:], cone.eta[:, 0, None, None] ** 2
@@ -272,3 +261,9 @@ def _head_ratio(cone: Cone) -> Array:
     """Return the entries of W^2 beside its first one, divided by that, (balls, d)."""
     head, v = cone.w[:, :1], cone.w[:, 1:]
     return 2 * head * v / (2 * head**2 - 1)
+
+
+def largest(parts: Values) -> float:
+    """Return the largest absolute entry; inf if one is not finite."""
+    found = max((float(np.abs(part).max(initial=0.0)) for part in parts), default=0.0)
+    return found if np.isfinite(found) else np.inf
