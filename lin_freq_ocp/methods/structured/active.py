@@ -18,7 +18,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.structured.embedding import Answer, Embedding, End, Errors, Point, Targets
-from lin_freq_ocp.methods.structured.kkt.blocks import Cholesky
+from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
 from lin_freq_ocp.methods.structured.kkt.system import (
     DYNAMICS,
     EQUATIONS,

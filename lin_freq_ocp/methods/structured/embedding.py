@@ -47,8 +47,8 @@ RAY = 1e-9  # residual of a ray, relative to b'z or h'y, from which rounding hid
 ROUGH_RAY = 1e-5  # the same where the iteration stalled
 EXPECTED = 3.0  # residual after a step, in units of what Newton's method leaves, from which systems are refined
 LEAST_TERMS = 1e-4  # of the objective's absolute terms where y is 1: what the gap is relative to, at least
-VANISHED = 1e-3  # tau, relative to kappa, below which a ray is believed at ``RAY``
-LEAST_TAU = 1e-100  # below which a ray that is not believed gets no better; soon after, the square of tau is zero
+VANISHED = 1e-3  # tau, relative to kappa, below which a ray is accepted at ``RAY``
+LEAST_TAU = 1e-100  # below which a ray that is not accepted gets no better; soon after, the square of tau is zero
 
 
 class End(Enum):
@@ -158,10 +158,10 @@ class Embedding:
     system: System
     step: StepSystem
     targets: Targets = field(default_factory=Targets)
-    believed: Callable[[Values], bool] = lambda z: False  # whether a ray, however rough, proves infeasibility
+    accept_ray: Callable[[Values], bool] = lambda z: False  # whether a ray, however rough, proves infeasibility
 
     def __post_init__(self):
-        self._h, self._b = self.system.stages.h, self.system.b
+        self._h, self._b, self._cones = self.system.stages.h, self.system.b, self.system.cones
         self._sizes = 1 + float(np.abs(self._h).max(initial=0.0)), 1 + largest(self._b)
         self._degree = self.system.degree + 1
         self._refined, self._expected = False, np.inf
@@ -172,16 +172,12 @@ class Embedding:
         """Return the sum of the absolute terms of the objective."""
         return abs(self.system.stages.constant) + 0.5 * yPy + _dot(np.abs(self._h), np.abs(y))
 
-    @property
-    def _cones(self) -> dict[int, Cone]:
-        return self.system.cones
-
     def run(self) -> Answer:
         """Iterate until the targets, a ray, a stall, or the time limit."""
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is seen by numbers that are not finite
-            return self._iterated()
+            return self._iterate()
 
-    def _iterated(self) -> Answer:
+    def _iterate(self) -> Answer:
         best: Answer | None = None
         least, progress = np.inf, 0
         try:
@@ -249,7 +245,7 @@ class Embedding:
         if found.errors.merit(self.targets) <= 1:
             return _answer(End.OPTIMAL, point, found, step, point.tau)
         vanishing = self._vanishing(point)
-        if (found.ray <= RAY and vanishing) or (found.bz < 0 and vanishing and self.believed(point.z)):
+        if (found.ray <= RAY and vanishing) or (found.bz < 0 and vanishing and self.accept_ray(point.z)):
             return _answer(End.INFEASIBLE, point, found, step, -found.bz)
         if found.descent <= RAY and vanishing:
             return _answer(End.UNBOUNDED, point, found, step, -found.hy)
@@ -283,7 +279,9 @@ class Embedding:
         }
         of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * found.mu
         step, length = self._corrected(point, found, constant, _Aim(sigma, centred, of_kappa))
-        length = min(_fraction(length) * length, 1.0)
+        # The closer a whole step is to being possible, the closer to the boundary it may end
+        fraction = min(MOST_FRACTION, max(FRACTION, 1 - FRACTION_SLOPE * (1 - min(length, 1.0)) ** 2))
+        length = min(fraction * length, 1.0)
         self._expected = (1 - length * (1 - sigma)) * found.left
         return point.moved(step, length)
 
@@ -338,11 +336,6 @@ class Embedding:
         ]
         ends = [-value / slope for value, slope in ((point.tau, step.tau), (point.kappa, step.kappa)) if slope < 0]
         return min([*lengths, *ends], default=np.inf)
-
-
-def _fraction(length: float) -> float:
-    """Return the part of the longest step that is taken."""
-    return min(MOST_FRACTION, max(FRACTION, 1 - FRACTION_SLOPE * (1 - min(length, 1.0)) ** 2))
 
 
 def _answer(end: End, point: Point, found: _Measures, steps: int, unit: float) -> Answer:

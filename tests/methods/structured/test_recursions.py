@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lin_freq_ocp.methods.structured.kkt import recursions
-from lin_freq_ocp.methods.structured.kkt.blocks import OpenLoop
+from lin_freq_ocp.methods.structured.kkt.dense import OpenLoop
 from lin_freq_ocp.methods.structured.kkt.recursions import BandedLoops, loops
 
 NONE = np.zeros(0, dtype=np.intp)

@@ -1,12 +1,10 @@
-"""The loops over stages, compiled by numba. What they compute: recursions.py.
+"""The loops over stages, and factors of small symmetric matrices, compiled by numba. Their interface: recursions.py.
 
 Riccati recursion in Joseph form, from P_{T+1} = 0, p_{T+1} = 0; nothing is subtracted from P:
 
     S = Phi_ww + B'P B,   K = -S^-1 (Phi_wx + B'P A),   A_c = A + B K,
     P_t = Phi_xx + K'Phi_ww K + Phi_xw K + K'Phi_wx + A_c'P_{t+1} A_c,
     v = p_{t+1} + P_{t+1} c,   p_t = r_x + K'r_w + A_c'v,   w_t = K x_t - S^-1 (r_w + B'v),   eta_t = -(P x + p)_{t+1}.
-
-Factors of small symmetric matrices, and products of vectors, compiled by numba.
 """
 
 from __future__ import annotations
@@ -16,8 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
 from lin_freq_ocp.methods.structured.kkt.compilation import INDICES, REALS, WRITTEN, Kernels, jit
+from lin_freq_ocp.methods.structured.kkt.dense import BlockRegulator, Gains
 
 PIVOT = 1e-14
 """Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""

@@ -1,24 +1,16 @@
-"""The side of the coefficients that stop bands keep.
+"""The null-space KKT solver: the unknowns are the Fourier coefficients that the stop bands of controls leave free.
 
-A reduced system is left of the step, with the rows E of space.py:
+A control is u = N z + u_p. Its real DFT, t < T, is orthonormal here: Re and Im of every bin in turn, times 1/sqrt(T)
+at the bins 0 and T/2, and sqrt(2/T) between. A stop band fixes some of these coefficients, the others are z; z of a
+control without a stop band are its samples, t <= T. Vectors are the rows of arrays, so that transforms run along
+contiguous memory.
+
+Slacks, on which only their own stage depends, are eliminated first. The unknowns v are z, free entries of x_0, and
+starts: open loop diverges on unstable dynamics, and so the simulation starts anew at break times (multiple shooting).
+The rows E on v are, in this order, starts - ends of the simulations before them, x_T, and coupling rows that are no
+stop band. This leaves the reduced system, which ``Reduced`` solves:
 
     M v + E'nu = r,   E v - C nu = e,   M the Hessian of 1/2 y'Phi y in v
-
-Elimination of the entries of w on which only their own stage depends: slacks, and u_T of controls with stop bands.
-
-Of the core (x, u) of a stage and its slacks s, Phi_ss s + Phi_sc (x, u) + gradient_s = 0 gives s, and leaves on the
-core Phi_cc - Phi_cs Phi_ss^-1 Phi_sc. All of this is local in time.
-
-Controls by the Fourier coefficients that their stop bands keep: u = N z + u_p.
-
-The real DFT of a control, t < T, is orthonormal here: Re and Im of every bin in turn, times 1/sqrt(T) at the bins
-0 and T/2, and sqrt(2/T) between. A stop band fixes some of these coefficients, the others are z; z of a control without
-a stop band are its samples, t <= T. Vectors are the rows of arrays, so that transforms run along contiguous memory.
-
-The unknowns of the kept side, v = (z, starts, free entries of x_0), and the rows that are left on them.
-
-Open loop diverges on unstable dynamics, and so the simulation starts anew at break times (multiple shooting): the
-starts are unknowns. Rows, in this order: starts - ends of the simulations before them, x_T, rows that are no stop band.
 """
 
 from __future__ import annotations
@@ -35,9 +27,74 @@ from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.system import Compliance, Step
 from lin_freq_ocp.methods.structured.stages import Rows, SpectrumRows, Stages
 
+GROWTH = 1e3  # of the states between breaks: three digits are lost at most
+
+
+class Reduced(Protocol):
+    """A way to solve the reduced system."""
+
+    def factor(self, Phi: Array, C: Array) -> bool:
+        """Prepare for Phi (T+1, nz, nz) without slacks, and C (rows, rows); return whether M is seen to be definite."""
+        ...
+
+    def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
+        """Return v and nu."""
+        ...
+
+
+class KeptSide:
+    """Stop bands hold exactly; what they leave is solved by ``reduced``."""
+
+    indefinite: ClassVar[bool] = True
+
+    def __init__(self, stages: Stages, loops: Loops, reduced: Callable[[KeptSpace], Reduced]):
+        self._stages, self._loops, self._solved_by = stages, loops, reduced
+        bands, rest = sort_rows(stages)
+        self._slacks = Slacks(stages, [band.entry for band in bands])
+        self._space = KeptSpace(stages, self._slacks, bands, rest, loops)
+        self._reduced = reduced(self._space)
+
+    def exchanged(self, stages: Stages) -> KeptSide:
+        """Return the same for stages with other dynamics and Hessians."""
+        return KeptSide(stages, self._loops, self._solved_by)
+
+    def factor(self, Phi: Array, compliance: Compliance) -> bool:
+        """Prepare for Phi (T+1, n+k, n+k) and C."""
+        space = self._space
+        C = np.zeros((space.row_count, space.row_count))
+        compliance.add_to(C, space.chosen[space.chosen < len(compliance.rows)])
+        self._Phi = self._slacks.reduced(Phi)
+        return self._reduced.factor(self._Phi, C)
+
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+        """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
+        space, n = self._space, self._space.states
+        core = self._slacks.gradient(gradient)
+        y = np.zeros_like(core)
+        y[0, :n] = np.where(space.fixed, x0, 0.0)
+        y[:, n:] = space.coefficients.particular(f)
+        y, ends = space.simulated(np.zeros(space.size), y, c)
+        of_v = space.gradient(core + self._loops.times(self._Phi, y))
+        v, nu = self._reduced.solve(-of_v, space.right(f) - space.values(y, ends))
+        y, _ = space.simulated(v, y, c)
+        of_y, prices = space.priced(nu)
+        of_y += core + self._loops.times(self._Phi, y)
+        p, gw, _ = self._loops.backward(space.A, space.B, of_y, space.breaks, prices)
+        coupling = np.zeros(len(f))
+        space.unpriced(nu, coupling)
+        space.coefficients.multipliers(gw, coupling)
+        eta = np.zeros_like(c)
+        eta[:-1] = -p[1:]
+        initial = np.where(space.fixed, -p[0], 0.0)
+        return Step(self._slacks.recovered(y, gradient), eta, initial, coupling)
+
 
 class Slacks:
-    """The slacks of a problem, and what is left without them."""
+    """Elimination of entries of w that only their own stage sees: slacks, and u_T of controls with stop bands.
+
+    Of the core (x, u) of a stage and its slacks s, Phi_ss s + Phi_sc (x, u) + gradient_s = 0 gives s, and leaves on the
+    core Phi_cc - Phi_cs Phi_ss^-1 Phi_sc. All of this is local in time.
+    """
 
     def __init__(self, stages: Stages, banded: Sequence[int]):
         """Find the slacks; ``banded`` are the entries of w with stop bands."""
@@ -235,9 +292,6 @@ class Coefficients:
         return fft.irfft(pairs.view(np.complex128), n=self.horizon, axis=1)
 
 
-GROWTH = 1e3  # of the states between breaks: three digits are lost at most
-
-
 class KeptSpace:
     """The map from v to y, and its adjoint."""
 
@@ -330,62 +384,3 @@ def break_times(A: Array, growth: float) -> Indices:
             found.append(t + 1)
             product = np.eye(A.shape[1])
     return np.array(found, dtype=np.intp)
-
-
-class Reduced(Protocol):
-    """A way to solve the reduced system."""
-
-    def factor(self, Phi: Array, C: Array) -> bool:
-        """Prepare for Phi (T+1, nz, nz) without slacks, and C (rows, rows); return whether M is seen to be definite."""
-        ...
-
-    def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
-        """Return v and nu."""
-        ...
-
-
-class KeptSide:
-    """Stop bands hold exactly; what they leave is solved by ``reduced``."""
-
-    indefinite: ClassVar[bool] = True
-
-    def __init__(self, stages: Stages, loops: Loops, reduced: Callable[[KeptSpace], Reduced]):
-        self._stages, self._loops, self._solved_by = stages, loops, reduced
-        bands, rest = sort_rows(stages)
-        self._slacks = Slacks(stages, [band.entry for band in bands])
-        self._space = KeptSpace(stages, self._slacks, bands, rest, loops)
-        self._reduced = reduced(self._space)
-
-    def exchanged(self, stages: Stages) -> KeptSide:
-        """Return the same for stages with other dynamics and Hessians."""
-        return KeptSide(stages, self._loops, self._solved_by)
-
-    def factor(self, Phi: Array, compliance: Compliance) -> bool:
-        """Prepare for Phi (T+1, n+k, n+k) and C."""
-        space = self._space
-        C = np.zeros((space.row_count, space.row_count))
-        compliance.add_to(C, space.chosen[space.chosen < len(compliance.rows)])
-        self._Phi = self._slacks.reduced(Phi)
-        return self._reduced.factor(self._Phi, C)
-
-    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
-        """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
-        space, n = self._space, self._space.states
-        core = self._slacks.gradient(gradient)
-        y = np.zeros_like(core)
-        y[0, :n] = np.where(space.fixed, x0, 0.0)
-        y[:, n:] = space.coefficients.particular(f)
-        y, ends = space.simulated(np.zeros(space.size), y, c)
-        of_v = space.gradient(core + self._loops.times(self._Phi, y))
-        v, nu = self._reduced.solve(-of_v, space.right(f) - space.values(y, ends))
-        y, _ = space.simulated(v, y, c)
-        of_y, prices = space.priced(nu)
-        of_y += core + self._loops.times(self._Phi, y)
-        p, gw, _ = self._loops.backward(space.A, space.B, of_y, space.breaks, prices)
-        coupling = np.zeros(len(f))
-        space.unpriced(nu, coupling)
-        space.coefficients.multipliers(gw, coupling)
-        eta = np.zeros_like(c)
-        eta[:-1] = -p[1:]
-        initial = np.where(space.fixed, -p[0], 0.0)
-        return Step(self._slacks.recovered(y, gradient), eta, initial, coupling)

@@ -1,6 +1,11 @@
-"""Rows of low rank, C = G V': masks on a grid finer than that of their band. The other rows are E.
+"""The range-space KKT solver: the unknowns are the multipliers of the coupling rows F.
 
-With J = (E; V') P (E; V')' and the compliances C_e and C_g of E and of the rows G V', the Schur complement is
+The Schur complement on them is S = F P F' + C, a sum of squares, where P is the response of the regulator. A fixed x_T
+adds rho |x_T - its state|^2 to what the recursion minimises: it leaves the answer alone and keeps the closed loop
+stable on long horizons of unstable dynamics.
+
+Masks on a grid finer than that of their band have low rank, G V'. The other rows are E. With J = (E; V') P (E; V')' and
+the compliances C_e and C_g of E and of the rows G V', the Schur complement is
 
     (J_ee + C_e) nu_e + J_ev g = r_e,   G (J_ve nu_e + J_vv g) + C_g nu = r_g,   g = G'nu.
 
@@ -12,13 +17,6 @@ H = G L, and rows split into weak ones (w), whose compliance is not small, and s
 
 Sums of positive matrices lose no digits. The difference in nu_w loses as many as the stiffness of a weak row exceeds
 that of the response; hence the split.
-
-Stages with rows F that couple times: the regulator, and its response P to gradients of rows.
-
-A fixed x_T adds rho |x_T - its state|^2 to what the recursion minimises: it leaves the answer alone and keeps the
-closed loop stable on long horizons of unstable dynamics.
-
-The side of the rows that couple times: their Schur complement, S = F P F' + C, by sums of squares.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ import numpy as np
 import scipy.linalg as la
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.blocks import Cholesky, gram
+from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, gram
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, Regulator
 from lin_freq_ocp.methods.structured.kkt.system import Compliance, Side, Step
 from lin_freq_ocp.methods.structured.stages import Balls, Stages

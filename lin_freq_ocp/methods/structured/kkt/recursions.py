@@ -1,4 +1,4 @@
-"""Linear algebra over stages, by compiled loops or by NumPy and LAPACK.
+"""Linear algebra over stages: its interface, and the loops by NumPy and LAPACK; kernels.py has the compiled ones.
 
 Stages t = 0 .. T, y_t = (x_t, w_t) with n states and k further entries, nz = n + k. A, B and Phi have T+1 stages; A_T
 and B_T are zero, so that w_T is eliminated like every other. A regulator is the factored problem
@@ -6,24 +6,9 @@ and B_T are zero, so that w_T is eliminated like every other. A regulator is the
     minimise sum_t 1/2 y_t'Phi_t y_t + r_t'y_t   subject to   x_{t+1} = A_t x_t + B_t w_t + c_t,  x_0 given where fixed,
     Phi_t y_t + r_t + (eta_{t-1}, 0) - (A_t, B_t)'eta_t + [t = 0] (lam0, 0) = 0,   lam0 = 0 where x_0 is free.
 
-Interface:
-
-    loops(compiled=None, patient=True) -> Loops
-    Loops.factor(A, B, Phi, fixed) -> Regulator
-    Regulator.solve(r, c, x0) -> y, eta, lam0
-    Regulator.responses(channels, R, E) -> Y, X
-    Regulator.gram(channels, R, E) -> -R'Y - E'X
-    Loops.is_convex(A, B, Phi, fixed) -> bool
-    Loops.gram(H, G, weights, points, cones) -> Phi
-    Loops.times(M, v) -> M_t v_t, Loops.transposed_times(M, v) -> M_t'v_t
-    Loops.forward(A, B, c, breaks, starts, y) -> ends
-    Loops.backward(A, B, gradient, breaks, prices) -> costates, gw, gstarts
-    OpenLoop(A, B, Phi, breaks).columns(starts, W) -> GW, gstarts, ends, X        of blocks.py, the same for both
-
-The loops over stages by NumPy and LAPACK. What they compute: recursions.py.
-
-A single solution comes from the LU factors of the banded matrix of all stages; its unknowns are, stage by stage, lam_t,
-x_t and w_t, where lam_0 = lam0 and lam_t = eta_{t-1}. Many responses at once come from the Riccati recursion.
+By LAPACK, a single solution comes from the LU factors of the banded matrix of all stages; its unknowns are, stage by
+stage, lam_t, x_t and w_t, where lam_0 = lam0 and lam_t = eta_{t-1}. Many responses at once come from the Riccati
+recursion. Sweeps in open loop for many columns are those of ``OpenLoop`` (dense.py) in both implementations.
 """
 
 from __future__ import annotations
@@ -35,7 +20,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
+from lin_freq_ocp.methods.structured.kkt.dense import BlockRegulator, Gains
 
 PIVOT = 1e-14
 """Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
@@ -251,7 +236,7 @@ class BandedRegulator(BlockRegulator):
         return found[:, n:].copy(), eta, np.where(self._fixed, found[0, :n], 0.0)
 
     def gains(self) -> Gains:
-        """Return what the Riccati recursion of compiled/loops.py finds."""
+        """Return what the Riccati recursion of kernels.py finds."""
         if self._found is None:
             B, Phi, AB = self._B, self._Phi, np.concatenate([self._A, self._B], axis=2)
             stages, n, k = B.shape

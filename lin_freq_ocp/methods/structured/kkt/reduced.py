@@ -1,54 +1,48 @@
-"""The reduced system of the kept side by dense factors.
+"""The reduced system of the null-space solver, M v + E'nu = r, E v - C nu = e: dense, or by conjugate gradients.
 
-M comes from one sweep forward and one backward for each column. E'E is added to it for the rows with C = 0: that leaves
-the solution alone, and makes it definite where only these rows hold the starts. Large weights are rows as well.
-
-Weights too large for a matrix that holds them beside others: they are left to rows, as the compliance 1/weight.
+A matrix with very large weights would lose the digits of the others: the part of a weight beyond a clip is a row with
+the compliance 1/weight. All rows are B = (Y, E), where Y are these directions, with the compliance (D^-1, C).
 
 A weight on a direction a of y_t counts as a'S a, where S is the covariance of y_t under white noise in the stopped
-coefficients, relative to the weight of the control: a weight on a position hardly couples kept and stopped
+coefficients, relative to the weight of the control: a weight on a position hardly couples free and stopped
 coefficients, a weight on the control does. The white noise in all coefficients has a small part in S, so that rounding
 does not take the digits that a very large weight on a state leaves the others.
 
-The regulator that approximates the reduced system: all coefficients free, and weights clipped.
-
-Let Phi_c be Phi without the excess of its largest weights. The Hessian of y'Phi_c y in all samples of u couples the
-kept coefficients k with the stopped ones s only as far as weights vary over time, and M_c = H_kk, while the inverse of
-a regulator gives
+On long horizons, projected conjugate gradients (Gould, Hribar and Nocedal, 2001; for C > 0 Dollar et al., 2006) need no
+matrix larger than the unknowns times the rows B. Their preconditioner is the same system with a regulator in the place
+of M, in which all coefficients are free and weights are clipped, Phi_c. The Hessian H of y'Phi_c y in all samples of u
+couples the free coefficients k with the stopped ones s only as far as weights vary over time, and M_c = H_kk, while
+the inverse of the regulator gives
 
     N' H^-1 N = (H_kk - H_ks H_ss^-1 H_sk)^-1.
 
 If the weights are within a ratio q, both differ by 1 - ((q - 1)/(q + 1))^2 at most (Wielandt's inequality); hence the
-clip of excess.py. Jumps of the state, with a price of rho, stand for the starts: (starts - ends)^2 rho is added to H.
-
-The reduced system of the kept side for long horizons, by projected conjugate gradients.
-
-See Gould, Hribar and Nocedal (2001), and Dollar et al. (2006) for C > 0. No matrix is larger than the unknowns times
-rows and directions of large weights, which are rows Y as well: all rows are B = (Y, E), their compliance is (D^-1, C).
-The preconditioner is the same system with P, the regulator of second_level.py, in the place of M.
+clip. Jumps of the state, with a price of rho, stand for the starts: (starts - ends)^2 rho is added to H.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as la
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.structured.kkt.blocks import Cholesky, OpenLoop
+from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, OpenLoop
 from lin_freq_ocp.methods.structured.kkt.null_space import KeptSpace, break_times
+from lin_freq_ocp.methods.structured.kkt.system import largest
 
 WEIGHT = 10.0  # of E'E, relative to the mean diagonal of M: of order 1, for both to keep their digits
 RAISED = (1.0, 1e2, 1e4)  # factors of the weight, for an M that is definite only on what the rows leave
 COLUMNS = 128  # of M at once
-CACHED_BYTES = 3e8  # of the signals of the coefficients that are kept between steps
+CACHED_BYTES = 3e8  # of the signals of the coefficients, which are cached between steps
 PROJECTIONS = 2  # on the rows: the second leaves rounding, which large weights multiply
 CLIP = 5.0  # of a'S a: (4/6)^2, so the approximation is within a factor of 2; 2 to 100 cost the same
 LEAST_EXCESS = 0.5  # of a weight, relative to the clip, that is worth a direction
-MOST_DIRECTIONS = 300  # beyond the clip; the largest are taken
+MOST_DIRECTIONS = 300  # with weights beyond the clip; the largest are taken
 NOISES = 4  # signals for a covariance
-NOISE_GROWTH = 10.0  # of states between restarts: what grows further is slow, and left to the kept coefficients
+NOISE_GROWTH = 10.0  # of states between restarts: what grows further is slow, and left to the free coefficients
 SHARE = 1e-3  # of the noise in all coefficients: weights from CLIP/SHARE times those of the control on
 REDUCTION = 1e-9  # of the residual in one solution, so that seldom another is needed
 MOST_ITERATIONS = 100  # 5 to 15 are common
@@ -59,7 +53,11 @@ MOST_COLUMNS = 64
 
 
 class DenseReduced:
-    """Cholesky factors of M + rho E'E and of the Schur complement of the rows."""
+    """Cholesky factors of M + rho E'E and of the Schur complement of the rows.
+
+    M comes from one sweep forward and one backward for each column. E'E is added to it for the rows with C = 0: that
+    leaves the solution alone, and makes it definite where only these rows determine the starts.
+    """
 
     def __init__(self, space: KeptSpace):
         self._space, self._E, self._noise = space, space.rows(), Noise(space)
@@ -70,7 +68,7 @@ class DenseReduced:
 
     def factor(self, Phi: Array, C: Array) -> bool:
         """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
-        clipped, excess = self._noise.clipped(Phi)
+        clipped, large = self._noise.clipped(Phi)
         M, E = self._hessian(clipped), self._E
         self._exact = ~C.any(axis=1)
         held = E[self._exact]
@@ -80,21 +78,14 @@ class DenseReduced:
             self._M = Cholesky(M + self._weight * (held.T @ held))
             if self._M.definite or not len(held):
                 break
-        self._B = np.concatenate([rows_of(excess, self._space), E])
-        self._MB = self._M.solve(self._B.T)
-        self._C = la.block_diag(np.diag(1 / excess.weights), C)
-        self._S = Cholesky(self._B @ self._MB + self._C)
+        self._rows = _Rows(self._space, large, E, C, lambda rows: self._M.solve(rows.T).T)
         return self._M.definite
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
         """Return v and nu."""
-        exact, count = self._exact, len(self._B) - len(e)
-        v = self._M.solve(r + self._weight * (self._E[exact].T @ e[exact]))
-        right, nu = np.concatenate([np.zeros(count), e]), np.zeros(len(self._B))
-        for _ in range(PROJECTIONS if len(nu) else 0):
-            more = self._S.solve(self._B @ v - self._C @ nu - right)
-            v, nu = v - self._MB @ more, nu + more
-        return v, nu[count:]
+        v = self._M.solve(r + self._weight * (self._E[self._exact].T @ e[self._exact]))
+        v, nu = self._rows.project(v, self._rows.right(e))
+        return v, nu[self._rows.directions :]
 
     def _hessian(self, Phi: Array) -> Array:
         space, kept = self._space, self._space.coefficients.count
@@ -116,7 +107,7 @@ class DenseReduced:
         return coefficients.synthesis(np.eye(block.stop - block.start, coefficients.count, block.start))
 
 
-class Excess(NamedTuple):
+class LargeWeights(NamedTuple):
     """Directions a of y_t and their weights."""
 
     times: Indices
@@ -124,37 +115,60 @@ class Excess(NamedTuple):
     weights: Array
 
 
+class _Rows:
+    """The rows B = (Y, E) on v, and the solutions that satisfy them."""
+
+    def __init__(self, space: KeptSpace, large: LargeWeights, E: Array, C: Array, inverse: Callable[[Array], Array]):
+        """Factor their Schur complement; ``inverse`` gives M^-1 of rows (count, size), as rows."""
+        self.directions = len(large.times)
+        Y, of_y = np.empty((self.directions, space.size)), np.zeros((space.horizon + 1, space.states + space.controls))
+        for row, t, direction in zip(Y, large.times, large.directions, strict=True):
+            of_y[t] = direction
+            row[:] = space.gradient(of_y)
+            of_y[t] = 0.0
+        self._B, self._C = np.concatenate([Y, E]), la.block_diag(np.diag(1 / large.weights), C)
+        self._MB = inverse(self._B)
+        self._schur = Cholesky(self._B @ self._MB.T + self._C)
+
+    def right(self, e: Array) -> Array:
+        """Return the right-hand sides of all rows."""
+        return np.concatenate([np.zeros(self.directions), e])
+
+    def project(self, v: Array, right: Array) -> tuple[Array, Array]:
+        """Return v, nu of M v + B'nu = r, B v - C nu = right, from v = M^-1 r."""
+        nu = np.zeros(len(right))
+        for _ in range(PROJECTIONS if len(nu) else 0):
+            more = self._schur.solve(self._B @ v - self._C @ nu - right)
+            v, nu = v - more @ self._MB, nu + more
+        return v, nu
+
+
 class Noise:
-    """The covariances of y in a space."""
+    """For every control, the mean covariance of y under unit white noise in its coefficients."""
 
     def __init__(self, space: KeptSpace):
-        self._states, self._covariances = space.states, _covariances(space)
+        """Simulate the noise, with restarts of its own."""
+        n, m, T = space.states, space.controls, space.horizon
+        random, still = np.random.default_rng(0), np.zeros((T + 1, n))
+        breaks = break_times(space.A, NOISE_GROWTH)
+        starts = np.zeros((len(breaks), n))
+        self._states, self._covariances = n, np.zeros((m, n + m, n + m))
+        for j, banded in enumerate(space.coefficients.banded):
+            noise = random.standard_normal((NOISES, T))
+            for share, signals in ((1.0, space.coefficients.stopped(j, noise)), (SHARE, noise)):
+                own = np.zeros((n + m, n + m))
+                for signal in signals:
+                    y = np.zeros((T + 1, n + m))
+                    y[:-1, n + j] = signal
+                    space.loops.forward(space.A, space.B, still, breaks, starts, y)
+                    own += y[:-1].T @ y[:-1] / (NOISES * T)
+                if not banded:  # weights on single unknowns take no digits
+                    own[n + j], own[:, n + j] = 0.0, 0.0
+                self._covariances[j] += share * own
 
-    def clipped(self, Phi: Array) -> tuple[Array, Excess]:
-        """Return Phi (T+1, nz, nz) with clipped weights, and their excess."""
+    def clipped(self, Phi: Array) -> tuple[Array, LargeWeights]:
+        """Return Phi (T+1, nz, nz) with clipped weights, and what they lack."""
         return clip(Phi, np.einsum("j,jab->ab", 1 / control_weights(Phi, self._states), self._covariances))
-
-
-def _covariances(space: KeptSpace) -> Array:
-    """Return for every control the mean covariance of y under unit white noise in its coefficients."""
-    n, m, T = space.states, space.controls, space.horizon
-    random, still = np.random.default_rng(0), np.zeros((T + 1, n))
-    breaks = break_times(space.A, NOISE_GROWTH)
-    starts = np.zeros((len(breaks), n))
-    found = np.zeros((m, n + m, n + m))
-    for j, banded in enumerate(space.coefficients.banded):
-        noise = random.standard_normal((NOISES, T))
-        for share, signals in ((1.0, space.coefficients.stopped(j, noise)), (SHARE, noise)):
-            own = np.zeros((n + m, n + m))
-            for signal in signals:
-                y = np.zeros((T + 1, n + m))
-                y[:-1, n + j] = signal
-                space.loops.forward(space.A, space.B, still, breaks, starts, y)
-                own += y[:-1].T @ y[:-1] / (NOISES * T)
-            if not banded:  # weights on single unknowns take no digits
-                own[n + j], own[:, n + j] = 0.0, 0.0
-            found[j] += share * own
-    return found
 
 
 def control_weights(Phi: Array, n: int) -> Array:
@@ -163,8 +177,8 @@ def control_weights(Phi: Array, n: int) -> Array:
     return np.maximum(level, np.finfo(float).eps * max(float(level.max()), np.finfo(float).tiny))
 
 
-def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Excess]:
-    """Return Phi without the excess of its largest weights, and the directions of these, ``most`` at most.
+def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, LargeWeights]:
+    """Return Phi with clipped weights, and the rest of the largest ones with their directions, ``most`` at most.
 
     Directions are columns of Cholesky factors, the noisiest diagonal entry first: large weights on single entries, such
     as bounds, do not touch the digits of the others.
@@ -183,7 +197,7 @@ def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Exce
         directions.append(columns)
         weights.append(weight)
         limits.append(np.minimum(weight, CLIP / np.einsum("ta,ab,tb->t", columns, S, columns)))
-    peeled = Excess(np.concatenate(times), np.concatenate(directions), np.concatenate(weights))
+    peeled = LargeWeights(np.concatenate(times), np.concatenate(directions), np.concatenate(weights))
     limit = np.concatenate(limits)
     chosen = np.argsort(limit / peeled.weights)[:most]
     chosen = np.sort(chosen[peeled.weights[chosen] > limit[chosen] * (1 + LEAST_EXCESS)])
@@ -192,18 +206,7 @@ def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Exce
     clipped = Phi.copy()
     clipped[:-1] = rest
     np.add.at(clipped, peeled.times, np.einsum("k,ka,kb->kab", left, peeled.directions, peeled.directions))
-    return clipped, Excess(peeled.times[chosen], peeled.directions[chosen], (peeled.weights - left)[chosen])
-
-
-def rows_of(excess: Excess, space: KeptSpace) -> Array:
-    """Return the directions as rows on v."""
-    found = np.empty((len(excess.times), space.size))
-    of_y = np.zeros((space.horizon + 1, space.states + space.controls))
-    for row, t, direction in zip(found, excess.times, excess.directions, strict=True):
-        of_y[t] = direction
-        row[:] = space.gradient(of_y)
-        of_y[t] = 0.0
-    return found
+    return clipped, LargeWeights(peeled.times[chosen], peeled.directions[chosen], (peeled.weights - left)[chosen])
 
 
 class TwoLevel:
@@ -217,29 +220,24 @@ class TwoLevel:
 
     def factor(self, Phi: Array, C: Array) -> bool:
         """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
-        self._clipped, self._excess = self._noise.clipped(Phi)
+        self._clipped, self._large = self._noise.clipped(Phi)
         self._second.factor(self._clipped)
-        self._directions = len(self._excess.times)
-        self._B = np.concatenate([rows_of(self._excess, self._space), self._E])
-        self._PB = self._second.solve_many(self._B)
-        S = self._B @ self._PB.T
-        self._C = la.block_diag(np.diag(1 / self._excess.weights), C)
-        self._schur = Cholesky(S + self._C)
+        self._rows = _Rows(self._space, self._large, self._E, C, self._second.solve_many)
         return False
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
         """Return v and nu."""
-        zero, count = np.zeros(len(self._B)), self._directions
-        right = np.concatenate([zero[:count], e])
-        v, nu = self._projected(np.zeros_like(r), right) if e.any() else (np.zeros_like(r), zero.copy())
+        right = self._rows.right(e)
+        zero = np.zeros_like(right)
+        v, nu = self._rows.project(np.zeros_like(r), right) if e.any() else (np.zeros_like(r), zero.copy())
         left = r - self._applied(v, nu) if nu.any() else r.copy()
-        target, direction, of_rows = REDUCTION * _largest(r), np.zeros_like(r), zero
+        target, direction, of_rows = REDUCTION * largest([r]), np.zeros_like(r), zero
         slope, least, since, iterations = 1.0, np.inf, 0, 0
-        while (error := _largest(left)) > target and iterations < MOST_ITERATIONS:
+        while (error := largest([left])) > target and iterations < MOST_ITERATIONS:
             least, since = (error, iterations) if error < least else (least, since)
             if iterations - since > PATIENCE:
                 break
-            step, prices = self._projected(left, zero)
+            step, prices = self._rows.project(self._second.solve(left), zero)
             slope, before = float(left @ step), slope
             beta = slope / before if iterations else 0.0
             direction, of_rows = step + beta * direction, prices + beta * of_rows
@@ -252,29 +250,17 @@ class TwoLevel:
             left -= slope / curvature * bent
             iterations += 1
         self.iterations.append(iterations)
-        return v, nu[count:]
+        return v, nu[self._rows.directions :]
 
     def _applied(self, v: Array, nu: Array) -> Array:
         """Return M v, of clipped weights, plus nu times all rows."""
-        space, excess = self._space, self._excess
+        space, large = self._space, self._large
         y, _ = space.simulated(v)
-        of_y, prices = space.priced(nu[self._directions :])
+        of_large, of_rows = np.split(nu, [len(large.times)])
+        of_y, prices = space.priced(of_rows)
         of_y += space.loops.times(self._clipped, y)
-        np.add.at(of_y, excess.times, nu[: self._directions, None] * excess.directions)
+        np.add.at(of_y, large.times, of_large[:, None] * large.directions)
         return space.gradient(of_y, prices)
-
-    def _projected(self, r: Array, e: Array) -> tuple[Array, Array]:
-        """Solve the system of the preconditioner."""
-        v = self._second.solve(r) if r.any() else np.zeros_like(r)
-        nu = np.zeros_like(e)
-        for _ in range(PROJECTIONS if len(e) else 0):
-            more = self._schur.solve(self._B @ v - self._C @ nu - e)
-            v, nu = v - more @ self._PB, nu + more
-        return v, nu
-
-
-def _largest(values: Array) -> float:
-    return float(np.abs(values).max(initial=0.0))
 
 
 class SecondLevel:

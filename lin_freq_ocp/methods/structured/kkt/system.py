@@ -245,7 +245,10 @@ class StepSystem:
 
 
 def _of_values(cone: Cone) -> Array:
-    """Return the compliance of the values of hard balls, (balls, d, d)."""
+    """Return the compliance of the values of hard balls, (balls, d, d), which eliminating their heads leaves.
+
+    The closed form eta^2 (I - 2 v v'/(1 + 2 |v|^2)), w = (w_0, v), stays definite; a difference of matrices would not.
+    """
     v, square = cone.w[:, 1:], cone.eta[:, 0, None, None] ** 2
     return square * (np.eye(v.shape[1]) - (2 / (1 + 2 * (v * v).sum(1)))[:, None, None] * v[:, :, None] * v[:, None, :])
 

@@ -1,11 +1,9 @@
-"""Sweeps for many columns at once: b stages become one product of dense matrices.
+"""Dense linear algebra: Cholesky factors, and sweeps for many columns, where b stages become one product of matrices.
 
 All outputs of a block of stages are linear in what enters it, so that its matrix is found once by b steps (for all
 blocks side by side) and then serves any number of columns. In sequence remain n x n products, one a block. Missing
 stages are filled in before the first: x passes through them. At t = T, the identity in the place of A_T = 0 carries x_T
 out of the last block, and the gradient in x_T into it.
-
-Dense symmetric positive definite matrices: a Cholesky factors of them, scaled to a diagonal of ones.
 """
 
 from __future__ import annotations
@@ -20,6 +18,12 @@ from scipy.linalg import blas, lapack
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
 LEAST_SHIFT = 1e-14  # of the diagonal of ones, at first, for a matrix that rounding made indefinite
+NARROW = 8
+"""So few columns are solved for alone: finding the matrices of the blocks costs more."""
+CALL = 500
+"""What a call costs beside a product of dense matrices, in multiplications a column; measured."""
+ROWS = 512
+"""Rows of N whose Gram matrix is added at once: enough for fast products, few enough for the cache."""
 
 
 class Cholesky:
@@ -67,32 +71,48 @@ def gram(rows: Array, total: Array | None = None) -> Array:
     return blas.dsyrk(1.0, rows.T, beta=1.0, c=total.T, overwrite_c=1).T if rows.size else total
 
 
-NARROW = 8
-"""So few columns are solved for alone: finding the matrices of the blocks costs more."""
+class BlockRegulator(ABC):
+    """A regulator whose responses come from blocks."""
 
-CALL = 500
-"""What a call costs beside a product of dense matrices, in multiplications a column; measured."""
+    _closed: ClosedLoop | None = None
 
+    @abstractmethod
+    def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
+        """Return y, eta and lam0."""
 
-ROWS = 512
-"""Rows of N whose Gram matrix is added at once: enough for fast products, few enough for the cache."""
+    @abstractmethod
+    def gains(self) -> Gains:
+        """Return what the Riccati recursion finds."""
 
+    def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
+        """Return the responses on the channels, and x_T."""
+        if R.shape[2] <= NARROW:
+            return self._alone(channels, R, E)
+        return self._closed_loop(channels).responses(R, E)
 
-def block_length(n: int, inputs: float) -> int:
-    """Return the number of stages a block that makes sweeps cheapest, for so many inputs and outputs a stage."""
-    return ceil(sqrt(4 * n * n + CALL) / inputs)
+    def gram(self, channels: Indices, R: Array, E: Array) -> Array:
+        """Return the lower triangle of minus the gradients times their responses."""
+        if R.shape[2] <= NARROW:
+            Y, X = self._alone(channels, R, E)
+            return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
+        return self._closed_loop(channels).gram(R, E)
 
+    def _closed_loop(self, channels: Indices) -> ClosedLoop:
+        if self._closed is None or not np.array_equal(self._closed.channels, channels):
+            self._closed = ClosedLoop(self.gains(), channels)
+        return self._closed
 
-def padded(values: Array, times: Indices, filling: Array) -> Array:
-    """Return values[times], (blocks, b, ...), with the filling where times is negative."""
-    found = values[times]
-    found[times < 0] = filling
-    return found
-
-
-def passing(A: Array) -> Array:
-    """Return A (T+1, n, n) with the identity as A_T."""
-    return np.concatenate([A[:-1], np.eye(A.shape[1])[None]])
+    def _alone(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
+        gains = self.gains()
+        stages, n, k = gains.B.shape
+        Y, X = np.empty_like(R), np.empty_like(E)
+        for j in range(R.shape[2]):
+            r = np.zeros((stages, n + k))
+            r[:, channels] = R[:, :, j]
+            r[-1, :n] += E[:, j]
+            y, _, _ = self.solve(r, np.zeros((stages, n)), np.zeros(n))
+            Y[:, :, j], X[:, j] = y[:, channels], y[-1, :n]
+        return Y, X
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,50 +221,6 @@ class ClosedLoop:
         return self._up
 
 
-class BlockRegulator(ABC):
-    """A regulator whose responses come from blocks."""
-
-    _closed: ClosedLoop | None = None
-
-    @abstractmethod
-    def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
-        """Return y, eta and lam0."""
-
-    @abstractmethod
-    def gains(self) -> Gains:
-        """Return what the Riccati recursion finds."""
-
-    def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
-        """Return the responses on the channels, and x_T."""
-        if R.shape[2] <= NARROW:
-            return self._alone(channels, R, E)
-        return self._closed_loop(channels).responses(R, E)
-
-    def gram(self, channels: Indices, R: Array, E: Array) -> Array:
-        """Return the lower triangle of minus the gradients times their responses."""
-        if R.shape[2] <= NARROW:
-            Y, X = self._alone(channels, R, E)
-            return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
-        return self._closed_loop(channels).gram(R, E)
-
-    def _closed_loop(self, channels: Indices) -> ClosedLoop:
-        if self._closed is None or not np.array_equal(self._closed.channels, channels):
-            self._closed = ClosedLoop(self.gains(), channels)
-        return self._closed
-
-    def _alone(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
-        gains = self.gains()
-        stages, n, k = gains.B.shape
-        Y, X = np.empty_like(R), np.empty_like(E)
-        for j in range(R.shape[2]):
-            r = np.zeros((stages, n + k))
-            r[:, channels] = R[:, :, j]
-            r[-1, :n] += E[:, j]
-            y, _, _ = self.solve(r, np.zeros((stages, n)), np.zeros(n))
-            Y[:, :, j], X[:, j] = y[:, channels], y[-1, :n]
-        return Y, X
-
-
 class OpenLoop:
     """The gradient of 1/2 y'Phi y in w and in the restarts as a linear map; x_0 = 0.
 
@@ -316,3 +292,20 @@ class OpenLoop:
                 gstarts[segment[i]], p = p, np.zeros((n, m))
         gw = (self._gw @ room).reshape(*place.shape, k, m)
         return gw[place], gstarts, ends, x
+
+
+def block_length(n: int, inputs: float) -> int:
+    """Return the number of stages a block that makes sweeps cheapest, for so many inputs and outputs a stage."""
+    return ceil(sqrt(4 * n * n + CALL) / inputs)
+
+
+def padded(values: Array, times: Indices, filling: Array) -> Array:
+    """Return values[times], (blocks, b, ...), with the filling where times is negative."""
+    found = values[times]
+    found[times < 0] = filling
+    return found
+
+
+def passing(A: Array) -> Array:
+    """Return A (T+1, n, n) with the identity as A_T."""
+    return np.concatenate([A[:-1], np.eye(A.shape[1])[None]])
