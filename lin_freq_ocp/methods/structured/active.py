@@ -25,7 +25,7 @@ from lin_freq_ocp.methods.structured.kkt.system import (
     INEQUALITIES,
     INITIAL,
     STAGES,
-    Side,
+    KKTSolver,
     StepSystem,
     System,
     Values,
@@ -57,7 +57,7 @@ def solve_active(system: System, responses: RowResponses, targets: Targets, near
         count = np.count_nonzero(wrong)
         if not count:
             responses.hold(y, z, system.b, rows)
-            found = _refined(system, responses, targets, rows, y, z)
+            found = _refine(system, responses, targets, rows, y, z)
             return None if found is None else Answer(End.OPTIMAL, *found, step)
         tries = TRIES if count < fewest else tries - 1
         fewest = min(count, fewest)
@@ -84,7 +84,7 @@ def _peaks(excess: Array, shape: tuple[int, ...]) -> Mask:
     return found
 
 
-def _refined(
+def _refine(
     system: System, responses: RowResponses, targets: Targets, rows: Indices, y: Array, z: Values
 ) -> tuple[Array, Values, Errors] | None:
     """Return y and z with these active rows, refined until they are accurate enough; None if that does not help."""
@@ -106,8 +106,8 @@ def _refined(
 class RowResponses:
     """The responses of a system without second-order cones; inequalities are flat, those of stages first."""
 
-    def __init__(self, system: System, side: Side):
-        self._system, self.step = system, StepSystem(system, side)
+    def __init__(self, system: System, solver: KKTSolver):
+        self._system, self.step = system, StepSystem(system, solver)
         for cone in system.cones.values():
             cone.leave_out()
         self.step.factor()

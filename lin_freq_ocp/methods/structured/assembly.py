@@ -17,22 +17,22 @@ from lin_freq_ocp.methods.structured.recovery import (
     Origin,
     Recovery,
     Units,
+    fix_unused_entries,
     multiplier_layout,
     origin_of,
     own_units,
-    scaled,
-    scaled_dynamics,
-    unused_entries_held,
+    scale_dynamics,
+    scale_stages,
 )
 from lin_freq_ocp.methods.structured.rows import (
     Columns,
     CoupledPart,
     StageRowList,
+    assign_slots,
     box_rows,
-    joined,
+    concatenate_rows,
     nonnegative_slacks,
     on_channels,
-    places,
     stopped_parts,
     term_parts,
     term_rows,
@@ -73,13 +73,11 @@ class Assembly:
         n, m = problem.state_dim, problem.control_dim
         sizes = old.columns[0, : n + m] * own_units(self.stages, y, m)
         ratio = _column_units(problem, sizes[:n], sizes[n:], self.slack_columns, y.shape) / old.columns
-        stages, change = scaled(self.stages, ratio, self.priced, y)
+        stages, change = scale_stages(self.stages, ratio, self.priced, y)
         units = Units(old.columns * ratio, old.rows * change.rows, old.cost * change.cost)
         if np.abs(np.log(np.append(ratio, change.cost))).max() < np.log(REVISED):
             return None
-        return replace(
-            self, stages=unused_entries_held(stages, self.used), recovery=replace(self.recovery, units=units)
-        )
+        return replace(self, stages=fix_unused_entries(stages, self.used), recovery=replace(self.recovery, units=units))
 
     def exchanged(self, problem: OptimalControlProblem) -> Assembly | None:
         """Return the stages of a problem with other dynamics, references and fixed ends, in the same units.
@@ -98,7 +96,7 @@ class Assembly:
         if (fixed != old_fixed).any() or (ends != old_ends)[:, ~fixed].any():
             return None
         coupling, origin, n = self.stages.coupling, self.recovery.origin, problem.state_dim
-        A, B, d = scaled_dynamics(*_dynamics(problem, origin, columns.shape[1]), columns)
+        A, B, d = scale_dynamics(*_dynamics(problem, origin, columns.shape[1]), columns)
         if problem.linear.A is old.linear.A and problem.linear.B is old.linear.B:
             A, B = self.stages.A, self.stages.B
         deviation = (ends[0] - origin.x[[0, -1]]) / columns[[0, -1], :n]
@@ -133,10 +131,10 @@ def stages_of(problem: OptimalControlProblem) -> Assembly:
     coupling, parts = builder.coupling()
     plain, priced, used = builder.stages(coupling), builder.priced(), builder.used()
     columns = _column_units(problem, *stated_sizes(problem), builder.slack_columns, used.shape)
-    stages, units = scaled(plain, columns, priced)
+    stages, units = scale_stages(plain, columns, priced)
     targets, signs = builder.recovered(parts)
     recovery = Recovery(problem, builder.origin, units, builder.layout, targets, signs)
-    return Assembly(unused_entries_held(stages, used), recovery, builder.slack_columns, used, priced)
+    return Assembly(fix_unused_entries(stages, used), recovery, builder.slack_columns, used, priced)
 
 
 class _Builder:
@@ -149,7 +147,7 @@ class _Builder:
         self.origin = origin_of(problem)
         self._fixed = _ends(problem)[1]
         self._rows, of_terms = self._all_rows()
-        self._places = places(self._rows)
+        self._places = assign_slots(self._rows)
         self._width = n + m + self._places.slack_count
         self.slack_columns = tuple(self._flat_slacks[one] for one in of_terms)
 
@@ -173,7 +171,7 @@ class _Builder:
                 parts.append(nonnegative_slacks(times, prices, n + m))
                 spread += len(prices)
         firsts = np.cumsum([len(part.prices) for part in parts])
-        return joined(parts), [slice(int(a), int(b)) for a, b in pairwise(firsts[1:])]
+        return concatenate_rows(parts), [slice(int(a), int(b)) for a, b in pairwise(firsts[1:])]
 
     def stages(self, coupling: Coupling) -> Stages:
         """Return the stages in the problem's own units; entries of y that are not used have Hessian 0."""

@@ -27,7 +27,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.structured.cones import Cone, into
+from lin_freq_ocp.methods.structured.cones import Cone, clip_change
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System, Values, largest
 
 FRACTION = 0.99  # of the way to the boundary
@@ -164,7 +164,7 @@ class Embedding:
         self._h, self._b, self._cones = self.system.stages.h, self.system.b, self.system.cones
         self._sizes = 1 + float(np.abs(self._h).max(initial=0.0)), 1 + largest(self._b)
         self._degree = self.system.degree + 1
-        self._refined, self._expected = False, np.inf
+        self._refine, self._expected = False, np.inf
         typical = np.ones(self._h.shape)
         self._least_terms = LEAST_TERMS * self._terms(typical, _dot(typical, self.system.curvature(typical))) or 1.0
 
@@ -187,7 +187,7 @@ class Embedding:
             for step in count():
                 clock = now()
                 found = self.measured(point)
-                self._refined |= found.left > EXPECTED * self._expected + self.targets.residual * point.tau
+                self._refine |= found.left > EXPECTED * self._expected + self.targets.residual * point.tau
                 if best is None or found.errors.merit(self.targets) < best.errors.merit(self.targets):
                     best, progress = _answer(End.STALLED, point, found, step, point.tau), step
                 if found.mu <= PROGRESS * least:
@@ -269,7 +269,7 @@ class Embedding:
         for i, cone in cones.items():
             cone.scale(point.s[i], point.z[i])
         self.step.factor()
-        constant = self.step.solve(-self._h, self._b, self._refined)
+        constant = self.step.solve(-self._h, self._b, self._refine)
         squares = {i: cone.product(cone.lam, cone.lam) for i, cone in cones.items()}
         affine = self._direction(point, found, constant, _Aim(0.0, squares, kappa * tau))
         sigma = (1 - min(self._longest(point, affine), 1.0)) ** 3
@@ -308,16 +308,16 @@ class Embedding:
         of_s = dict(aim.of_s)
         for i, cone in self._cones.items():
             s, z = cone.lam + length * step.scaled_s[i], cone.lam + length * step.scaled_z[i]
-            of_s[i] = of_s[i] - cone.into(cone.product(s, z), low, high)
+            of_s[i] = of_s[i] - cone.clip_change(cone.product(s, z), low, high)
         product = (point.tau + length * step.tau) * (point.kappa + length * step.kappa)
-        return _Aim(aim.sigma, of_s, aim.of_kappa - float(into(np.array(product), low, high)))
+        return _Aim(aim.sigma, of_s, aim.of_kappa - float(clip_change(np.array(product), low, high)))
 
     def _direction(self, point: Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim) -> _Direction:
         cones, tau, kappa, b, rest = self._cones, point.tau, point.kappa, self._b, 1 - aim.sigma
         right = [-rest * part for part in found.f_z]
         for i, cone in cones.items():
             right[i] = right[i] + cone.scaled(cone.quotient(aim.of_s[i]), 1)
-        y, z = self.step.solve(-rest * found.f_y, right, self._refined)
+        y, z = self.step.solve(-rest * found.f_y, right, self._refine)
         slope = self._h + 2 * found.Py / tau
         steepness = _dot(slope, constant[0]) + sum(map(_dot, b, constant[1])) - found.yPy / tau**2 - kappa / tau
         missing = -rest * found.f_tau + aim.of_kappa / tau - _dot(slope, y) - sum(map(_dot, b, z))

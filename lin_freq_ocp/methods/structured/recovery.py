@@ -80,7 +80,7 @@ class Units:
     cost: float
 
 
-def scaled(stages: Stages, columns: Array, priced: Mask, y: Array | None = None) -> tuple[Stages, Units]:
+def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None = None) -> tuple[Stages, Units]:
     """Return the stages with y in units ``columns`` (T+1, n+k), and all units.
 
     The cost is measured by its slopes in the priced entries of y, at y or else where all are one unit.
@@ -88,11 +88,11 @@ def scaled(stages: Stages, columns: Array, priced: Mask, y: Array | None = None)
     n = stages.states
     G = stages.G * columns[:, None]
     of_stages = _stage_factors(G, stages.g, stages.cones)
-    coupling, of_coupling = _scaled_coupling(stages.coupling, columns)
+    coupling, of_coupling = _scale_coupling(stages.coupling, columns)
     H, h = stages.H * columns[:, :, None] * columns[:, None, :], stages.h * columns
     typical = np.ones(h.shape) if y is None else _typical(np.abs(y), columns)
     cost = _cost_factor(np.einsum("tij,tj->ti", np.abs(H), typical) + np.abs(h), priced)
-    A, B, d = scaled_dynamics(stages.A, stages.B, stages.d, columns)
+    A, B, d = scale_dynamics(stages.A, stages.B, stages.d, columns)
     changed = replace(
         stages,
         A=A,
@@ -109,7 +109,7 @@ def scaled(stages: Stages, columns: Array, priced: Mask, y: Array | None = None)
     return changed, Units(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), of_coupling]), cost)
 
 
-def scaled_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array, Array, Array]:
+def scale_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array, Array, Array]:
     """Return A, B and d with y in units ``columns``."""
     n = A.shape[1]
     after = np.concatenate([columns[1:, :n], np.ones((1, n))])
@@ -140,7 +140,7 @@ def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
     return _inverse(sizes)
 
 
-def _scaled_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array]:
+def _scale_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array]:
     units = columns[:, coupling.channels]
     end = columns[-1, coupling.terminal]
     factors = [1 / end]
@@ -154,7 +154,7 @@ def _scaled_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Arra
         inequalities.append(replace(part, rows=part.rows.scaled(factors[-1], units), limits=part.limits * factors[-1]))
     balls = []
     for part in coupling.balls:
-        changed, factor = _scaled_balls(part, units)
+        changed, factor = _scale_balls(part, units)
         balls.append(changed)
         factors.append(np.repeat(factor, 1 + part.dim))
     changed = replace(
@@ -167,7 +167,7 @@ def _scaled_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Arra
     return changed, np.concatenate(factors)
 
 
-def _scaled_balls(part: Balls, units: Array) -> tuple[Balls, Array]:
+def _scale_balls(part: Balls, units: Array) -> tuple[Balls, Array]:
     """Return balls of radius 1, unless their slacks are larger, and the factor of each."""
     count, plain = len(part.radius), part.rows.scaled(np.ones(part.rows.count), units)
     sizes = np.abs(part.radius)
@@ -205,7 +205,7 @@ def own_units(stages: Stages, y: Array, controls: int) -> Array:
     return np.where(size > UNIT_ROUNDING, size, 1.0)
 
 
-def unused_entries_held(stages: Stages, used: Mask) -> Stages:
+def fix_unused_entries(stages: Stages, used: Mask) -> Stages:
     """Return the stages with Hessian 1 for the entries of y that are not used at a time, (T+1, n+k)."""
     H, (time, entry) = stages.H.copy(), np.nonzero(~used)
     H[time, entry, entry] = 1.0
@@ -282,11 +282,11 @@ class Recovery:
         )
         if not self.origin.held.any():
             return multipliers
-        nu = held_multipliers(problem, self.origin, multipliers, None if y is None else self.trajectory(y))
+        nu = fixed_control_multipliers(problem, self.origin, multipliers, None if y is None else self.trajectory(y))
         return replace(multipliers, nu=nu)
 
 
-def held_multipliers(
+def fixed_control_multipliers(
     problem: OptimalControlProblem, origin: Origin, found: Multipliers, trajectory: Trajectory | None
 ) -> Array:
     """Return nu, (T, m), with those of the held controls; at eta_C = 0, no trajectory is needed."""

@@ -149,7 +149,7 @@ def _times(term: Term, form: ConicForm, of_values: Indices) -> tuple[Indices, In
     return times, slack_times
 
 
-def joined(parts: Sequence[StageRowList]) -> StageRowList:
+def concatenate_rows(parts: Sequence[StageRowList]) -> StageRowList:
     """Return all rows in one list."""
     firsts = np.cumsum([0, *(len(part.lower) for part in parts)])
     return StageRowList(
@@ -177,7 +177,7 @@ def _block_diagonal(blocks: Sequence[sp.csr_array]) -> sp.csr_array:
 
 
 @dataclass(frozen=True, eq=False)
-class StagePlaces:
+class StageSlots:
     """Where rows and slacks stand: row ``source`` times ``sign`` at (time, slot), <= its limit or in a cone."""
 
     source: Indices
@@ -194,7 +194,7 @@ class StagePlaces:
         return int(self.slack_slot.max(initial=-1)) + 1
 
 
-def places(rows: StageRowList) -> StagePlaces:
+def assign_slots(rows: StageRowList) -> StageSlots:
     """Return where the rows and slacks stand in the stages; rows 0 <= limit that hold, and 0 = 0, are left out."""
     alone, empty = rows.alone, rows.empty
     equal = alone & (rows.lower == rows.upper)
@@ -214,7 +214,7 @@ def places(rows: StageRowList) -> StagePlaces:
     sources = np.concatenate(source)
     sign = np.where(np.arange(len(sources)) < int(above.sum()), 1.0, -1.0)
     equations = np.flatnonzero(equal & ~(empty & (np.abs(rows.lower) <= rows.rounding)))
-    return StagePlaces(sources, sign, np.concatenate(slot), count, tuple(cones), equations, _ranks(rows.slack_times))
+    return StageSlots(sources, sign, np.concatenate(slot), count, tuple(cones), equations, _ranks(rows.slack_times))
 
 
 def _ranks(keys: Indices) -> Indices:

@@ -15,7 +15,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
 from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
-from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
+from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds
 from lin_freq_ocp.methods.structured.embedding import Answer, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
@@ -58,7 +58,7 @@ def solve_structured(
         return
     while True:
         recovery, system = assembly.recovery, System(assembly.stages, recursions)
-        step = StepSystem(system, choose_side(assembly.stages, recursions))
+        step = StepSystem(system, choose_kkt_solver(assembly.stages, recursions))
         answer = Embedding(
             system, step, targets, lambda z, recovery=recovery: excludes(recovery.multipliers(z, 0.0))
         ).run()
@@ -114,7 +114,7 @@ class Prepared:
         """Return the responses of the rows of stages, which depend on all but right-hand sides."""
         if self._rows is None or not self._rows[0].same_matrices(assembly) or self._rows[1] != loops.compiled:
             stages = assembly.stages
-            rows = RowResponses(System(stages, loops), choose_side(stages, loops))
+            rows = RowResponses(System(stages, loops), choose_kkt_solver(stages, loops))
             self._rows = assembly, loops.compiled, rows
         return self._rows[2]
 

@@ -12,7 +12,7 @@ from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.structured import active
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
 from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.range_space import stopped_side
+from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
 from lin_freq_ocp.methods.structured.stages import Coupling, Equations, Inequalities
@@ -46,12 +46,12 @@ def moved(problem, seed, size=0.3):
 
 def embedded(problem, compiled=False):
     system = System(problem, loops(compiled))
-    return Embedding(system, StepSystem(system, stopped_side(problem, system.loops)), Targets()).run()
+    return Embedding(system, StepSystem(system, range_space_solver(problem, system.loops)), Targets()).run()
 
 
 def responses(problem, compiled=False):
     system = System(problem, loops(compiled))
-    return RowResponses(system, stopped_side(problem, system.loops))
+    return RowResponses(system, range_space_solver(problem, system.loops))
 
 
 @pytest.mark.parametrize("compiled", COMPILED)

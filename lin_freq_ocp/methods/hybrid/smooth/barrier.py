@@ -22,12 +22,14 @@ from lin_freq_ocp.methods.hybrid.smooth.filter import Filter
 from lin_freq_ocp.methods.hybrid.smooth.interior import inverse, moved_inside
 from lin_freq_ocp.methods.hybrid.smooth.local import Local, Objective, Point, Trial
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
-from lin_freq_ocp.methods.structured.choice import choose_side
-from lin_freq_ocp.methods.structured.kkt.null_space import KeptSide, sort_rows
-from lin_freq_ocp.methods.structured.kkt.range_space import stopped_side
+from lin_freq_ocp.methods.structured.choice import choose_kkt_solver as choose_side
+from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver as KeptSide
+from lin_freq_ocp.methods.structured.kkt.null_space import sort_rows
+from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver as stopped_side
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, Side, System, largest
+from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, System, largest
+from lin_freq_ocp.methods.structured.kkt.system import KKTSolver as Side
 from lin_freq_ocp.methods.structured.stages import Stages
 
 FIRST_MU, LEAST_MU = 0.1, 1e-11  # in units in which the steepest slope of the cost is 10

@@ -14,7 +14,8 @@ from lin_freq_ocp.methods.hybrid.smooth.interior import inverse, log_determinant
 from lin_freq_ocp.methods.hybrid.smooth.model import Derivatives, SmoothModel
 from lin_freq_ocp.methods.structured.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
-from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, STAGES, Side, StepSystem, System, Values, largest
+from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, STAGES, StepSystem, System, Values, largest
+from lin_freq_ocp.methods.structured.kkt.system import KKTSolver as Side
 
 NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second side to know that a step is convex
 FRACTION = 0.99  # of the way to the boundary, at least

@@ -42,21 +42,21 @@ class Reduced(Protocol):
         ...
 
 
-class KeptSide:
-    """Stop bands hold exactly; what they leave is solved by ``reduced``."""
+class NullSpaceSolver:
+    """The solver that satisfies stop bands exactly; ``reduced`` solves the system that they leave."""
 
     indefinite: ClassVar[bool] = True
 
-    def __init__(self, stages: Stages, loops: Loops, reduced: Callable[[KeptSpace], Reduced]):
+    def __init__(self, stages: Stages, loops: Loops, reduced: Callable[[NullSpace], Reduced]):
         self._stages, self._loops, self._solved_by = stages, loops, reduced
         bands, rest = sort_rows(stages)
         self._slacks = Slacks(stages, [band.entry for band in bands])
-        self._space = KeptSpace(stages, self._slacks, bands, rest, loops)
+        self._space = NullSpace(stages, self._slacks, bands, rest, loops)
         self._reduced = reduced(self._space)
 
-    def exchanged(self, stages: Stages) -> KeptSide:
+    def exchanged(self, stages: Stages) -> NullSpaceSolver:
         """Return the same for stages with other dynamics and Hessians."""
-        return KeptSide(stages, self._loops, self._solved_by)
+        return NullSpaceSolver(stages, self._loops, self._solved_by)
 
     def factor(self, Phi: Array, compliance: Compliance) -> bool:
         """Prepare for Phi (T+1, n+k, n+k) and C."""
@@ -75,13 +75,15 @@ class KeptSide:
         y[:, n:] = space.coefficients.particular(f)
         y, ends = space.simulated(np.zeros(space.size), y, c)
         of_v = space.gradient(core + self._loops.times(self._Phi, y))
-        v, nu = self._reduced.solve(-of_v, space.right(f) - space.values(y, ends))
+        v, nu = self._reduced.solve(
+            -of_v, np.concatenate([np.zeros(space.continuity), f[space.chosen]]) - space.values(y, ends)
+        )
         y, _ = space.simulated(v, y, c)
         of_y, prices = space.priced(nu)
         of_y += core + self._loops.times(self._Phi, y)
         p, gw, _ = self._loops.backward(space.A, space.B, of_y, space.breaks, prices)
         coupling = np.zeros(len(f))
-        space.unpriced(nu, coupling)
+        coupling[space.chosen] = nu[space.continuity :]
         space.coefficients.multipliers(gw, coupling)
         eta = np.zeros_like(c)
         eta[:-1] = -p[1:]
@@ -292,7 +294,7 @@ class Coefficients:
         return fft.irfft(pairs.view(np.complex128), n=self.horizon, axis=1)
 
 
-class KeptSpace:
+class NullSpace:
     """The map from v to y, and its adjoint."""
 
     def __init__(self, stages: Stages, slacks: Slacks, bands: list[StopBand], rest: list[Remaining], loops: Loops):
@@ -343,10 +345,6 @@ class KeptSpace:
         rest = [part.rows.forward(signals)[:, 0] for part in self._rest]
         return np.concatenate([-ends.ravel(), y[-1, self.terminal], *rest])
 
-    def right(self, f: Array) -> Array:
-        """Return the right-hand sides of the rows from those of F."""
-        return np.concatenate([np.zeros(self.continuity), f[self.chosen]])
-
     def priced(self, nu: Array) -> tuple[Array, Array]:
         """Return the gradient in y (T+1, nz), and the prices (K, n), of multipliers of the rows."""
         prices, terminal, rest = np.split(nu, np.cumsum(self.counts[:2]))
@@ -360,10 +358,6 @@ class KeptSpace:
         if first:
             of_y[:, self._channels] += signals[:, :, 0]
         return of_y, prices.reshape(self.zero.shape)
-
-    def unpriced(self, nu: Array, coupling: Array) -> None:
-        """Write the multipliers of the rows into those of F."""
-        coupling[self.chosen] = nu[self.continuity :]
 
     def rows(self) -> Array:
         """Return the rows as a matrix (rows, size)."""

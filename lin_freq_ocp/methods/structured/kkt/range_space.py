@@ -30,7 +30,7 @@ import scipy.linalg as la
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, gram
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, Regulator
-from lin_freq_ocp.methods.structured.kkt.system import Compliance, Side, Step
+from lin_freq_ocp.methods.structured.kkt.system import Compliance, KKTSolver, Step
 from lin_freq_ocp.methods.structured.stages import Balls, Stages
 
 TERMINAL_WEIGHT = 1e2  # of the distance from the terminal state, relative to the largest curvature
@@ -40,15 +40,15 @@ SPARE = 40  # directions beyond the number of bins of a band: its ends leak into
 WORTH = 0.75  # rank relative to the number of rows below which the low rank pays
 
 
-def stopped_side(stages: Stages, loops: Loops) -> Side:
-    """Return the side: with rows on a fine grid by their low rank, else dense."""
+def range_space_solver(stages: Stages, loops: Loops) -> KKTSolver:
+    """Return the solver: with rows on a fine grid by their low rank, else dense."""
     response = Response(stages, loops)
     fine = fine_rows(response)
-    return StoppedSide(response) if fine is None else FineRows(response, fine)
+    return RangeSpaceSolver(response) if fine is None else LowRankSolver(response, fine)
 
 
 class Response:
-    """The regulator of one problem and the rows F of its coupling, in the order of ``Coupling``; see ``side``."""
+    """The regulator of one problem and the rows F of its coupling, in the order of ``Coupling``."""
 
     def __init__(self, stages: Stages, loops: Loops):
         self.stages, self.coupling, self._loops = stages, stages.coupling, loops
@@ -94,7 +94,7 @@ class Response:
         return gradient
 
 
-class StoppedSide:
+class RangeSpaceSolver:
     """The dense Schur complement on all rows that couple times."""
 
     indefinite: ClassVar[bool] = False
@@ -103,7 +103,7 @@ class StoppedSide:
         self._response, self._count = response, response.coupling.count
         self._rows = response.rows.gradients
 
-    def exchanged(self, stages: Stages) -> StoppedSide:
+    def exchanged(self, stages: Stages) -> RangeSpaceSolver:
         """Return the same for stages with other dynamics and Hessians."""
         other = copy(self)
         other._response = self._response.exchanged(stages)
@@ -142,8 +142,8 @@ def _is_fine(part: Balls) -> bool:
     return part.rows.oversampling > 1 and part.heads is None
 
 
-class FineRows:
-    """The side with rows of low rank."""
+class LowRankSolver:
+    """The Schur complement with rows of low rank."""
 
     indefinite: ClassVar[bool] = False
 
@@ -157,7 +157,7 @@ class FineRows:
         none = np.zeros((len(end), V.shape[2]))
         self._gradients = np.concatenate([of_plain, V], axis=2), np.concatenate([end, none], axis=1)
 
-    def exchanged(self, stages: Stages) -> FineRows:
+    def exchanged(self, stages: Stages) -> LowRankSolver:
         """Return the same for stages with other dynamics and Hessians."""
         other = copy(self)
         other._response = self._response.exchanged(stages)

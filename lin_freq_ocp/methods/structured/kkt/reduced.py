@@ -30,7 +30,7 @@ import scipy.linalg as la
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, OpenLoop
-from lin_freq_ocp.methods.structured.kkt.null_space import KeptSpace, break_times
+from lin_freq_ocp.methods.structured.kkt.null_space import NullSpace, break_times
 from lin_freq_ocp.methods.structured.kkt.system import largest
 
 WEIGHT = 10.0  # of E'E, relative to the mean diagonal of M: of order 1, for both to keep their digits
@@ -59,7 +59,7 @@ class DenseReduced:
     leaves the solution alone, and makes it definite where only these rows determine the starts.
     """
 
-    def __init__(self, space: KeptSpace):
+    def __init__(self, space: NullSpace):
         self._space, self._E, self._noise = space, space.rows(), Noise(space)
         kept = space.coefficients.count
         self._blocks = [slice(a, min(kept, a + COLUMNS)) for a in range(0, kept, COLUMNS)]
@@ -118,7 +118,7 @@ class LargeWeights(NamedTuple):
 class _Rows:
     """The rows B = (Y, E) on v, and the solutions that satisfy them."""
 
-    def __init__(self, space: KeptSpace, large: LargeWeights, E: Array, C: Array, inverse: Callable[[Array], Array]):
+    def __init__(self, space: NullSpace, large: LargeWeights, E: Array, C: Array, inverse: Callable[[Array], Array]):
         """Factor their Schur complement; ``inverse`` gives M^-1 of rows (count, size), as rows."""
         self.directions = len(large.times)
         Y, of_y = np.empty((self.directions, space.size)), np.zeros((space.horizon + 1, space.states + space.controls))
@@ -146,7 +146,7 @@ class _Rows:
 class Noise:
     """For every control, the mean covariance of y under unit white noise in its coefficients."""
 
-    def __init__(self, space: KeptSpace):
+    def __init__(self, space: NullSpace):
         """Simulate the noise, with restarts of its own."""
         n, m, T = space.states, space.controls, space.horizon
         random, still = np.random.default_rng(0), np.zeros((T + 1, n))
@@ -212,7 +212,7 @@ def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Larg
 class TwoLevel:
     """Projected conjugate gradients on the reduced system."""
 
-    def __init__(self, space: KeptSpace):
+    def __init__(self, space: NullSpace):
         self._space, self._E, self._noise = space, space.rows(), Noise(space)
         held = self._E[: space.continuity + len(space.terminal)]
         self._second = SecondLevel(space, float((held * held).sum(0).max(initial=0.0)))
@@ -266,7 +266,7 @@ class TwoLevel:
 class SecondLevel:
     """The clipped regulator of a space, restricted to v."""
 
-    def __init__(self, space: KeptSpace, height: float):
+    def __init__(self, space: NullSpace, height: float):
         self._space, n, m, T = space, space.states, space.controls, space.horizon
         self._height = height  # largest squared column of the rows of starts and x_T
         per = -(-n // m)  # stages for a jump, of m components each

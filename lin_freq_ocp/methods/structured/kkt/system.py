@@ -89,18 +89,12 @@ class System:
         result -= self.loops.transposed_times(self._AB, eta)
         result[1:, :n] += eta[:-1]
         result[0, :n] += np.where(self._fixed, z[INITIAL], 0.0)
-        self.add_coupled(z[EQUATIONS:], result)
+        if self.coupling.count:
+            nu = [z[EQUATIONS], z[INEQUALITIES][:, 0]]
+            for part, rows in zip(self.coupling.balls, z[BALLS:], strict=True):
+                nu.append(-rows[:, 0 if part.heads is not None else 1 :].ravel())
+            self.stages.coupled.add_adjoint(np.concatenate(nu), result)
         return result
-
-    def add_coupled(self, z: Values, gradient: Array) -> None:
-        """Add the adjoint of the rows that couple times to a gradient (T+1, n + k)."""
-        if not self.coupling.count:
-            return
-        equations, unequal, *balls = z
-        nu = [equations, unequal[:, 0]]
-        for part, rows in zip(self.coupling.balls, balls, strict=True):
-            nu.append(-rows[:, 0 if part.heads is not None else 1 :].ravel())
-        self.stages.coupled.add_adjoint(np.concatenate(nu), gradient)
 
     def curvature(self, y: Array) -> Array:
         """Return P y."""
@@ -144,14 +138,14 @@ class Step(NamedTuple):
     coupling: Array  # nu, (rows,)
 
 
-class Side(Protocol):
+class KKTSolver(Protocol):
     """A way to solve the system, exact up to rounding and the tolerance of an iteration; residuals are refined."""
 
     indefinite: ClassVar[
         bool
     ]  # whether Phi may be indefinite on the dynamics: ``factor`` says if the rows make up for it
 
-    def exchanged(self, stages: Stages) -> Side:
+    def exchanged(self, stages: Stages) -> KKTSolver:
         """Return the same for stages with other dynamics and Hessians."""
         ...
 
@@ -167,11 +161,11 @@ class Side(Protocol):
 class StepSystem:
     """The system of a step at the scalings of the cones; ``factor`` it before ``solve``."""
 
-    def __init__(self, system: System, side: Side):
-        self.system, self._side, self._loops = system, side, system.loops
+    def __init__(self, system: System, solver: KKTSolver):
+        self.system, self._solver, self._loops = system, solver, system.loops
 
     def factor(self) -> bool:
-        """Factor at the present scalings; return what the side says of convexity."""
+        """Factor at the present scalings; return what the solver says of convexity."""
         system, stages = self.system, self.system.stages
         Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
         diagonal = np.arange(Phi.shape[1])
@@ -181,7 +175,7 @@ class StepSystem:
         roots = [_root_of_values(cone) for part, cone in balls if part.heads is None]
         unequal = system.cones[INEQUALITIES].w[:, 0] ** 2 if INEQUALITIES in system.cones else np.zeros(0)
         equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
-        return self._side.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
+        return self._solver.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
 
     def solve(self, of_y: Array, of_z: Values, refined: bool = True) -> tuple[Array, Values]:
         """Return (y, z), by default refined as long as the residual falls."""
@@ -213,7 +207,7 @@ class StepSystem:
             if part.heads is None:
                 right = right[:, 1:] + _head_ratio(own) * rows[:, :1]
             f.append(right.ravel())
-        step = self._side.solve(gradient, of_z[DYNAMICS], of_z[INITIAL], np.concatenate(f))
+        step = self._solver.solve(gradient, of_z[DYNAMICS], of_z[INITIAL], np.concatenate(f))
         of_stages = cone.scaled(self._loops.times(stages.G, step.y) - of_z[STAGES], -2)
         return step.y, [step.eta, step.initial, of_stages, *self._multipliers(step.coupling, of_z)]
 
