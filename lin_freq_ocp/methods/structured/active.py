@@ -36,49 +36,50 @@ TRIES = 5  # steps that do not lower the number of wrong rows before single ones
 REFINEMENTS = 3  # of the answer at most; the first takes back what regularises the system
 TIGHT = 1e-6  # distance of a trajectory to a bound, in units of order 1, from which it is on it
 ROUNDING = 1e-11  # by which a row is broken, or a multiplier negative, that stays as it is
-MOST_NUMBERS = 5e6  # that are kept: 40 MB
+MOST_NUMBERS = 5e6  # that are cached: 40 MB
 
 
-def solve_active(system: System, responses: RowResponses, targets: Targets, near: Array) -> Answer | None:
-    """Return the answer from the active rows of y (T+1, n+k) near it; None if it is not found so."""
+def solve_active(system: System, responses: RowResponses, targets: Targets, start: Array) -> Answer | None:
+    """Return the answer from the active rows of y (T+1, n+k) near it; None if pivoting does not find it."""
     limits, present = flat(system.b), np.concatenate([cone.present.ravel() for cone in system.cones.values()])
-    y, z = responses.free(-system.stages.h, system.b)
-    alone, joint = flat(system.rows(y)) - limits, ~_of_states(system)
-    active = present & (limits - flat(system.rows(near)) <= TIGHT)
+    y, z = responses.unconstrained(-system.stages.h, system.b)
+    alone = flat(system.rows(y)) - limits
+    active = present & (limits - flat(system.rows(start)) <= TIGHT)
+    # Rows of controls enter all at once; of the rows of states alone, the peaks
+    of_controls = np.concatenate(
+        [
+            system.stages.G[:, :, system.stages.states :].any(axis=2).ravel(),
+            np.ones(system.b[INEQUALITIES].size, dtype=bool),
+        ]
+    )
     fewest, tries = len(limits) + 1, TRIES
     for step in range(1, MOST_STEPS + 1):
         rows = np.flatnonzero(active)
         if now() > targets.end or not responses.prepare(rows, targets.end):
             return None
         multipliers, change = responses.multipliers(rows, alone[rows])
-        excess = np.where(present & ~active, np.maximum(alone + change - ROUNDING, 0.0), 0.0)
-        wrong = excess > 0
+        violation = np.where(present & ~active, np.maximum(alone + change - ROUNDING, 0.0), 0.0)
+        wrong = violation > 0
         wrong[rows] = multipliers < -ROUNDING
         count = np.count_nonzero(wrong)
         if not count:
-            responses.hold(y, z, system.b, rows)
+            responses.activate(y, z, system.b, rows)
             found = _refine(system, responses, targets, rows, y, z)
             return None if found is None else Answer(End.OPTIMAL, *found, step)
         tries = TRIES if count < fewest else tries - 1
         fewest = min(count, fewest)
         if tries > 0:
-            wrong &= active | joint | _peaks(excess, system.b[STAGES].shape)
+            wrong &= active | of_controls | _peaks(violation, system.b[STAGES].shape)
         else:
             wrong[: np.flatnonzero(wrong)[-1]] = False
         active = active ^ wrong
     return None
 
 
-def _of_states(system: System) -> Mask:
-    """Return which inequalities are rows of states alone."""
-    of_stages = ~system.stages.G[:, :, system.stages.states :].any(axis=2).ravel()
-    return np.concatenate([of_stages, np.zeros(system.b[INEQUALITIES].size, dtype=bool)])
-
-
-def _peaks(excess: Array, shape: tuple[int, ...]) -> Mask:
-    """Return where the excess of rows of stages, of this shape, is no less than a time before and larger than after."""
-    stages = excess[: shape[0] * shape[1]].reshape(shape)
-    edge, found = np.zeros((1, shape[1])), np.zeros(len(excess), dtype=bool)
+def _peaks(violation: Array, shape: tuple[int, ...]) -> Mask:
+    """Return where rows of stages, of this shape, are violated no less than a time before and more than after."""
+    stages = violation[: shape[0] * shape[1]].reshape(shape)
+    edge, found = np.zeros((1, shape[1])), np.zeros(len(violation), dtype=bool)
     around = np.concatenate([edge, stages, edge])
     found[: stages.size] = ((stages >= around[:-2]) & (stages > around[2:])).ravel()
     return found
@@ -91,8 +92,8 @@ def _refine(
     embedding = Embedding(system, responses.step, targets)
     left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
     for _ in range(REFINEMENTS):
-        dy, dz = responses.free(-system.stages.h - system.curvature(y) - system.adjoint(z), left)
-        responses.hold(dy, dz, left, rows)
+        dy, dz = responses.unconstrained(-system.stages.h - system.curvature(y) - system.adjoint(z), left)
+        responses.activate(dy, dz, left, rows)
         y, z = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
         left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
         s = {i: np.maximum(left[i], 0.0) * cone.present for i, cone in system.cones.items()}
@@ -104,20 +105,20 @@ def _refine(
 
 
 class RowResponses:
-    """The responses of a system without second-order cones; inequalities are flat, those of stages first."""
+    """Cached responses of a system without second-order cones; inequalities are flat, those of stages first."""
 
     def __init__(self, system: System, solver: KKTSolver):
         self._system, self.step = system, StepSystem(system, solver)
         for cone in system.cones.values():
             cone.leave_out()
         self.step.factor()
-        self._places = np.full(len(flat(system.b)), -1)
-        self._answers, self._values = np.empty((0, 0)), np.empty((0, len(self._places)))
+        self._slots = np.full(len(flat(system.b)), -1)
+        self._answers, self._values = np.empty((0, 0)), np.empty((0, len(self._slots)))
         self._count = 0
 
     def prepare(self, rows: Indices, end: float = np.inf) -> bool:
         """Find the responses of these rows that are missing; return whether there is room for them, and time."""
-        new, shapes = rows[self._places[rows] < 0], [part.shape for part in self._system.b]
+        new, shapes = rows[self._slots[rows] < 0], [part.shape for part in self._system.b]
         width = self._system.stages.h.size + sum(self._system.b[i].size for i in (DYNAMICS, INITIAL, EQUATIONS))
         self._reserve(len(new), width)
         if self._count + len(new) > len(self._answers):
@@ -130,36 +131,36 @@ class RowResponses:
             y, z = self.step.solve(-self._system.adjoint(unit), [np.zeros(shape) for shape in shapes], False)
             self._answers[self._count] = np.concatenate([y.ravel(), z[DYNAMICS].ravel(), z[INITIAL], z[EQUATIONS]])
             self._values[self._count] = flat(self._system.rows(y))
-            self._places[row] = self._count
+            self._slots[row] = self._count
             self._count += 1
         return True
 
     def _reserve(self, new: int, width: int) -> None:
-        """Make room for as many more responses, if there may be as many."""
-        most = int(MOST_NUMBERS / (width + len(self._places)))
-        room = min(most, max(self._count + new, 2 * len(self._answers)))
-        if self._count + new > len(self._answers) and self._count + new <= room:
-            kept = self._answers[: self._count], self._values[: self._count]
-            self._answers, self._values = np.empty((room, width)), np.empty((room, len(self._places)))
-            if self._count:
-                self._answers[: self._count], self._values[: self._count] = kept
+        """Extend the cache for as many new responses, if the limit allows them."""
+        most = int(MOST_NUMBERS / (width + len(self._slots)))
+        size = min(most, max(self._count + new, 2 * len(self._answers)))
+        if self._count + new > len(self._answers) and self._count + new <= size:
+            cached = self._answers[: self._count], self._values[: self._count]
+            self._answers, self._values = np.empty((size, width)), np.empty((size, len(self._slots)))
+            if self._count:  # else of width 0
+                self._answers[: self._count], self._values[: self._count] = cached
 
-    def multipliers(self, rows: Indices, excess: Array) -> tuple[Array, Array]:
-        """Return lambda for G_A y_0 - g_A of prepared rows, and by how much it changes the values of all rows."""
-        values = self._values[self._places[rows]]
-        found = Cholesky(-values[:, rows]).solve(excess)
+    def multipliers(self, rows: Indices, violation: Array) -> tuple[Array, Array]:
+        """Return lambda for violations G_A y_0 - g_A of prepared rows, and the change of the values of all rows."""
+        values = self._values[self._slots[rows]]
+        found = Cholesky(-values[:, rows]).solve(violation)
         return found, found @ values
 
-    def free(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
-        """Return (y, z) with P y + A'z = of_y, A y = of_z, where no inequality counts."""
+    def unconstrained(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
+        """Return (y, z) with P y + A'z = of_y, A y = of_z, without inequalities."""
         return self.step.solve(of_y, of_z, False)
 
-    def hold(self, y: Array, z: Values, of_z: Values, rows: Indices) -> None:
-        """Change (y, z) of ``free`` to those where these rows, prepared, count as equations."""
+    def activate(self, y: Array, z: Values, of_z: Values, rows: Indices) -> None:
+        """Change (y, z) of ``unconstrained`` to the solution with these prepared rows as equations."""
         if not len(rows):
             return
         found, _ = self.multipliers(rows, flat(self._system.rows(y))[rows] - flat(of_z)[rows])
-        change = found @ self._answers[self._places[rows]]
+        change = found @ self._answers[self._slots[rows]]
         ends = np.cumsum([y.size, *(z[i].size for i in (DYNAMICS, INITIAL))])
         for part, more in zip((y, z[DYNAMICS], z[INITIAL], z[EQUATIONS]), np.split(change, ends), strict=True):
             part += more.reshape(part.shape)

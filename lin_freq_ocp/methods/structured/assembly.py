@@ -52,7 +52,7 @@ class Assembly:
 
     stages: Stages
     recovery: Recovery
-    slack_columns: tuple[Indices, ...]  # of each term: where its slacks stand in y, flat
+    slack_columns: tuple[Indices, ...]  # of each term: the positions of its slacks in y, flat
     used: Mask  # entries of y, (T+1, n+k)
     priced: Mask  # those that make the size of the cost: signals, and slacks of nonsmooth costs
 
@@ -138,7 +138,7 @@ def stages_of(problem: OptimalControlProblem) -> Assembly:
 
 
 class _Builder:
-    """The rows of a problem, their places, and the arrays that follow."""
+    """The rows of a problem, their slots, and the arrays that follow."""
 
     def __init__(self, problem: OptimalControlProblem):
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
@@ -147,9 +147,9 @@ class _Builder:
         self.origin = origin_of(problem)
         self._fixed = _ends(problem)[1]
         self._rows, of_terms = self._all_rows()
-        self._places = assign_slots(self._rows)
-        self._width = n + m + self._places.slack_count
-        self.slack_columns = tuple(self._flat_slacks[one] for one in of_terms)
+        self._slots = assign_slots(self._rows)
+        self._width = n + m + self._slots.slack_count
+        self.slack_columns = tuple(self._flat_slacks[own] for own in of_terms)
 
     def _all_rows(self) -> tuple[StageRowList, list[slice]]:
         """Return the rows of single times, and of each term, which of their slacks are its own."""
@@ -183,32 +183,31 @@ class _Builder:
         time, entry = np.nonzero(origin.held)
         H[time, entry], H[time, :, entry], h[time, entry] = 0.0, 0.0, 0.0
         h.flat[self._flat_slacks] = self._rows.prices
-        G, g = self._stage_arrays()
+        rows, slots, first = self._rows, self._slots, n + m
+        G, g = np.zeros((T + 1, slots.count, width)), np.full((T + 1, slots.count), np.inf)
+        time = rows.times[slots.source]
+        G[time, slots.slot, :first] = slots.sign[:, None] * rows.matrix[slots.source]
+        slacks = sp.coo_array(rows.slacks[slots.source])
+        row, slack = slacks.coords
+        G[time[row], slots.slot[row], first + slots.slack_slot[slack]] = slots.sign[row] * slacks.data
+        g[time, slots.slot] = np.where(slots.sign > 0, rows.upper[slots.source], -rows.lower[slots.source])
         lower = problem.state_tube.lower
         initial = np.where(self._fixed[0], lower[0] - origin.x[0], np.nan)
         dynamics = _dynamics(problem, origin, width)
-        return Stages(*dynamics, H, h, G, g, self._places.cones, initial, coupling, cost.value(origin.x, origin.u))
-
-    def _stage_arrays(self) -> tuple[Array, Array]:
-        rows, at, first = self._rows, self._places, self._n + self._m
-        G, g = np.zeros((self._T + 1, at.count, self._width)), np.full((self._T + 1, at.count), np.inf)
-        time = rows.times[at.source]
-        G[time, at.slot, :first] = at.sign[:, None] * rows.matrix[at.source]
-        slacks = sp.coo_array(rows.slacks[at.source])
-        row, slack = slacks.coords
-        G[time[row], at.slot[row], first + at.slack_slot[slack]] = at.sign[row] * slacks.data
-        g[time, at.slot] = np.where(at.sign > 0, rows.upper[at.source], -rows.lower[at.source])
-        return G, g
+        return Stages(*dynamics, H, h, G, g, self._slots.cones, initial, coupling, cost.value(origin.x, origin.u))
 
     def coupling(self) -> tuple[Coupling, list[CoupledPart]]:
-        """Return the rows that couple times, in the problem's own units, and with them where their duals belong."""
+        """Return the rows that couple times, in the problem's own units, and their parts with the targets of duals."""
         problem, T, n, m = self._problem, self._T, self._n, self._m
         origin, columns = self.origin, Columns(T + 1, n, m, self._width)
         parts = [
             *stopped_parts(problem.state_stop, problem.state_samples, 0, origin.values, self._width, self.layout.rho_x),
             *stopped_parts(problem.control_stop, T, n, origin.values, self._width, self.layout.rho_u),
-            *self._stage_equations(columns),
         ]
+        rows, equal = self._rows, self._slots.equations
+        if len(equal):
+            matrix = columns.of_stages(rows.times[equal], rows.matrix[equal], rows.slacks[equal], self._flat_slacks)
+            parts.append(CoupledPart(Equations(SparseRows(matrix), rows.lower[equal]), rows.targets[equal]))
         for term, slacks, target in zip(problem.terms, self.slack_columns, self.layout.terms, strict=True):
             if term.map.stage_form(n, m) is None:
                 parts += term_parts(term, columns, slacks, term.map.values(origin.x, origin.u), target)
@@ -216,17 +215,9 @@ class _Builder:
         end = problem.state_tube.lower[-1, terminal] - origin.x[-1, terminal]
         return on_channels(parts, self._width, terminal, end), parts
 
-    def _stage_equations(self, columns: Columns) -> list[CoupledPart]:
-        """Return the rows of single times with lower = upper."""
-        rows, chosen = self._rows, self._places.equations
-        if not len(chosen):
-            return []
-        matrix = columns.of_stages(rows.times[chosen], rows.matrix[chosen], rows.slacks[chosen], self._flat_slacks)
-        return [CoupledPart(Equations(SparseRows(matrix), rows.lower[chosen]), rows.targets[chosen])]
-
     @property
     def _flat_slacks(self) -> Indices:
-        return self._rows.slack_times * self._width + self._n + self._m + self._places.slack_slot
+        return self._rows.slack_times * self._width + self._n + self._m + self._slots.slack_slot
 
     def used(self) -> Mask:
         """Return which entries of y are used, (T+1, n+k)."""
@@ -243,13 +234,13 @@ class _Builder:
         return priced
 
     def recovered(self, parts: list[CoupledPart]) -> tuple[Indices, Array]:
-        """Return the target and the sign of every dual behind those of the dynamics, flat."""
-        n, T, places = self._n, self._T, self._places
+        """Return the target and the sign of every dual after those of the dynamics, flat."""
+        n, T, slots = self._n, self._T, self._slots
         initial = np.where(self._fixed[0], self.layout.mu + np.arange(n), -1)
         end = self.layout.mu + T * n + np.flatnonzero(self._fixed[1])
-        of_stages, signs = np.full((T + 1, places.count), -1), np.ones((T + 1, places.count))
-        at = self._rows.times[places.source], places.slot
-        of_stages[at], signs[at] = self._rows.targets[places.source], places.sign
+        of_stages, signs = np.full((T + 1, slots.count), -1), np.ones((T + 1, slots.count))
+        at = self._rows.times[slots.source], slots.slot
+        of_stages[at], signs[at] = self._rows.targets[slots.source], slots.sign
         ordered = [part for kind in (Equations, Inequalities, Balls) for part in parts if isinstance(part.family, kind)]
         targets = [initial, of_stages.ravel(), end, *(part.targets.ravel() for part in ordered)]
         of_parts = [np.full(part.targets.size, part.sign) for part in ordered]

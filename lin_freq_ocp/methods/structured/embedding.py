@@ -164,7 +164,7 @@ class Embedding:
         self._h, self._b, self._cones = self.system.stages.h, self.system.b, self.system.cones
         self._sizes = 1 + float(np.abs(self._h).max(initial=0.0)), 1 + largest(self._b)
         self._degree = self.system.degree + 1
-        self._refine, self._expected = False, np.inf
+        self._refined, self._expected = False, np.inf
         typical = np.ones(self._h.shape)
         self._least_terms = LEAST_TERMS * self._terms(typical, _dot(typical, self.system.curvature(typical))) or 1.0
 
@@ -186,21 +186,21 @@ class Embedding:
             last = now() - clock  # a step takes about as long
             for step in count():
                 clock = now()
-                found = self.measured(point)
-                self._refine |= found.left > EXPECTED * self._expected + self.targets.residual * point.tau
-                if best is None or found.errors.merit(self.targets) < best.errors.merit(self.targets):
-                    best, progress = _answer(End.STALLED, point, found, step, point.tau), step
-                if found.mu <= PROGRESS * least:
-                    least, progress = found.mu, step
-                ended = self._ended(point, found, step)
+                measures = self.measured(point)
+                self._refined |= measures.left > EXPECTED * self._expected + self.targets.residual * point.tau
+                if best is None or measures.errors.merit(self.targets) < best.errors.merit(self.targets):
+                    best, progress = _answer(End.STALLED, point, measures, step, point.tau), step
+                if measures.mu <= PROGRESS * least:
+                    least, progress = measures.mu, step
+                ended = self._ended(point, measures, step)
                 if ended is not None:
                     return ended
                 stalled = step - progress > STALLED and not self._vanishing(point)
-                if stalled or step == MOST_STEPS or point.tau < LEAST_TAU or not np.isfinite(found.errors.primal):
-                    return self._rough_ray(point, found, step) or best
+                if stalled or step == MOST_STEPS or point.tau < LEAST_TAU or not np.isfinite(measures.errors.primal):
+                    return self._rough_ray(point, measures, step) or best
                 if clock + last > self.targets.end:
                     return replace(best, end=End.TIME)
-                point = self._next(point, found)
+                point = self._next(point, measures)
                 last = now() - clock
         except KeyboardInterrupt:
             if best is None:
@@ -240,62 +240,62 @@ class Embedding:
         descent = max(largest(Ay), curved) / -hy if hy < 0 else np.inf
         return _Measures(f_y, f_z, f_tau, Py, yPy, hy, bz, mu, errors, max(of_y, of_z), ray, descent)
 
-    def _ended(self, point: Point, found: _Measures, step: int) -> Answer | None:
+    def _ended(self, point: Point, measures: _Measures, step: int) -> Answer | None:
         """Return the answer if the point is one."""
-        if found.errors.merit(self.targets) <= 1:
-            return _answer(End.OPTIMAL, point, found, step, point.tau)
+        if measures.errors.merit(self.targets) <= 1:
+            return _answer(End.OPTIMAL, point, measures, step, point.tau)
         vanishing = self._vanishing(point)
-        if (found.ray <= RAY and vanishing) or (found.bz < 0 and vanishing and self.accept_ray(point.z)):
-            return _answer(End.INFEASIBLE, point, found, step, -found.bz)
-        if found.descent <= RAY and vanishing:
-            return _answer(End.UNBOUNDED, point, found, step, -found.hy)
+        if (measures.ray <= RAY and vanishing) or (measures.bz < 0 and vanishing and self.accept_ray(point.z)):
+            return _answer(End.INFEASIBLE, point, measures, step, -measures.bz)
+        if measures.descent <= RAY and vanishing:
+            return _answer(End.UNBOUNDED, point, measures, step, -measures.hy)
         return None
 
-    def _rough_ray(self, point: Point, found: _Measures, steps: int) -> Answer | None:
+    def _rough_ray(self, point: Point, measures: _Measures, steps: int) -> Answer | None:
         """Return the ray or direction at which the iteration stalled, if it is one, for the judge to verify."""
-        if self._vanishing(point) and found.ray <= ROUGH_RAY:
-            return _answer(End.INFEASIBLE, point, found, steps, -found.bz)
-        if point.tau < VANISHED and found.descent <= ROUGH_RAY:
-            return _answer(End.UNBOUNDED, point, found, steps, -found.hy)
+        if self._vanishing(point) and measures.ray <= ROUGH_RAY:
+            return _answer(End.INFEASIBLE, point, measures, steps, -measures.bz)
+        if point.tau < VANISHED and measures.descent <= ROUGH_RAY:
+            return _answer(End.UNBOUNDED, point, measures, steps, -measures.hy)
         return None
 
     @staticmethod
     def _vanishing(point: Point) -> bool:
         return point.tau < VANISHED * min(1.0, point.kappa)
 
-    def _next(self, point: Point, found: _Measures) -> Point:
+    def _next(self, point: Point, measures: _Measures) -> Point:
         """Return the point after a step of predictor and correctors."""
         cones, tau, kappa = self._cones, point.tau, point.kappa
         for i, cone in cones.items():
             cone.scale(point.s[i], point.z[i])
         self.step.factor()
-        constant = self.step.solve(-self._h, self._b, self._refine)
+        constant = self.step.solve(-self._h, self._b, self._refined)
         squares = {i: cone.product(cone.lam, cone.lam) for i, cone in cones.items()}
-        affine = self._direction(point, found, constant, _Aim(0.0, squares, kappa * tau))
+        affine = self._direction(point, measures, constant, _Aim(0.0, squares, kappa * tau))
         sigma = (1 - min(self._longest(point, affine), 1.0)) ** 3
         centred = {
-            i: squares[i] + cone.product(affine.scaled_s[i], affine.scaled_z[i]) - sigma * found.mu * cone.identity
+            i: squares[i] + cone.product(affine.scaled_s[i], affine.scaled_z[i]) - sigma * measures.mu * cone.identity
             for i, cone in cones.items()
         }
-        of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * found.mu
-        step, length = self._corrected(point, found, constant, _Aim(sigma, centred, of_kappa))
+        of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * measures.mu
+        step, length = self._corrected(point, measures, constant, _Aim(sigma, centred, of_kappa))
         # The closer a whole step is to being possible, the closer to the boundary it may end
         fraction = min(MOST_FRACTION, max(FRACTION, 1 - FRACTION_SLOPE * (1 - min(length, 1.0)) ** 2))
         length = min(fraction * length, 1.0)
-        self._expected = (1 - length * (1 - sigma)) * found.left
+        self._expected = (1 - length * (1 - sigma)) * measures.left
         return point.moved(step, length)
 
     def _corrected(
-        self, point: Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim
+        self, point: Point, measures: _Measures, constant: tuple[Array, Values], aim: _Aim
     ) -> tuple[_Direction, float]:
         """Return the direction after Gondzio's correctors, and the longest step along it."""
-        step = self._direction(point, found, constant, aim)
+        step = self._direction(point, measures, constant, aim)
         length = self._longest(point, step)
         for _ in range(CORRECTORS):
             if length >= FAR:
                 break
-            aim = self._recentred(point, step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, found.mu)
-            other = self._direction(point, found, constant, aim)
+            aim = self._recentred(point, step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, measures.mu)
+            other = self._direction(point, measures, constant, aim)
             further = self._longest(point, other)
             if further < length + GAIN:
                 break
@@ -312,20 +312,20 @@ class Embedding:
         product = (point.tau + length * step.tau) * (point.kappa + length * step.kappa)
         return _Aim(aim.sigma, of_s, aim.of_kappa - float(clip_change(np.array(product), low, high)))
 
-    def _direction(self, point: Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim) -> _Direction:
+    def _direction(self, point: Point, measures: _Measures, constant: tuple[Array, Values], aim: _Aim) -> _Direction:
         cones, tau, kappa, b, rest = self._cones, point.tau, point.kappa, self._b, 1 - aim.sigma
-        right = [-rest * part for part in found.f_z]
+        right = [-rest * part for part in measures.f_z]
         for i, cone in cones.items():
             right[i] = right[i] + cone.scaled(cone.quotient(aim.of_s[i]), 1)
-        y, z = self.step.solve(-rest * found.f_y, right, self._refine)
-        slope = self._h + 2 * found.Py / tau
-        steepness = _dot(slope, constant[0]) + sum(map(_dot, b, constant[1])) - found.yPy / tau**2 - kappa / tau
-        missing = -rest * found.f_tau + aim.of_kappa / tau - _dot(slope, y) - sum(map(_dot, b, z))
+        y, z = self.step.solve(-rest * measures.f_y, right, self._refined)
+        slope = self._h + 2 * measures.Py / tau
+        steepness = _dot(slope, constant[0]) + sum(map(_dot, b, constant[1])) - measures.yPy / tau**2 - kappa / tau
+        missing = -rest * measures.f_tau + aim.of_kappa / tau - _dot(slope, y) - sum(map(_dot, b, z))
         dtau = missing / steepness
         y = y + dtau * constant[0]
         z = [part + dtau * other for part, other in zip(z, constant[1], strict=True)]
         rows = self.system.rows(y)
-        s = {i: (b[i] * dtau - rest * found.f_z[i] - rows[i]) * cone.present for i, cone in cones.items()}
+        s = {i: (b[i] * dtau - rest * measures.f_z[i] - rows[i]) * cone.present for i, cone in cones.items()}
         scaled_s = {i: cone.scaled(s[i], -1) for i, cone in cones.items()}
         scaled_z = {i: cone.scaled(z[i], 1) for i, cone in cones.items()}
         return _Direction(y, z, s, scaled_s, scaled_z, dtau, -(aim.of_kappa + kappa * dtau) / tau)
@@ -338,8 +338,8 @@ class Embedding:
         return min([*lengths, *ends], default=np.inf)
 
 
-def _answer(end: End, point: Point, found: _Measures, steps: int, unit: float) -> Answer:
-    return Answer(end, point.y / unit, [part / unit for part in point.z], found.errors, steps)
+def _answer(end: End, point: Point, measures: _Measures, steps: int, unit: float) -> Answer:
+    return Answer(end, point.y / unit, [part / unit for part in point.z], measures.errors, steps)
 
 
 def _inside(cones: dict[int, Cone], v: dict[int, Array]) -> dict[int, Array]:

@@ -73,7 +73,7 @@ def _coupled_controls(problem: OptimalControlProblem) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """The units of y, (T+1, n+k), and the factors of every row behind the dynamics and of the cost."""
+    """The units of y, (T+1, n+k), and the factors of every row after the dynamics and of the cost."""
 
     columns: Array
     rows: Array  # (rows,): of x_0, of stages, equations, inequalities and balls, flat
@@ -90,8 +90,13 @@ def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None =
     of_stages = _stage_factors(G, stages.g, stages.cones)
     coupling, of_coupling = _scale_coupling(stages.coupling, columns)
     H, h = stages.H * columns[:, :, None] * columns[:, None, :], stages.h * columns
-    typical = np.ones(h.shape) if y is None else _typical(np.abs(y), columns)
-    cost = _cost_factor(np.einsum("tij,tj->ti", np.abs(H), typical) + np.abs(h), priced)
+    typical = np.ones(h.shape)
+    if y is not None:  # in the new units; a component that moves at all, no smaller than the change others would notice
+        size = np.abs(y)
+        typical = np.where(size.max(axis=0) > UNIT_ROUNDING, np.maximum(size / columns, UNNOTICED), 0.0)
+    slopes = np.einsum("tij,tj->ti", np.abs(H), typical) + np.abs(h)
+    steepest = float(slopes[priced].max(initial=0.0)) or float(slopes.max(initial=0.0))  # or there are only penalties
+    cost = COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
     A, B, d = scale_dynamics(stages.A, stages.B, stages.d, columns)
     changed = replace(
         stages,
@@ -114,18 +119,6 @@ def scale_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array,
     n = A.shape[1]
     after = np.concatenate([columns[1:, :n], np.ones((1, n))])
     return A * columns[:, None, :n] / after[:, :, None], B * columns[:, None, n:] / after[:, :, None], d / after
-
-
-def _cost_factor(slopes: Array, priced: Mask) -> float:
-    steepest = float(slopes[priced].max(initial=0.0))
-    if steepest == 0:  # nothing but penalties
-        steepest = float(slopes.max(initial=0.0))
-    return COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
-
-
-def _typical(y: Array, columns: Array) -> Array:
-    """Return the magnitudes of y in units ``columns``, where a component moves at all no smaller than is noticed."""
-    return np.where(y.max(axis=0) > UNIT_ROUNDING, np.maximum(y / columns, UNNOTICED), 0.0)
 
 
 def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
@@ -192,7 +185,7 @@ def _inverse(sizes: Array) -> Array:
 def own_units(stages: Stages, y: Array, controls: int) -> Array:
     """Return the units of states and controls, (n+m,), in which y is of order 1, relative to those of the stages.
 
-    None is smaller than what the others would notice through the dynamics.
+    None is smaller than the change that the others would notice through the dynamics.
     """
     n = stages.states
     size = np.abs(y[:, : n + controls]).max(axis=0)
@@ -245,7 +238,7 @@ class Recovery:
     origin: Origin
     units: Units
     layout: MultiplierLayout
-    targets: Indices  # of each dual behind those of the dynamics, flat: the multiplier that it belongs to; -1: none
+    targets: Indices  # of each dual after those of the dynamics, flat: the multiplier that it belongs to; -1: none
     signs: Array
 
     def trajectory(self, y: Array) -> Trajectory:
@@ -264,19 +257,19 @@ class Recovery:
         problem, layout = self.problem, self.layout
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         duals = np.concatenate([part.ravel() for part in z[1:]]) * self.units.rows / self.units.cost
-        found = np.zeros(layout.count + 1)  # the last for duals without a multiplier
-        np.add.at(found, self.targets, self.signs * duals)
+        values = np.zeros(layout.count + 1)  # the last for duals without a multiplier
+        np.add.at(values, self.targets, self.signs * duals)
         eta = z[0][:-1] / self.units.columns[1:, :n] / self.units.cost
         shapes = [term.shape for term in problem.terms]
         multipliers = Multipliers(
             eta_C=eta_C,
             eta=eta,
-            mu=found[layout.mu : layout.nu].reshape(T + 1, n),
-            nu=found[layout.nu : layout.rho_x].reshape(T, m),
-            rho_x=_bins(found[layout.rho_x : layout.rho_u], n),
-            rho_u=_bins(found[layout.rho_u :][: 2 * problem.control_stop.size], m),
+            mu=values[layout.mu : layout.nu].reshape(T + 1, n),
+            nu=values[layout.nu : layout.rho_x].reshape(T, m),
+            rho_x=_bins(values[layout.rho_x : layout.rho_u], n),
+            rho_u=_bins(values[layout.rho_u :][: 2 * problem.control_stop.size], m),
             stage={
-                term.name: found[first : first + shape[0] * shape[1]].reshape(shape)
+                term.name: values[first : first + shape[0] * shape[1]].reshape(shape)
                 for term, first, shape in zip(problem.terms, layout.terms, shapes, strict=True)
             },
         )
@@ -287,19 +280,22 @@ class Recovery:
 
 
 def fixed_control_multipliers(
-    problem: OptimalControlProblem, origin: Origin, found: Multipliers, trajectory: Trajectory | None
+    problem: OptimalControlProblem, origin: Origin, multipliers: Multipliers, trajectory: Trajectory | None
 ) -> Array:
-    """Return nu, (T, m), with those of the held controls; at eta_C = 0, no trajectory is needed."""
+    """Return nu, (T, m), with those of the fixed controls; at eta_C = 0, no trajectory is needed.
+
+    They follow from stationarity, nu = -(eta_C dJ/du - B'eta + (rows of stages)'lambda).
+    """
     held, n, m = origin.held[:-1, origin.states :], problem.state_dim, problem.control_dim
     shapes = (problem.horizon + 1, n), (problem.horizon, m)
-    slopes = -problem.linear.pull_back(found.eta)[1]
+    slopes = -problem.linear.pull_back(multipliers.eta)[1]
     for term in problem.terms:
         if term.map.stage_form(n, m) is not None:
-            slopes += term.map.pull_back(found.stage[term.name], shapes)[1]
-    if found.eta_C:
+            slopes += term.map.pull_back(multipliers.stage[term.name], shapes)[1]
+    if multipliers.eta_C:
         assert trajectory is not None  # the cost has slopes
-        slopes += found.eta_C * problem.quadratic.gradient(trajectory.x, trajectory.u)[1]
-    return np.where(held, -slopes, found.nu)
+        slopes += multipliers.eta_C * problem.quadratic.gradient(trajectory.x, trajectory.u)[1]
+    return np.where(held, -slopes, multipliers.nu)
 
 
 def _bins(pairs: Array, components: int) -> ComplexArray:

@@ -51,7 +51,7 @@ class StageRowList:
     lower: Array  # (rows,)
     upper: Array  # (rows,)
     rounding: Array  # (rows,), of the limits
-    cones: Indices  # (cones, 2): first row, and the one behind the last
+    cones: Indices  # (cones, 2): first row, and the one after the last
     slack_times: Indices  # (slacks,)
     prices: Array  # (slacks,)
 
@@ -178,7 +178,7 @@ def _block_diagonal(blocks: Sequence[sp.csr_array]) -> sp.csr_array:
 
 @dataclass(frozen=True, eq=False)
 class StageSlots:
-    """Where rows and slacks stand: row ``source`` times ``sign`` at (time, slot), <= its limit or in a cone."""
+    """The slots of rows and slacks: row ``source`` times ``sign`` at (time, slot), <= its limit or in a cone."""
 
     source: Indices
     sign: Array
@@ -195,7 +195,7 @@ class StageSlots:
 
 
 def assign_slots(rows: StageRowList) -> StageSlots:
-    """Return where the rows and slacks stand in the stages; rows 0 <= limit that hold, and 0 = 0, are left out."""
+    """Return the slots of the rows and slacks in the stages; satisfied rows 0 <= limit, and 0 = 0, have none."""
     alone, empty = rows.alone, rows.empty
     equal = alone & (rows.lower == rows.upper)
     above = alone & ~equal & np.isfinite(rows.upper) & ~(empty & (rows.upper >= -rows.rounding))
@@ -240,7 +240,7 @@ class CoupledPart:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Where signals stand in y, flat: entry i of time t at t * width + i."""
+    """The positions of signals in y, flat: entry i of time t at t * width + i."""
 
     times: int  # T + 1
     states: int
@@ -282,7 +282,8 @@ def stopped_parts(stop: Mask, length: int, first: int, reference: Array, width: 
         bins = np.flatnonzero(stop[:, j])
         form = SpectrumForm(row, np.ones(length), length, bins, np.ones(2 * len(bins), dtype=bool))
         rows = _spectrum(form, ~form.zero, width)
-        right = -rows.forward(_padded(reference, width)[:, :, None])[:, 0]
+        signals = np.pad(reference, ((0, 0), (0, width - reference.shape[1])))
+        right = -rows.forward(signals[:, :, None])[:, 0]
         pairs = (2 * bins[:, None] + [0, 1]).ravel()[rows.kept]
         parts.append(CoupledPart(Equations(rows, right), target + int(j) * 2 * len(stop) + pairs))
     return parts
@@ -365,10 +366,6 @@ def _spectrum(form: SpectrumForm, kept: Mask, width: int) -> SpectrumRows:
     return SpectrumRows(row, form.window, form.points, form.bins, np.ones(len(form.bins)), kept)
 
 
-def _padded(reference: Array, width: int) -> Array:
-    return np.pad(reference, ((0, 0), (0, width - reference.shape[1])))
-
-
 def on_channels(parts: Sequence[CoupledPart], width: int, terminal: Indices, terminal_state: Array) -> Coupling:
     """Return all parts on the entries of y that they depend on."""
     families = [part.family for part in parts]
@@ -381,23 +378,23 @@ def on_channels(parts: Sequence[CoupledPart], width: int, terminal: Indices, ter
         np.flatnonzero(used),
         terminal,
         terminal_state,
-        tuple(replace(one, rows=one.rows.narrowed(used)) for one in families if isinstance(one, Equations)),
-        tuple(replace(one, rows=one.rows.narrowed(used)) for one in families if isinstance(one, Inequalities)),
+        tuple(replace(part, rows=part.rows.narrowed(used)) for part in families if isinstance(part, Equations)),
+        tuple(replace(part, rows=part.rows.narrowed(used)) for part in families if isinstance(part, Inequalities)),
         tuple(
-            replace(one, rows=one.rows.narrowed(used), heads=None if one.heads is None else one.heads.narrowed(used))
-            for one in families
-            if isinstance(one, Balls)
+            replace(part, rows=part.rows.narrowed(used), heads=part.heads and part.heads.narrowed(used))
+            for part in families
+            if isinstance(part, Balls)
         ),
     )
 
 
 def cone_rows(form: ConicForm) -> Indices:
-    """Return the first row of each cone and the one behind its last, (cones, 2)."""
+    """Return the first row of each cone and the one after its last, (cones, 2)."""
     return np.array([(cone.start, cone.stop) for cone in form.cones], dtype=int).reshape(-1, 2)
 
 
 def cone_members(cones: Indices) -> tuple[Indices, Indices]:
-    """Return the rows of all cones (first, behind the last), and the cone of each of them."""
+    """Return the rows of all cones (first, after the last), and the cone of each of them."""
     sizes = cones[:, 1] - cones[:, 0]
     cone = np.repeat(np.arange(len(cones)), sizes)
     return np.arange(len(cone)) + np.repeat(cones[:, 0] - np.cumsum(sizes) + sizes, sizes), cone

@@ -75,9 +75,8 @@ class NullSpaceSolver:
         y[:, n:] = space.coefficients.particular(f)
         y, ends = space.simulated(np.zeros(space.size), y, c)
         of_v = space.gradient(core + self._loops.times(self._Phi, y))
-        v, nu = self._reduced.solve(
-            -of_v, np.concatenate([np.zeros(space.continuity), f[space.chosen]]) - space.values(y, ends)
-        )
+        right = np.concatenate([np.zeros(space.continuity), f[space.chosen]])
+        v, nu = self._reduced.solve(-of_v, right - space.values(y, ends))
         y, _ = space.simulated(v, y, c)
         of_y, prices = space.priced(nu)
         of_y += core + self._loops.times(self._Phi, y)
