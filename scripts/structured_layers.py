@@ -37,7 +37,7 @@ LAYERS = {
     "blocks of stages": (dense, "NARROW", 10**9),
     "rows by one matrix": (stages, "DENSE", 0),
     "low rank of fine masks": (range_space, "WORTH", 0.0),
-    "the smaller side": (choice.Sizes, "seconds", lambda sizes: {"range space": 0.0}),
+    "the smaller space": (choice.Sizes, "seconds", lambda sizes: {"range space": 0.0}),
     "conjugate gradients": (choice, "ITERATIONS", np.inf),
 }
 
