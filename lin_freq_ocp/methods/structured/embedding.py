@@ -192,10 +192,10 @@ class Embedding:
                     best, progress = _answer(End.STALLED, point, measures, step, point.tau), step
                 if measures.mu <= PROGRESS * least:
                     least, progress = measures.mu, step
-                ended = self._ended(point, measures, step)
+                ended = self._conclude(point, measures, step)
                 if ended is not None:
                     return ended
-                stalled = step - progress > STALLED and not self._vanishing(point)
+                stalled = step - progress > STALLED and not self._tau_vanishes(point)
                 if stalled or step == MOST_STEPS or point.tau < LEAST_TAU or not np.isfinite(measures.errors.primal):
                     return self._rough_ray(point, measures, step) or best
                 if clock + last > self.targets.end:
@@ -213,8 +213,8 @@ class Embedding:
             cone.reset()
         self.step.factor()
         y, z = self.step.solve(-self._h, self._b)
-        s = _inside(self._cones, {i: -z[i] for i in self._cones})
-        for i, part in _inside(self._cones, {i: z[i] for i in self._cones}).items():
+        s = _move_inside(self._cones, {i: -z[i] for i in self._cones})
+        for i, part in _move_inside(self._cones, {i: z[i] for i in self._cones}).items():
             z[i] = part
         return Point(y, z, s)
 
@@ -240,11 +240,11 @@ class Embedding:
         descent = max(largest(Ay), curved) / -hy if hy < 0 else np.inf
         return _Measures(f_y, f_z, f_tau, Py, yPy, hy, bz, mu, errors, max(of_y, of_z), ray, descent)
 
-    def _ended(self, point: Point, measures: _Measures, step: int) -> Answer | None:
+    def _conclude(self, point: Point, measures: _Measures, step: int) -> Answer | None:
         """Return the answer if the point is one."""
         if measures.errors.merit(self.targets) <= 1:
             return _answer(End.OPTIMAL, point, measures, step, point.tau)
-        vanishing = self._vanishing(point)
+        vanishing = self._tau_vanishes(point)
         if (measures.ray <= RAY and vanishing) or (measures.bz < 0 and vanishing and self.accept_ray(point.z)):
             return _answer(End.INFEASIBLE, point, measures, step, -measures.bz)
         if measures.descent <= RAY and vanishing:
@@ -253,14 +253,14 @@ class Embedding:
 
     def _rough_ray(self, point: Point, measures: _Measures, steps: int) -> Answer | None:
         """Return the ray or direction at which the iteration stalled, if it is one, for the judge to verify."""
-        if self._vanishing(point) and measures.ray <= ROUGH_RAY:
+        if self._tau_vanishes(point) and measures.ray <= ROUGH_RAY:
             return _answer(End.INFEASIBLE, point, measures, steps, -measures.bz)
         if point.tau < VANISHED and measures.descent <= ROUGH_RAY:
             return _answer(End.UNBOUNDED, point, measures, steps, -measures.hy)
         return None
 
     @staticmethod
-    def _vanishing(point: Point) -> bool:
+    def _tau_vanishes(point: Point) -> bool:
         return point.tau < VANISHED * min(1.0, point.kappa)
 
     def _next(self, point: Point, measures: _Measures) -> Point:
@@ -278,14 +278,14 @@ class Embedding:
             for i, cone in cones.items()
         }
         of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * measures.mu
-        step, length = self._corrected(point, measures, constant, _Aim(sigma, centred, of_kappa))
+        step, length = self._correct(point, measures, constant, _Aim(sigma, centred, of_kappa))
         # The closer a whole step is to being possible, the closer to the boundary it may end
         fraction = min(MOST_FRACTION, max(FRACTION, 1 - FRACTION_SLOPE * (1 - min(length, 1.0)) ** 2))
         length = min(fraction * length, 1.0)
         self._expected = (1 - length * (1 - sigma)) * measures.left
         return point.moved(step, length)
 
-    def _corrected(
+    def _correct(
         self, point: Point, measures: _Measures, constant: tuple[Array, Values], aim: _Aim
     ) -> tuple[_Direction, float]:
         """Return the direction after Gondzio's correctors, and the longest step along it."""
@@ -294,7 +294,7 @@ class Embedding:
         for _ in range(CORRECTORS):
             if length >= FAR:
                 break
-            aim = self._recentred(point, step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, measures.mu)
+            aim = self._recentre(point, step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, measures.mu)
             other = self._direction(point, measures, constant, aim)
             further = self._longest(point, other)
             if further < length + GAIN:
@@ -302,7 +302,7 @@ class Embedding:
             step, length = other, further
         return step, length
 
-    def _recentred(self, point: Point, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
+    def _recentre(self, point: Point, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
         """Return the aim with outliers after such a step moved towards sigma mu."""
         low, high = aim.sigma * mu / OUTLYING, aim.sigma * mu * OUTLYING
         of_s = dict(aim.of_s)
@@ -342,7 +342,7 @@ def _answer(end: End, point: Point, measures: _Measures, steps: int, unit: float
     return Answer(end, point.y / unit, [part / unit for part in point.z], measures.errors, steps)
 
 
-def _inside(cones: dict[int, Cone], v: dict[int, Array]) -> dict[int, Array]:
+def _move_inside(cones: dict[int, Cone], v: dict[int, Array]) -> dict[int, Array]:
     """Return v, moved into the cones if it is not well inside of all.
 
     All cones move by the same amount: products of s and z of different sizes would allow short steps only.

@@ -111,7 +111,7 @@ def term_rows(term: Term, stage_form: tuple[Array, Array], origin: Origin, targe
     M, c = stage_form
     group, entry = np.divmod(form.entries, term.shape[1])
     valued = form.entries >= 0
-    times, slack_times = _times(term, form, np.where(valued, positions[group], -1))
+    times, slack_times = _row_times(term, form, np.where(valued, positions[group], -1))
     matrix = np.where(valued[:, None], M[group if len(M) > 1 else 0, entry], 0.0)
     constant = np.where(valued, c[group, entry], 0.0)
     parts = matrix * origin.values[times]
@@ -131,7 +131,7 @@ def term_rows(term: Term, stage_form: tuple[Array, Array], origin: Origin, targe
     )
 
 
-def _times(term: Term, form: ConicForm, of_values: Indices) -> tuple[Indices, Indices]:
+def _row_times(term: Term, form: ConicForm, of_values: Indices) -> tuple[Indices, Indices]:
     """Return the time of each row and of each slack, from those of the values in them (-1: no value)."""
     times, cones = of_values.copy(), cone_rows(form)
     in_cones, cone = cone_members(cones)
@@ -296,7 +296,7 @@ def term_parts(term: Term, columns: Columns, slack_columns: Indices, at: Array, 
     select = _Selection(term, form, columns, slack_columns)
     shift = np.where(form.entries >= 0, at.ravel()[form.entries], 0.0)
     lower, upper, cones = form.lower - shift, form.upper - shift, cone_rows(form)
-    alone = ~signs(form)
+    alone = ~_slack_bounds(form)
     alone[cone_members(cones)[0]] = False
     equal = alone & (form.lower == form.upper)
     rows = np.flatnonzero(equal & ~(select.empty & (lower == 0)))
@@ -314,7 +314,7 @@ def term_parts(term: Term, columns: Columns, slack_columns: Indices, at: Array, 
         yield CoupledPart(ball, targets[members], -1.0)
 
 
-def signs(form: ConicForm) -> Mask:
+def _slack_bounds(form: ConicForm) -> Mask:
     """Return which rows say only that a slack is not negative."""
     single = (form.entries < 0) & (np.diff(form.slacks.indptr) == 1) & (form.lower == 0) & np.isinf(form.upper)
     single[cone_members(cone_rows(form))[0]] = False

@@ -222,7 +222,7 @@ class SpectrumRows:
         spectrum = np.zeros((self.points // 2 + 1, weights.shape[1]), dtype=complex)
         spectrum[self.bins] = (pairs[0::2] + 1j * pairs[1::2]) * factor[:, None]
         signal = fft.irfft(spectrum, n=self.points, axis=0)[: len(self.window)] * self.window[:, None]
-        self._spread(signal, signals)
+        self._add_signal(signal, signals)
 
     def add_columns(self, chosen: Indices, signals: Array) -> None:
         """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
@@ -232,7 +232,7 @@ class SpectrumRows:
         table = np.concatenate([np.cos(angles), -np.sin(angles)])
         at = (np.arange(len(self.window))[:, None] * bins) % self.points + self.points * imaginary
         waves = table[at] * self.scale[entry // 2]
-        self._spread(waves * self.window[:, None], signals)
+        self._add_signal(waves * self.window[:, None], signals)
 
     @property
     def oversampling(self) -> int:
@@ -260,7 +260,7 @@ class SpectrumRows:
         of_bins = np.where(self.kept[0::2], pairs[0::2], pairs[1::2])
         return replace(self, coefficients=self.coefficients * units[0], scale=self.scale * of_bins)
 
-    def _spread(self, signal: Array, signals: Array) -> None:
+    def _add_signal(self, signal: Array, signals: Array) -> None:
         for channel in np.flatnonzero(self.coefficients):
             signals[: len(signal), channel] += self.coefficients[channel] * signal
 

@@ -49,9 +49,9 @@ class _Dispatcher(Protocol):
 def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     """Return the function as compiled code; without a folder for the cache, each process compiles it again."""
     try:
-        return _compiled(function, True)
+        return _compile(function, True)
     except RuntimeError:  # numba found no folder that it can write
-        return _compiled(function, False)
+        return _compile(function, False)
 
 
 def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
@@ -60,7 +60,7 @@ def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     return cast("Callable[Arguments, Value]", decorate(function))
 
 
-def _compiled(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
+def _compile(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
     decorate = numba.njit(cache=cache, fastmath=FASTMATH, error_model="numpy")
     return cast("Callable[Arguments, Value]", decorate(function))
 
@@ -93,7 +93,7 @@ class Kernels:
             return
         start = now()
         _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
-        with self._locked():
+        with self._lock():
             if not self.ready:  # no other process has compiled it meanwhile
                 self._forget()
             self._load()
@@ -110,7 +110,7 @@ class Kernels:
             kernel.disable_compile()
 
     @contextmanager
-    def _locked(self) -> Generator[None]:
+    def _lock(self) -> Generator[None]:
         """Wait for another process that compiles the same; where files cannot be locked, both compile."""
         with ExitStack() as stack:
             if self._folder is not None:

@@ -87,13 +87,13 @@ class BlockRegulator(ABC):
     def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
         """Return the responses on the channels, and x_T."""
         if R.shape[2] <= NARROW:
-            return self._alone(channels, R, E)
+            return self._solve_one_by_one(channels, R, E)
         return self._closed_loop(channels).responses(R, E)
 
     def gram(self, channels: Indices, R: Array, E: Array) -> Array:
         """Return the lower triangle of minus the gradients times their responses."""
         if R.shape[2] <= NARROW:
-            Y, X = self._alone(channels, R, E)
+            Y, X = self._solve_one_by_one(channels, R, E)
             return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
         return self._closed_loop(channels).gram(R, E)
 
@@ -102,7 +102,7 @@ class BlockRegulator(ABC):
             self._closed = ClosedLoop(self.gains(), channels)
         return self._closed
 
-    def _alone(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
+    def _solve_one_by_one(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
         gains = self.gains()
         stages, n, k = gains.B.shape
         Y, X = np.empty_like(R), np.empty_like(E)
@@ -151,7 +151,7 @@ class ClosedLoop:
             self._W = self._W @ Q
         self._b = b = min(stages, block_length(n, sqrt(max(1, len(driven) * count))))
         self._times = np.arange(-(-stages % b), stages).reshape(-1, b)
-        down = np.concatenate([U @ B[:, :, driven].swapaxes(1, 2), passing(gains.Ac).swapaxes(1, 2)], axis=1)
+        down = np.concatenate([U @ B[:, :, driven].swapaxes(1, 2), carry_last_state(gains.Ac).swapaxes(1, 2)], axis=1)
         inputs = np.concatenate([U @ of_w[driven], of_x + K.swapaxes(1, 2) @ of_w], axis=1)
         self._N, self._p = self._lift(down, inputs, len(driven), range(b)[::-1])
         self._up: tuple[Array, Array] | None = None
@@ -162,7 +162,10 @@ class ClosedLoop:
         n, each = step.shape[2], inputs.shape[2]
         blocks, b = self._times.shape
         filling = np.concatenate([np.zeros((outputs, n)), np.eye(n)])
-        step, inputs = padded(step, self._times, filling), padded(inputs, self._times, np.zeros(inputs.shape[1:]))
+        step, inputs = (
+            pad_blocks(step, self._times, filling),
+            pad_blocks(inputs, self._times, np.zeros(inputs.shape[1:])),
+        )
         state, found = np.zeros((blocks, n, n + b * each)), np.empty((blocks, b, outputs, n + b * each))
         state[:, :, :n] = np.eye(n)
         for s in order:
@@ -215,7 +218,7 @@ class ClosedLoop:
         if self._up is None:
             B, K, W = self._gains.B, self._gains.K, self._W
             of_w, of_x = self._entries[B.shape[1] :].T, self._entries[: B.shape[1]].T
-            up = np.concatenate([of_x + of_w @ K, passing(self._gains.Ac)], axis=1)
+            up = np.concatenate([of_x + of_w @ K, carry_last_state(self._gains.Ac)], axis=1)
             inputs = np.concatenate([of_w @ W, B @ W], axis=1)
             self._up = self._lift(up, inputs, len(of_w), range(self._b))
         return self._up
@@ -232,8 +235,8 @@ class OpenLoop:
         stages, n, k = B.shape
         self._times, self._first = self._partition(np.concatenate([[0], breaks, [stages]]), n, k)
         blocks, b = self._times.shape
-        AB = padded(np.concatenate([passing(A), B], axis=2), self._times, np.eye(n, n + k))
-        Phi = padded(Phi, self._times, np.zeros((n + k, n + k)))
+        AB = pad_blocks(np.concatenate([carry_last_state(A), B], axis=2), self._times, np.eye(n, n + k))
+        Phi = pad_blocks(Phi, self._times, np.zeros((n + k, n + k)))
         Y, x = np.zeros((blocks, b, n + k, n + b * k)), np.zeros((blocks, n, n + b * k))
         x[:, :, :n] = np.eye(n)
         for s in range(b):
@@ -299,13 +302,13 @@ def block_length(n: int, inputs: float) -> int:
     return ceil(sqrt(4 * n * n + CALL) / inputs)
 
 
-def padded(values: Array, times: Indices, filling: Array) -> Array:
+def pad_blocks(values: Array, times: Indices, filling: Array) -> Array:
     """Return values[times], (blocks, b, ...), with the filling where times is negative."""
     found = values[times]
     found[times < 0] = filling
     return found
 
 
-def passing(A: Array) -> Array:
+def carry_last_state(A: Array) -> Array:
     """Return A (T+1, n, n) with the identity as A_T."""
     return np.concatenate([A[:-1], np.eye(A.shape[1])[None]])

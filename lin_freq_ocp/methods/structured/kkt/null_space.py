@@ -245,7 +245,7 @@ class Coefficients:
                 own[:] = w[:, j].T
             else:
                 signals = np.ascontiguousarray(w[:-1, j].T)
-                np.multiply(self._transformed(signals)[:, kept], self._scale[kept], out=own)
+                np.multiply(self._transform(signals)[:, kept], self._scale[kept], out=own)
         return z
 
     def synthesis(self, z: Array) -> Array:
@@ -271,7 +271,7 @@ class Coefficients:
     def multipliers(self, gw: Array, nu: Array) -> None:
         """Write into nu (rows of F,) those of the stop bands, which cancel a gradient (T+1, controls)."""
         for j, band in self._bands:
-            pairs = self._transformed(np.ascontiguousarray(gw[None, :-1, j]))[0]
+            pairs = self._transform(np.ascontiguousarray(gw[None, :-1, j]))[0]
             nu[band.rows] = -pairs[band.coefficients] * self._scale[band.coefficients] / band.gain
 
     def stopped(self, j: int, signals: Array) -> Array:
@@ -279,10 +279,10 @@ class Coefficients:
         kept = self._kept[j]
         if kept is None:
             return np.zeros_like(signals)
-        return signals - self._signals(kept, self._transformed(signals)[:, kept] * self._scale[kept])
+        return signals - self._signals(kept, self._transform(signals)[:, kept] * self._scale[kept])
 
     @staticmethod
-    def _transformed(signals: Array) -> Array:
+    def _transform(signals: Array) -> Array:
         """Return the DFT of signals (m, T), Re and Im in turn."""
         return fft.rfft(signals, axis=1).view(np.float64)
 

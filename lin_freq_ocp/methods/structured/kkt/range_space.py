@@ -174,7 +174,7 @@ class LowRankSolver:
         self._H = Cholesky(J[e:, e:] - self._cross @ self._eliminated).rooted(self._G)
         self._roots = [roots for roots, fine in zip(compliance.roots, self._of_hard, strict=True) if fine]
         self._split()
-        self._stiff_H = self._rooted(self._H)
+        self._stiff_H = self._apply_roots(self._H)
         M = gram(self._stiff_H)
         M.flat[:: len(M) + 1] += 1.0
         self._M, self._strong_H = Cholesky(M), self._H[self._strong]
@@ -189,12 +189,12 @@ class LowRankSolver:
         missing = self._response.missing(gradient, c, x0, f)
         alone = self._rows.solve(missing[self._plain])
         r = missing[self._fine] - self._G @ (self._cross @ alone)
-        of_weak = self._stiff_H.T @ self._rooted(r[:, None])[:, 0]
+        of_weak = self._stiff_H.T @ self._apply_roots(r[:, None])[:, 0]
         a, strong = self._M.solve(of_weak), np.zeros(0)
         if len(self._strong_H):
             strong = self._T.solve(r[self._strong] - self._strong_H @ a)
             a = self._M.solve(of_weak + self._strong_H.T @ strong)
-        of_fine = self._rooted(self._rooted((r - self._H @ a)[:, None]))[:, 0]
+        of_fine = self._apply_roots(self._apply_roots((r - self._H @ a)[:, None]))[:, 0]
         of_fine[self._strong] = strong
         nu = np.empty(len(missing))
         nu[self._fine], nu[self._plain] = of_fine, alone - self._eliminated @ (self._G.T @ of_fine)
@@ -235,7 +235,7 @@ class LowRankSolver:
                 first += balls * d
         return tuple(found)
 
-    def _rooted(self, v: Array) -> Array:
+    def _apply_roots(self, v: Array) -> Array:
         """Return R v for rows (rows, k), R'R = C_w^-1, zero in the strong ones."""
         found, first = np.empty_like(v), 0
         for roots in self._roots:

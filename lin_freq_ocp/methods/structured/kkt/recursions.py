@@ -215,9 +215,9 @@ class BandedRegulator(BlockRegulator):
         matrix = banded_matrix(A, B, Phi, fixed)
         self._lu, self._pivots, info = lapack.dgbtrf(matrix, self._band, self._band)
         if info > 0:
-            self._lu, self._pivots, _ = lapack.dgbtrf(self._raised(matrix), self._band, self._band)
+            self._lu, self._pivots, _ = lapack.dgbtrf(self._raise_diagonal(matrix), self._band, self._band)
 
-    def _raised(self, matrix: Array) -> Array:
+    def _raise_diagonal(self, matrix: Array) -> Array:
         """Return the matrix with diagonal entries of y raised to what rounding leaves of the others."""
         n = self._A.shape[1]
         diagonal = matrix.T.reshape(len(self._A), -1, 3 * self._band + 1)[:, n:, 2 * self._band]

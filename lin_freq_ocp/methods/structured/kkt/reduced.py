@@ -78,7 +78,7 @@ class DenseReduced:
             self._M = Cholesky(M + self._weight * (held.T @ held))
             if self._M.definite or not len(held):
                 break
-        self._rows = _Rows(self._space, large, E, C, lambda rows: self._M.solve(rows.T).T)
+        self._rows = _Projection(self._space, large, E, C, lambda rows: self._M.solve(rows.T).T)
         return self._M.definite
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
@@ -115,7 +115,7 @@ class LargeWeights(NamedTuple):
     weights: Array
 
 
-class _Rows:
+class _Projection:
     """The rows B = (Y, E) on v, and the solutions that satisfy them."""
 
     def __init__(self, space: NullSpace, large: LargeWeights, E: Array, C: Array, inverse: Callable[[Array], Array]):
@@ -222,7 +222,7 @@ class TwoLevel:
         """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
         self._clipped, self._large = self._noise.clipped(Phi)
         self._second.factor(self._clipped)
-        self._rows = _Rows(self._space, self._large, self._E, C, self._second.solve_many)
+        self._rows = _Projection(self._space, self._large, self._E, C, self._second.solve_many)
         return False
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
@@ -230,7 +230,7 @@ class TwoLevel:
         right = self._rows.right(e)
         zero = np.zeros_like(right)
         v, nu = self._rows.project(np.zeros_like(r), right) if e.any() else (np.zeros_like(r), zero.copy())
-        left = r - self._applied(v, nu) if nu.any() else r.copy()
+        left = r - self._apply(v, nu) if nu.any() else r.copy()
         target, direction, of_rows = REDUCTION * largest([r]), np.zeros_like(r), zero
         slope, least, since, iterations = 1.0, np.inf, 0, 0
         while (error := largest([left])) > target and iterations < MOST_ITERATIONS:
@@ -241,7 +241,7 @@ class TwoLevel:
             slope, before = float(left @ step), slope
             beta = slope / before if iterations else 0.0
             direction, of_rows = step + beta * direction, prices + beta * of_rows
-            bent = self._applied(direction, of_rows)
+            bent = self._apply(direction, of_rows)
             curvature = float(direction @ bent)
             if not (slope > 0 and curvature > 0):
                 break
@@ -252,7 +252,7 @@ class TwoLevel:
         self.iterations.append(iterations)
         return v, nu[self._rows.directions :]
 
-    def _applied(self, v: Array, nu: Array) -> Array:
+    def _apply(self, v: Array, nu: Array) -> Array:
         """Return M v, of clipped weights, plus nu times all rows."""
         space, large = self._space, self._large
         y, _ = space.simulated(v)

@@ -171,15 +171,15 @@ class StepSystem:
         diagonal = np.arange(Phi.shape[1])
         Phi[:, diagonal, diagonal] += REGULARISATION
         balls = list(zip(system.coupling.balls, self._ball_cones(), strict=True))
-        squares = [_of_values(cone) if part.heads is None else cone.block_squares(0) for part, cone in balls]
-        roots = [_root_of_values(cone) for part, cone in balls if part.heads is None]
+        squares = [_value_compliance(cone) if part.heads is None else cone.block_squares(0) for part, cone in balls]
+        roots = [_value_root(cone) for part, cone in balls if part.heads is None]
         unequal = system.cones[INEQUALITIES].w[:, 0] ** 2 if INEQUALITIES in system.cones else np.zeros(0)
         equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
         return self._solver.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
 
     def solve(self, of_y: Array, of_z: Values, refined: bool = True) -> tuple[Array, Values]:
         """Return (y, z), by default refined as long as the residual falls."""
-        y, z = self._once(of_y, of_z)
+        y, z = self._solve_once(of_y, of_z)
         if not refined:
             return y, z
         target = REFINED * largest([of_y, *of_z])
@@ -188,7 +188,7 @@ class StepSystem:
         for _ in range(REFINEMENTS):
             if error <= target:
                 break
-            dy, dz = self._once(*left)
+            dy, dz = self._solve_once(*left)
             better = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
             left = self._residual(of_y, of_z, *better)
             after = largest([left[0], *left[1]])
@@ -197,7 +197,7 @@ class StepSystem:
             (y, z), error = better, after
         return y, z
 
-    def _once(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
+    def _solve_once(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
         system, stages = self.system, self.system.stages
         cone = system.cones[STAGES]
         gradient = -of_y - self._loops.transposed_times(stages.G, cone.scaled(of_z[STAGES], -2))
@@ -238,7 +238,7 @@ class StepSystem:
         return [self.system.cones[BALLS + i] for i in range(len(self.system.coupling.balls))]
 
 
-def _of_values(cone: Cone) -> Array:
+def _value_compliance(cone: Cone) -> Array:
     """Return the compliance of the values of hard balls, (balls, d, d), which eliminating their heads leaves.
 
     The closed form eta^2 (I - 2 v v'/(1 + 2 |v|^2)), w = (w_0, v), stays definite; a difference of matrices would not.
@@ -247,7 +247,7 @@ def _of_values(cone: Cone) -> Array:
     return square * (np.eye(v.shape[1]) - (2 / (1 + 2 * (v * v).sum(1)))[:, None, None] * v[:, :, None] * v[:, None, :])
 
 
-def _root_of_values(cone: Cone) -> Array:
+def _value_root(cone: Cone) -> Array:
     """Return the symmetric root of its inverse, (I + 2 v v')^(1/2)/eta."""
     v = cone.w[:, 1:]
     along = 2 / (1 + np.sqrt(1 + 2 * (v * v).sum(1)))
