@@ -1,6 +1,6 @@
 """A problem with linear dynamics as stages, in deviations from an origin, and the way back.
 
-Boxes and terms of single times become rows of stages, their slacks entries of w behind the controls. Stop bands and
+Boxes and terms of single times become rows of stages, their slacks entries of w after the controls. Stop bands and
 terms of several times become coupling rows; their slacks are spread over the stages.
 """
 

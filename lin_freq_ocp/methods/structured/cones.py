@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 
-FREE = 1e30  # w of a row that is left out: 1/w^2 is nothing beside the others
+FREE = 1e30  # w of a row that is left out: 1/w^2 is negligible next to the others
 LEAST_SQUARE = 1e-300  # of a cone's s'Js: rounding may make it zero at the boundary
 
 

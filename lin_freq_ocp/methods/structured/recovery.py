@@ -32,7 +32,7 @@ UNNOTICED = 1e-3  # least unit of a component, relative to the change, over the 
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """Values of states and controls, those of u_T being zero, and which of them are held, (T+1, n+m)."""
+    """Values of states and controls, those of u_T being zero, and which of them are fixed, (T+1, n+m)."""
 
     values: Array
     held: Mask

@@ -93,7 +93,7 @@ class Coupling:
         return self.equation_count + unequal + round_
 
     def families(self) -> Iterator[tuple[Rows, Indices]]:
-        """Yield every family of rows beyond those of x_T, with its places among all rows."""
+        """Yield every family of rows after those of x_T, with the indices of its rows among all."""
         first = len(self.terminal)
         for part in (*self.equations, *self.inequalities):
             yield part.rows, first + np.arange(part.rows.count)

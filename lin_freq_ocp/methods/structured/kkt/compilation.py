@@ -1,6 +1,6 @@
-"""Compilation by numba, once: machine code is kept in numba's cache, beside the source or where else it can be written.
+"""Compilation by numba, once: machine code stays in numba's cache, next to the source or where else it can be written.
 
-A file beside the cached code says for which sources and which machine all of it is there. Only then is nothing compiled
+A file next to the cached code says for which sources and which machine it is complete. Only then is nothing compiled
 at the first call; it also notes changes of inlined functions, which numba does not.
 """
 

@@ -21,7 +21,7 @@ LEAST_SHIFT = 1e-14  # of the diagonal of ones, at first, for a matrix that roun
 NARROW = 8
 """So few columns are solved for alone: finding the matrices of the blocks costs more."""
 CALL = 500
-"""What a call costs beside a product of dense matrices, in multiplications a column; measured."""
+"""The overhead of a call of a product of dense matrices, in multiplications a column; measured."""
 ROWS = 512
 """Rows of N whose Gram matrix is added at once: enough for fast products, few enough for the cache."""
 

@@ -176,7 +176,7 @@ class Remaining:
 
 
 def sort_rows(stages: Stages) -> tuple[list[StopBand], list[Remaining]]:
-    """Return the stop bands among the coupling rows beyond x_T, and the rest."""
+    """Return the stop bands among the coupling rows after x_T, and the rest."""
     taken: dict[int, set[int]] = {}
     bands: list[StopBand] = []
     rest: list[Remaining] = []

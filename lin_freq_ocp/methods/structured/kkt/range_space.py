@@ -36,7 +36,7 @@ from lin_freq_ocp.methods.structured.stages import Balls, Stages
 TERMINAL_WEIGHT = 1e2  # of the distance from the terminal state, relative to the largest curvature
 LEAST_CURVATURE = 1e-3  # of order 1 are the units
 STRONG = 1e6  # stiffness of a row times its response from which it is solved for itself: six of sixteen digits are lost
-SPARE = 40  # directions beyond the number of bins of a band: its ends leak into as many, growing like log T
+SPARE = 40  # directions more than bins of a band: its ends leak into as many, growing like log T
 WORTH = 0.75  # rank relative to the number of rows below which the low rank pays
 
 

@@ -71,12 +71,12 @@ class DenseReduced:
         clipped, large = self._noise.clipped(Phi)
         M, E = self._hessian(clipped), self._E
         self._exact = ~C.any(axis=1)
-        held = E[self._exact]
-        size = WEIGHT * float(np.abs(np.diag(M)).mean()) / (1 + float((held * held).sum(0).max(initial=0.0)))
+        exact = E[self._exact]
+        size = WEIGHT * float(np.abs(np.diag(M)).mean()) / (1 + float((exact * exact).sum(0).max(initial=0.0)))
         for raised in RAISED:
             self._weight = raised * size
-            self._M = Cholesky(M + self._weight * (held.T @ held))
-            if self._M.definite or not len(held):
+            self._M = Cholesky(M + self._weight * (exact.T @ exact))
+            if self._M.definite or not len(exact):
                 break
         self._rows = _Projection(self._space, large, E, C, lambda rows: self._M.solve(rows.T).T)
         return self._M.definite
@@ -214,8 +214,8 @@ class TwoLevel:
 
     def __init__(self, space: NullSpace):
         self._space, self._E, self._noise = space, space.rows(), Noise(space)
-        held = self._E[: space.continuity + len(space.terminal)]
-        self._second = SecondLevel(space, float((held * held).sum(0).max(initial=0.0)))
+        ends = self._E[: space.continuity + len(space.terminal)]
+        self._second = SecondLevel(space, float((ends * ends).sum(0).max(initial=0.0)))
         self.iterations: list[int] = []
 
     def factor(self, Phi: Array, C: Array) -> bool:

@@ -255,7 +255,7 @@ def _value_root(cone: Cone) -> Array:
 
 
 def _head_ratio(cone: Cone) -> Array:
-    """Return the entries of W^2 beside its first one, divided by that, (balls, d)."""
+    """Return the entries of W^2 next to its first one, divided by that, (balls, d)."""
     head, v = cone.w[:, :1], cone.w[:, 1:]
     return 2 * head * v / (2 * head**2 - 1)
 
