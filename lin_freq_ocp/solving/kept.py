@@ -18,7 +18,7 @@ from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_
 from lin_freq_ocp.methods.spectral.algorithm.together import Together
 from lin_freq_ocp.methods.spectral.model.row_form import RowForm
 from lin_freq_ocp.methods.spectral.model.soft_bins import SoftBins, soft_bins
-from lin_freq_ocp.methods.structured.prepared import Prepared
+from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets

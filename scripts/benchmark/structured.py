@@ -23,8 +23,7 @@ from benchmark.record import Record, build_parser
 from benchmark.structured_cases import CASES
 from benchmark.structured_layers import table_of
 from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.kkt import recursions
-from lin_freq_ocp.methods.structured.kkt.compiled import loops
+from lin_freq_ocp.methods.structured.kkt import kernels, recursions
 
 Solve = Callable[[], lfo.results.Result]
 
@@ -81,7 +80,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--alone", action="store_true")
     parser.add_argument("--layers", action="store_true")
     given = parser.parse_args(arguments)
-    loops.KERNELS.prepare()  # compiled before the first clock starts
+    kernels.KERNELS.prepare()  # compiled before the first clock starts
     with Record(given.write) as record:
         record.show(table_of(given.repeats) if given.layers else compared(given))
 

@@ -18,13 +18,11 @@ from rich.table import Table
 import lin_freq_ocp as lfo
 from benchmark.structured_cases import CASES
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.structured import choice, solver
-from lin_freq_ocp.methods.structured.algorithm import embedding
-from lin_freq_ocp.methods.structured.kkt import blocks, low_rank, recursions
-from lin_freq_ocp.methods.structured.model import all_rows
+from lin_freq_ocp.methods.structured import choice, embedding, solver, stages
+from lin_freq_ocp.methods.structured.kkt import dense, range_space, recursions
 
 
-def both_sweeps(regulator: blocks.BlockRegulator, channels: Indices, R: Array, E: Array) -> Array:
+def both_sweeps(regulator: dense.BlockRegulator, channels: Indices, R: Array, E: Array) -> Array:
     """Return the products of gradients and their whole responses."""
     Y, X = regulator.responses(channels, R, E)
     return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
@@ -35,11 +33,11 @@ LAYERS = {
     "correctors": (embedding, "CORRECTORS", 0),
     "longer last steps": (embedding, "MOST_FRACTION", embedding.FRACTION),
     "refinement where steps fall short": (embedding, "EXPECTED", -np.inf),
-    "sweeps one way": (blocks.BlockRegulator, "gram", both_sweeps),
-    "blocks of stages": (blocks, "NARROW", 10**9),
-    "rows by one matrix": (all_rows, "DENSE", 0),
-    "low rank of fine masks": (low_rank, "WORTH", 0.0),
-    "the smaller side": (choice.Sizes, "seconds", lambda sizes: {"stopped": 0.0}),
+    "sweeps one way": (dense.BlockRegulator, "gram", both_sweeps),
+    "blocks of stages": (dense, "NARROW", 10**9),
+    "rows by one matrix": (stages, "DENSE", 0),
+    "low rank of fine masks": (range_space, "WORTH", 0.0),
+    "the smaller space": (choice.Sizes, "seconds", lambda sizes: {"range space": 0.0}),
     "conjugate gradients": (choice, "ITERATIONS", np.inf),
 }
 

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.batch.repeated import Repeated
-from lin_freq_ocp.methods.structured.model import assembly
+from lin_freq_ocp.methods.structured import assembly
 from lin_freq_ocp.solving.kept import Change
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
@@ -98,7 +98,7 @@ def test_infeasible_states_do_not_spoil_the_next():
 def test_the_structured_method_assembles_once(monkeypatch):
     count, honest = [], assembly.stages_of
     monkeypatch.setattr(
-        "lin_freq_ocp.methods.structured.prepared.stages_of", lambda problem: count.append(1) or honest(problem)
+        "lin_freq_ocp.methods.structured.solver.stages_of", lambda problem: count.append(1) or honest(problem)
     )
     solver = lfo.Solver(VARYING, "structured")
     for move in (0.0, 0.01, 0.02):

@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 
 from lin_freq_ocp.base.atomic import write_each, writing
 from lin_freq_ocp.base.phrases import number, plural
+from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
 from lin_freq_ocp.loop.record import LoopRecord

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import jit
-from lin_freq_ocp.methods.structured.model.cones import LEAST_SQUARE
+from lin_freq_ocp.methods.structured.cones import LEAST_SQUARE
+from lin_freq_ocp.methods.structured.kkt.compilation import jit
 
 
 @jit

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import jit
-from lin_freq_ocp.methods.structured.kkt.compiled.factors import PIVOT, cholesky, cholesky_solve
+from lin_freq_ocp.methods.structured.kkt.compilation import jit
+from lin_freq_ocp.methods.structured.kkt.kernels import PIVOT, cholesky, cholesky_solve
 
 
 class PathData(NamedTuple):

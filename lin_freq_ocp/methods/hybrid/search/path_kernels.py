@@ -31,11 +31,11 @@ from lin_freq_ocp.methods.hybrid.search.path_factors import (
     path_solved,
 )
 from lin_freq_ocp.methods.hybrid.search.path_lengths import path_proven
-from lin_freq_ocp.methods.structured.algorithm import embedding
-from lin_freq_ocp.methods.structured.algorithm.embedding import FRACTION, INTERIOR, MOVED
-from lin_freq_ocp.methods.structured.kkt.compiled import factors, loops
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
-from lin_freq_ocp.methods.structured.kkt.compiled.factors import dot, largest
+from lin_freq_ocp.methods.structured import embedding
+from lin_freq_ocp.methods.structured.embedding import FRACTION, INTERIOR, MOVED
+from lin_freq_ocp.methods.structured.kkt import kernels
+from lin_freq_ocp.methods.structured.kkt.compilation import WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
+from lin_freq_ocp.methods.structured.kkt.kernels import dot, largest
 
 OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 """How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
@@ -256,14 +256,6 @@ _DATA = (_THREE, _PLACES, WRITTEN_INDICES, _THREE, _ONE, _TWO, _THREE, types.int
 _DATA += _TWO, WRITTEN_INDICES, WRITTEN_INDICES, types.intp
 _POINT = _TWO, _ONE, _TWO, _TWO, _ONE
 KERNELS = Kernels(
-    (
-        __file__,
-        path_factors.__file__,
-        path_cones.__file__,
-        path_lengths.__file__,
-        factors.__file__,
-        loops.__file__,
-        embedding.__file__,
-    ),
+    (__file__, path_factors.__file__, path_cones.__file__, path_lengths.__file__, kernels.__file__, embedding.__file__),
     (path_run, (*_DATA, *_POINT, _REAL, _REAL, _REAL, _REAL)),
 )

@@ -13,8 +13,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.hybrid.search.path_factors import PathData, add_adjoint
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import jit
-from lin_freq_ocp.methods.structured.kkt.compiled.factors import dot
+from lin_freq_ocp.methods.structured.kkt.compilation import jit
+from lin_freq_ocp.methods.structured.kkt.kernels import dot
 
 SWEEPS = 2  # of minimisation by coordinates from the point of the embedding; one is exact if the Hessian is diagonal
 

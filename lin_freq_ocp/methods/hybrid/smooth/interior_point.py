@@ -26,17 +26,14 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.smooth.model import Derivatives, SmoothModel
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
-from lin_freq_ocp.methods.structured.choice import choose_side
-from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
-from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
+from lin_freq_ocp.methods.structured.choice import choose_kkt_solver
+from lin_freq_ocp.methods.structured.cones import Cone
+from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver, sort_rows
+from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
-from lin_freq_ocp.methods.structured.kkt.side import Side
-from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
-from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, STAGES, System, Values
-from lin_freq_ocp.methods.structured.model.cones import Cone
-from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
+from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, STAGES, KKTSolver, StepSystem, System, Values, largest
+from lin_freq_ocp.methods.structured.stages import Stages
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -209,7 +206,7 @@ class Local:
         """Return the infeasibility and the objective here."""
         return Measure(self.theta, self.phi(self.point.y, self.point.s, mu))
 
-    def factor(self, mu: float, sides: Sequence[Side]) -> None:
+    def factor(self, mu: float, sides: Sequence[KKTSolver]) -> None:
         """Factor the system of a step, with the curvature of the dynamics if the problem stays convex.
 
         Convexity is that on the dynamics or, where a side sees it, on the rows that couple times. The first side is
@@ -224,7 +221,7 @@ class Local:
         squares = {i: own.product(own.lam, own.lam) - mu * own.identity for i, own in self.cones.items()}
         self._centred = {i: own.scaled(own.quotient(squares[i]), 1) for i, own in self.cones.items()}
 
-    def _exact(self, sides: Sequence[Side]) -> bool:
+    def _exact(self, sides: Sequence[KKTSolver]) -> bool:
         """Factor the system with the curvature of the dynamics; return whether the problem is convex with it."""
         if self._with_curvature():
             self._factored(sides[0])
@@ -240,7 +237,7 @@ class Local:
         Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
         return self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed)
 
-    def _factored(self, side: Side) -> bool:
+    def _factored(self, side: KKTSolver) -> bool:
         """Factor the system by a side; return what it sees of convexity."""
         self._step = StepSystem(self.system, side.exchanged(self.system.stages))
         return self._step.factor()
@@ -447,15 +444,15 @@ class Barrier:
         return None
 
 
-def sides_for(stages: Stages, loops: Loops) -> tuple[Side, ...]:
+def sides_for(stages: Stages, loops: Loops) -> tuple[KKTSolver, ...]:
     """Return the side of steps and, beside it, that of what stop bands keep, which sees if they make a problem convex.
 
     With few rows the latter is slower, as more of it depends on the dynamics.
     """
     if stages.coupling.count > FEW_ROWS:
-        return (choose_side(stages, loops),)
-    kept = (KeptSide(stages, loops, DenseReduced),) if sort_rows(stages)[0] else ()
-    return stopped_side(stages, loops), *kept
+        return (choose_kkt_solver(stages, loops),)
+    kept = (NullSpaceSolver(stages, loops, DenseReduced),) if sort_rows(stages)[0] else ()
+    return range_space_solver(stages, loops), *kept
 
 
 def _moved(point: Point, trial: Trial, z: list[Array], length: float, of_duals: float) -> Point:

@@ -14,9 +14,9 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.formulas.jets import jets, values_of
+from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
 from lin_freq_ocp.methods.structured.kkt.system import Values
-from lin_freq_ocp.methods.structured.model.assembly import Assembly, stages_of
-from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.methods.structured.stages import Stages
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

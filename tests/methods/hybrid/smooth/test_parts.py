@@ -8,7 +8,7 @@ import pytest
 from lin_freq_ocp import library
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import Filter, Measure, inverse, log_determinant, moved_inside
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
-from lin_freq_ocp.methods.structured.model.cones import Cone
+from lin_freq_ocp.methods.structured.cones import Cone
 from lin_freq_ocp.problem.simulation import simulate
 
 

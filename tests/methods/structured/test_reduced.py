@@ -5,10 +5,9 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lin_freq_ocp.methods.structured.kkt.kept.excess import CLIP, LEAST_EXCESS, clip
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
-from lin_freq_ocp.methods.structured.kkt.kept.two_level import TwoLevel
+from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.reduced import CLIP, LEAST_EXCESS, TwoLevel, clip
 from methods.structured.linear_systems import random_system, solved
 
 GROWTHS = (0.0, 12.0, -5.0)
@@ -35,14 +34,14 @@ def chosen(request):
 @pytest.mark.parametrize("others", [False, True], ids=["bands", "all rows"])
 def test_it_solves_the_system_of_a_step(chosen, seed, others):
     system = random_system(seed, GROWTHS[seed % 3], others)
-    _, left = solved(KeptSide(system[0], chosen, Counted), *system)
+    _, left = solved(NullSpaceSolver(system[0], chosen, Counted), *system)
     assert left < 1e-11
     assert max(Counted.last.iterations) <= 30
 
 
 def test_restarts_hold_unstable_dynamics(chosen):
     system = random_system(3, growth=80.0, T=100)
-    _, left = solved(KeptSide(system[0], chosen, TwoLevel), *system)
+    _, left = solved(NullSpaceSolver(system[0], chosen, TwoLevel), *system)
     assert left < 1e-9
 
 
@@ -53,7 +52,7 @@ def test_few_iterations_where_weights_differ_by_ten_orders(chosen):
     Phi = np.tile(np.eye(Phi.shape[1]), (121, 1, 1))
     Phi[active, -1, -1] += 10.0 ** rng.uniform(3, 10, 12)
     Phi[active[:4], 0, 0] += 1e8
-    _, left = solved(KeptSide(stages, chosen, Counted), stages, Phi, C, right)
+    _, left = solved(NullSpaceSolver(stages, chosen, Counted), stages, Phi, C, right)
     assert left < 1e-11
     assert max(Counted.last.iterations) <= 10
 

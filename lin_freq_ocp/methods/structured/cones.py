@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 
-FREE = 1e30  # w of a row that is left out: 1/w^2 is nothing beside the others
+FREE = 1e30  # w of a row that is left out: 1/w^2 is negligible next to the others
 LEAST_SQUARE = 1e-300  # of a cone's s'Js: rounding may make it zero at the boundary
 
 
@@ -113,14 +113,14 @@ class Cone:
             steepest = max(steepest, float(((np.linalg.norm(across, axis=1) - along) / size).max(initial=0.0)))
         return 1.0 / steepest if steepest > 0 else np.inf
 
-    def into(self, v: Array, low: float, high: float) -> Array:
-        """Return the change of v that takes its spectral values into low .. high, as ``into`` does."""
+    def clip_change(self, v: Array, low: float, high: float) -> Array:
+        """Return the change of v that takes its spectral values into low .. high, as ``clip_change`` does."""
         change = np.zeros_like(v)
-        change[:, self.orthant] = into(v[:, self.orthant], low, high)
+        change[:, self.orthant] = clip_change(v[:, self.orthant], low, high)
         for block in self.blocks:
             head, tail = v[:, block.start], v[:, block.start + 1 : block.stop]
             size = np.linalg.norm(tail, axis=1)
-            upper, lower = into(head + size, low, high), into(head - size, low, high)
+            upper, lower = clip_change(head + size, low, high), clip_change(head - size, low, high)
             change[:, block.start] = (upper + lower) / 2
             change[:, block.start + 1 : block.stop] = (
                 tail * ((upper - lower) / (2 * np.where(size > 0, size, 1)))[:, None]
@@ -179,7 +179,7 @@ class Cone:
         return factor[:, None] * result
 
 
-def into(values: Array, low: float, high: float) -> Array:
+def clip_change(values: Array, low: float, high: float) -> Array:
     """Return the changes that take values into low .. high; none falls by more than ``high``."""
     return np.maximum(np.clip(values, low, high) - values, -high)
 

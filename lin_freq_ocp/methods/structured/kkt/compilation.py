@@ -1,6 +1,6 @@
-"""Compilation by numba, once: machine code is kept in numba's cache, beside the source or where else it can be written.
+"""Compilation by numba, once: machine code stays in numba's cache, next to the source or where else it can be written.
 
-A file beside the cached code says for which sources and which machine all of it is there. Only then is nothing compiled
+A file next to the cached code says for which sources and which machine it is complete. Only then is nothing compiled
 at the first call; it also notes changes of inlined functions, which numba does not.
 """
 
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import ParamSpec, Protocol, TypeVar, cast
+from typing import ClassVar, ParamSpec, Protocol, TypeVar, cast
 
 import numba
 from llvmlite import binding
@@ -49,9 +49,9 @@ class _Dispatcher(Protocol):
 def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     """Return the function as compiled code; without a folder for the cache, each process compiles it again."""
     try:
-        return _compiled(function, True)
+        return _compile(function, True)
     except RuntimeError:  # numba found no folder that it can write
-        return _compiled(function, False)
+        return _compile(function, False)
 
 
 def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
@@ -60,7 +60,7 @@ def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     return cast("Callable[Arguments, Value]", decorate(function))
 
 
-def _compiled(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
+def _compile(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
     decorate = numba.njit(cache=cache, fastmath=FASTMATH, error_model="numpy")
     return cast("Callable[Arguments, Value]", decorate(function))
 
@@ -68,11 +68,15 @@ def _compiled(function: Callable[Arguments, Value], cache: bool) -> Callable[Arg
 class Kernels:
     """The functions of a module that Python calls, each with the types of its arguments."""
 
+    registered: ClassVar[list[Kernels]] = []
+    """Those of all modules imported so far: ``python -m lin_freq_ocp.methods.structured`` compiles them."""
+
     def __init__(self, sources: tuple[str, ...], *signatures: tuple[Callable[..., object], tuple[types.Type, ...]]):
         """Compile nothing yet; ``sources`` are the files that the code is made of, that of the functions first."""
         self._sources = [Path(source) for source in sources]
         self._kernels = [(cast("_Dispatcher", function), given) for function, given in signatures]
         self._loaded = False
+        self.registered.append(self)
 
     @property
     def ready(self) -> bool:
@@ -89,7 +93,7 @@ class Kernels:
             return
         start = now()
         _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
-        with self._locked():
+        with self._lock():
             if not self.ready:  # no other process has compiled it meanwhile
                 self._forget()
             self._load()
@@ -106,7 +110,7 @@ class Kernels:
             kernel.disable_compile()
 
     @contextmanager
-    def _locked(self) -> Generator[None]:
+    def _lock(self) -> Generator[None]:
         """Wait for another process that compiles the same; where files cannot be locked, both compile."""
         with ExitStack() as stack:
             if self._folder is not None:

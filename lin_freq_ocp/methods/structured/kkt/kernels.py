@@ -1,4 +1,4 @@
-"""The loops over stages, compiled by numba. What they compute: recursions.py.
+"""The loops over stages, and factors of small symmetric matrices, compiled by numba. Their interface: recursions.py.
 
 Riccati recursion in Joseph form, from P_{T+1} = 0, p_{T+1} = 0; nothing is subtracted from P:
 
@@ -14,10 +14,67 @@ from typing import ClassVar
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.blocks import BlockRegulator, Gains
-from lin_freq_ocp.methods.structured.kkt.compiled import factors
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import INDICES, REALS, WRITTEN, Kernels, jit
-from lin_freq_ocp.methods.structured.kkt.compiled.factors import cholesky, cholesky_solve
+from lin_freq_ocp.methods.structured.kkt.compilation import INDICES, REALS, WRITTEN, Kernels, jit
+from lin_freq_ocp.methods.structured.kkt.dense import BlockRegulator, Gains
+
+PIVOT = 1e-14
+"""Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
+
+
+@jit
+def cholesky(M: Array, size: int) -> None:
+    """Replace the leading block by its lower factor; a pivot of a zero row is set by the largest diagonal entry."""
+    largest = 0.0
+    for j in range(size):
+        largest = max(largest, M[j, j])
+    if largest == 0.0:
+        largest = 1.0
+    for j in range(size):
+        own = M[j, j] if M[j, j] > 0.0 else largest
+        pivot = M[j, j]
+        for i in range(j):
+            pivot -= M[j, i] * M[j, i]
+        pivot = np.sqrt(max(pivot, PIVOT * own))
+        M[j, j] = pivot
+        for i in range(j + 1, size):
+            value = M[i, j]
+            for m in range(j):
+                value -= M[i, m] * M[j, m]
+            M[i, j] = value / pivot
+
+
+@jit
+def cholesky_solve(L: Array, size: int, b: Array) -> None:
+    """Replace b by (L L')^-1 b."""
+    for i in range(size):
+        value = b[i]
+        for m in range(i):
+            value -= L[i, m] * b[m]
+        b[i] = value / L[i, i]
+    for i in range(size - 1, -1, -1):
+        value = b[i]
+        for m in range(i + 1, size):
+            value -= L[m, i] * b[m]
+        b[i] = value / L[i, i]
+
+
+@jit
+def dot(x: Array, y: Array) -> float:
+    """Return x'y."""
+    value = 0.0
+    for i in range(len(x)):
+        value += x[i] * y[i]
+    return value
+
+
+@jit
+def largest(x: Array) -> float:
+    """Return the largest absolute entry."""
+    value = 0.0
+    for i in range(len(x)):
+        value = max(value, abs(x[i]))
+    return value
+
 
 CURVED = 1e-9
 """Least pivot relative to the curvature of a stage's own, of a problem that counts as strictly convex."""
@@ -303,7 +360,7 @@ def transposed_times(matrices: Array, vectors: Array) -> Array:
 
 
 KERNELS = Kernels(
-    (__file__, factors.__file__),
+    (__file__,),
     (factor, (*REALS[3:] * 3, INDICES)),
     (is_convex, (*REALS[3:] * 3, INDICES)),
     (solve, (*REALS[3:] * 6, REALS[2], INDICES, REALS[2], REALS[2], REALS[1])),

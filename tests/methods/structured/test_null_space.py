@@ -1,17 +1,21 @@
-"""The side of kept coefficients against the equations of side.py, and against the side of the rows."""
+"""The null-space solver against the equations of kkt/system.py, and against the range-space solver."""
 
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
-from lin_freq_ocp.methods.structured.kkt.kept.coefficients import Coefficients, sort_rows, unit_scale
-from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
-from lin_freq_ocp.methods.structured.kkt.kept.slacks import Slacks
-from lin_freq_ocp.methods.structured.kkt.kept.space import break_times
+from lin_freq_ocp.methods.structured.kkt.null_space import (
+    Coefficients,
+    NullSpaceSolver,
+    Slacks,
+    break_times,
+    sort_rows,
+    unit_scale,
+)
+from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
+from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
 from methods.structured.linear_systems import random_system, solved
 
 GROWTHS = (0.0, 12.0, -5.0)
@@ -28,15 +32,15 @@ def chosen(request):
 @pytest.mark.parametrize("others", [False, True], ids=["bands", "all rows"])
 def test_it_solves_the_system_of_a_step(chosen, seed, others):
     system = random_system(seed, GROWTHS[seed % 3], others)
-    _, left = solved(KeptSide(system[0], chosen, DenseReduced), *system)
+    _, left = solved(NullSpaceSolver(system[0], chosen, DenseReduced), *system)
     assert left < 1e-11
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_both_sides_agree(chosen, seed):
+def test_both_solvers_agree(chosen, seed):
     system = random_system(seed)
-    kept, _ = solved(KeptSide(system[0], chosen, DenseReduced), *system)
-    stopped, _ = solved(stopped_side(system[0], chosen), *system)
+    kept, _ = solved(NullSpaceSolver(system[0], chosen, DenseReduced), *system)
+    stopped, _ = solved(range_space_solver(system[0], chosen), *system)
     for a, b in zip(kept, stopped, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-7 * max(1.0, np.abs(b).max(initial=0.0)))
 
@@ -44,7 +48,7 @@ def test_both_sides_agree(chosen, seed):
 def test_restarts_hold_unstable_dynamics(chosen):
     system = random_system(3, growth=80.0, T=100)
     assert len(break_times(system[0].A, 100.0)) > 10
-    _, left = solved(KeptSide(system[0], chosen, DenseReduced), *system)
+    _, left = solved(NullSpaceSolver(system[0], chosen, DenseReduced), *system)
     assert left < 1e-9
 
 

@@ -1,6 +1,6 @@
 """A problem with linear dynamics as stages, in deviations from an origin, and the way back.
 
-Boxes and terms of single times become rows of stages, their slacks entries of w behind the controls. Stop bands and
+Boxes and terms of single times become rows of stages, their slacks entries of w after the controls. Stop bands and
 terms of several times become coupling rows; their slacks are spread over the stages.
 """
 
@@ -13,26 +13,31 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.model.coupled_rows import (
+from lin_freq_ocp.methods.structured.recovery import (
+    Origin,
+    Recovery,
+    Units,
+    fix_unused_entries,
+    multiplier_layout,
+    origin_of,
+    own_units,
+    scale_dynamics,
+    scale_stages,
+)
+from lin_freq_ocp.methods.structured.rows import (
     Columns,
     CoupledPart,
+    StageRowList,
+    assign_slots,
+    box_rows,
+    concatenate_rows,
+    nonnegative_slacks,
     on_channels,
     stopped_parts,
     term_parts,
-)
-from lin_freq_ocp.methods.structured.model.coupling import Balls, Coupling, Equations, Inequalities, SparseRows
-from lin_freq_ocp.methods.structured.model.origin import Origin, origin_of
-from lin_freq_ocp.methods.structured.model.recovery import Recovery, multiplier_layout
-from lin_freq_ocp.methods.structured.model.stage_rows import (
-    StageRowList,
-    box_rows,
-    joined,
-    nonnegative_slacks,
-    places,
     term_rows,
 )
-from lin_freq_ocp.methods.structured.model.stages import Stages
-from lin_freq_ocp.methods.structured.model.units import Units, own_units, scaled, scaled_dynamics, unused_entries_held
+from lin_freq_ocp.methods.structured.stages import Balls, Coupling, Equations, Inequalities, SparseRows, Stages
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -47,7 +52,7 @@ class Assembly:
 
     stages: Stages
     recovery: Recovery
-    slack_columns: tuple[Indices, ...]  # of each term: where its slacks stand in y, flat
+    slack_columns: tuple[Indices, ...]  # of each term: the positions of its slacks in y, flat
     used: Mask  # entries of y, (T+1, n+k)
     priced: Mask  # those that make the size of the cost: signals, and slacks of nonsmooth costs
 
@@ -68,13 +73,11 @@ class Assembly:
         n, m = problem.state_dim, problem.control_dim
         sizes = old.columns[0, : n + m] * own_units(self.stages, y, m)
         ratio = _column_units(problem, sizes[:n], sizes[n:], self.slack_columns, y.shape) / old.columns
-        stages, change = scaled(self.stages, ratio, self.priced, y)
+        stages, change = scale_stages(self.stages, ratio, self.priced, y)
         units = Units(old.columns * ratio, old.rows * change.rows, old.cost * change.cost)
         if np.abs(np.log(np.append(ratio, change.cost))).max() < np.log(REVISED):
             return None
-        return replace(
-            self, stages=unused_entries_held(stages, self.used), recovery=replace(self.recovery, units=units)
-        )
+        return replace(self, stages=fix_unused_entries(stages, self.used), recovery=replace(self.recovery, units=units))
 
     def exchanged(self, problem: OptimalControlProblem) -> Assembly | None:
         """Return the stages of a problem with other dynamics, references and fixed ends, in the same units.
@@ -93,7 +96,7 @@ class Assembly:
         if (fixed != old_fixed).any() or (ends != old_ends)[:, ~fixed].any():
             return None
         coupling, origin, n = self.stages.coupling, self.recovery.origin, problem.state_dim
-        A, B, d = scaled_dynamics(*_dynamics(problem, origin, columns.shape[1]), columns)
+        A, B, d = scale_dynamics(*_dynamics(problem, origin, columns.shape[1]), columns)
         if problem.linear.A is old.linear.A and problem.linear.B is old.linear.B:
             A, B = self.stages.A, self.stages.B
         deviation = (ends[0] - origin.x[[0, -1]]) / columns[[0, -1], :n]
@@ -122,51 +125,20 @@ class Assembly:
         return all(one is another for one, another in pairs)
 
 
-def _ends(problem: OptimalControlProblem) -> tuple[Array, Mask]:
-    """Return the bounds of both ends, (2, 2, n), lower ones first, and which are equal, (2, n)."""
-    tube = problem.state_tube
-    bounds = np.stack([tube.lower[[0, -1]], tube.upper[[0, -1]]])
-    return bounds, bounds[0] == bounds[1]
-
-
-def _dynamics(problem: OptimalControlProblem, origin: Origin, width: int) -> tuple[Array, Array, Array]:
-    """Return A, B and d in deviations from the origin, with so many entries of y."""
-    linear, (T, n, m) = problem.linear, (problem.horizon, problem.state_dim, problem.control_dim)
-    A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
-    A[:-1], d[:-1] = linear.A, linear.successors(origin.x, origin.u) - origin.x[1:]
-    B[:-1, :, :m] = np.where(origin.held[:-1, None, n:], 0.0, linear.B)
-    return A, B, d
-
-
 def stages_of(problem: OptimalControlProblem) -> Assembly:
     """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit."""
     builder = _Builder(problem)
     coupling, parts = builder.coupling()
     plain, priced, used = builder.stages(coupling), builder.priced(), builder.used()
     columns = _column_units(problem, *stated_sizes(problem), builder.slack_columns, used.shape)
-    stages, units = scaled(plain, columns, priced)
+    stages, units = scale_stages(plain, columns, priced)
     targets, signs = builder.recovered(parts)
     recovery = Recovery(problem, builder.origin, units, builder.layout, targets, signs)
-    return Assembly(unused_entries_held(stages, used), recovery, builder.slack_columns, used, priced)
-
-
-def _column_units(
-    problem: OptimalControlProblem, x: Array, u: Array, slacks: tuple[Indices, ...], shape: tuple[int, ...]
-) -> Array:
-    """Return units of y, (T+1, n+k), from those of states (n,) and controls (m,)."""
-    columns, n, m, T = np.ones(shape), problem.state_dim, problem.control_dim, problem.horizon
-    columns[:, :n], columns[:, n : n + m] = x, u
-    signals = np.broadcast_to(x, (T + 1, n)), np.broadcast_to(u, (T, m))
-    for term, flat in zip(problem.terms, slacks, strict=True):
-        if len(flat):
-            paid = term.penalty.conic(*term.shape).paid
-            sizes = term.map.sizes(*signals).ravel()[paid].max(axis=1, initial=0.0)
-            columns.flat[flat] = np.where(sizes > 0, sizes, 1.0)
-    return columns
+    return Assembly(fix_unused_entries(stages, used), recovery, builder.slack_columns, used, priced)
 
 
 class _Builder:
-    """The rows of a problem, their places, and the arrays that follow."""
+    """The rows of a problem, their slots, and the arrays that follow."""
 
     def __init__(self, problem: OptimalControlProblem):
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
@@ -175,9 +147,9 @@ class _Builder:
         self.origin = origin_of(problem)
         self._fixed = _ends(problem)[1]
         self._rows, of_terms = self._all_rows()
-        self._places = places(self._rows)
-        self._width = n + m + self._places.slack_count
-        self.slack_columns = tuple(self._flat_slacks[one] for one in of_terms)
+        self._slots = assign_slots(self._rows)
+        self._width = n + m + self._slots.slack_count
+        self.slack_columns = tuple(self._flat_slacks[own] for own in of_terms)
 
     def _all_rows(self) -> tuple[StageRowList, list[slice]]:
         """Return the rows of single times, and of each term, which of their slacks are its own."""
@@ -199,7 +171,7 @@ class _Builder:
                 parts.append(nonnegative_slacks(times, prices, n + m))
                 spread += len(prices)
         firsts = np.cumsum([len(part.prices) for part in parts])
-        return joined(parts), [slice(int(a), int(b)) for a, b in pairwise(firsts[1:])]
+        return concatenate_rows(parts), [slice(int(a), int(b)) for a, b in pairwise(firsts[1:])]
 
     def stages(self, coupling: Coupling) -> Stages:
         """Return the stages in the problem's own units; entries of y that are not used have Hessian 0."""
@@ -211,32 +183,31 @@ class _Builder:
         time, entry = np.nonzero(origin.held)
         H[time, entry], H[time, :, entry], h[time, entry] = 0.0, 0.0, 0.0
         h.flat[self._flat_slacks] = self._rows.prices
-        G, g = self._stage_arrays()
+        rows, slots, first = self._rows, self._slots, n + m
+        G, g = np.zeros((T + 1, slots.count, width)), np.full((T + 1, slots.count), np.inf)
+        time = rows.times[slots.source]
+        G[time, slots.slot, :first] = slots.sign[:, None] * rows.matrix[slots.source]
+        slacks = sp.coo_array(rows.slacks[slots.source])
+        row, slack = slacks.coords
+        G[time[row], slots.slot[row], first + slots.slack_slot[slack]] = slots.sign[row] * slacks.data
+        g[time, slots.slot] = np.where(slots.sign > 0, rows.upper[slots.source], -rows.lower[slots.source])
         lower = problem.state_tube.lower
         initial = np.where(self._fixed[0], lower[0] - origin.x[0], np.nan)
         dynamics = _dynamics(problem, origin, width)
-        return Stages(*dynamics, H, h, G, g, self._places.cones, initial, coupling, cost.value(origin.x, origin.u))
-
-    def _stage_arrays(self) -> tuple[Array, Array]:
-        rows, at, first = self._rows, self._places, self._n + self._m
-        G, g = np.zeros((self._T + 1, at.count, self._width)), np.full((self._T + 1, at.count), np.inf)
-        time = rows.times[at.source]
-        G[time, at.slot, :first] = at.sign[:, None] * rows.matrix[at.source]
-        slacks = sp.coo_array(rows.slacks[at.source])
-        row, slack = slacks.coords
-        G[time[row], at.slot[row], first + at.slack_slot[slack]] = at.sign[row] * slacks.data
-        g[time, at.slot] = np.where(at.sign > 0, rows.upper[at.source], -rows.lower[at.source])
-        return G, g
+        return Stages(*dynamics, H, h, G, g, self._slots.cones, initial, coupling, cost.value(origin.x, origin.u))
 
     def coupling(self) -> tuple[Coupling, list[CoupledPart]]:
-        """Return the rows that couple times, in the problem's own units, and with them where their duals belong."""
+        """Return the rows that couple times, in the problem's own units, and their parts with the targets of duals."""
         problem, T, n, m = self._problem, self._T, self._n, self._m
         origin, columns = self.origin, Columns(T + 1, n, m, self._width)
         parts = [
             *stopped_parts(problem.state_stop, problem.state_samples, 0, origin.values, self._width, self.layout.rho_x),
             *stopped_parts(problem.control_stop, T, n, origin.values, self._width, self.layout.rho_u),
-            *self._stage_equations(columns),
         ]
+        rows, equal = self._rows, self._slots.equations
+        if len(equal):
+            matrix = columns.of_stages(rows.times[equal], rows.matrix[equal], rows.slacks[equal], self._flat_slacks)
+            parts.append(CoupledPart(Equations(SparseRows(matrix), rows.lower[equal]), rows.targets[equal]))
         for term, slacks, target in zip(problem.terms, self.slack_columns, self.layout.terms, strict=True):
             if term.map.stage_form(n, m) is None:
                 parts += term_parts(term, columns, slacks, term.map.values(origin.x, origin.u), target)
@@ -244,17 +215,9 @@ class _Builder:
         end = problem.state_tube.lower[-1, terminal] - origin.x[-1, terminal]
         return on_channels(parts, self._width, terminal, end), parts
 
-    def _stage_equations(self, columns: Columns) -> list[CoupledPart]:
-        """Return the rows of single times with lower = upper."""
-        rows, chosen = self._rows, self._places.equations
-        if not len(chosen):
-            return []
-        matrix = columns.of_stages(rows.times[chosen], rows.matrix[chosen], rows.slacks[chosen], self._flat_slacks)
-        return [CoupledPart(Equations(SparseRows(matrix), rows.lower[chosen]), rows.targets[chosen])]
-
     @property
     def _flat_slacks(self) -> Indices:
-        return self._rows.slack_times * self._width + self._n + self._m + self._places.slack_slot
+        return self._rows.slack_times * self._width + self._n + self._m + self._slots.slack_slot
 
     def used(self) -> Mask:
         """Return which entries of y are used, (T+1, n+k)."""
@@ -271,14 +234,45 @@ class _Builder:
         return priced
 
     def recovered(self, parts: list[CoupledPart]) -> tuple[Indices, Array]:
-        """Return the target and the sign of every dual behind those of the dynamics, flat."""
-        n, T, places = self._n, self._T, self._places
+        """Return the target and the sign of every dual after those of the dynamics, flat."""
+        n, T, slots = self._n, self._T, self._slots
         initial = np.where(self._fixed[0], self.layout.mu + np.arange(n), -1)
         end = self.layout.mu + T * n + np.flatnonzero(self._fixed[1])
-        of_stages, signs = np.full((T + 1, places.count), -1), np.ones((T + 1, places.count))
-        at = self._rows.times[places.source], places.slot
-        of_stages[at], signs[at] = self._rows.targets[places.source], places.sign
+        of_stages, signs = np.full((T + 1, slots.count), -1), np.ones((T + 1, slots.count))
+        at = self._rows.times[slots.source], slots.slot
+        of_stages[at], signs[at] = self._rows.targets[slots.source], slots.sign
         ordered = [part for kind in (Equations, Inequalities, Balls) for part in parts if isinstance(part.family, kind)]
         targets = [initial, of_stages.ravel(), end, *(part.targets.ravel() for part in ordered)]
         of_parts = [np.full(part.targets.size, part.sign) for part in ordered]
         return np.concatenate(targets), np.concatenate([np.ones(n), signs.ravel(), np.ones(len(end)), *of_parts])
+
+
+def _column_units(
+    problem: OptimalControlProblem, x: Array, u: Array, slacks: tuple[Indices, ...], shape: tuple[int, ...]
+) -> Array:
+    """Return units of y, (T+1, n+k), from those of states (n,) and controls (m,)."""
+    columns, n, m, T = np.ones(shape), problem.state_dim, problem.control_dim, problem.horizon
+    columns[:, :n], columns[:, n : n + m] = x, u
+    signals = np.broadcast_to(x, (T + 1, n)), np.broadcast_to(u, (T, m))
+    for term, flat in zip(problem.terms, slacks, strict=True):
+        if len(flat):
+            paid = term.penalty.conic(*term.shape).paid
+            sizes = term.map.sizes(*signals).ravel()[paid].max(axis=1, initial=0.0)
+            columns.flat[flat] = np.where(sizes > 0, sizes, 1.0)
+    return columns
+
+
+def _dynamics(problem: OptimalControlProblem, origin: Origin, width: int) -> tuple[Array, Array, Array]:
+    """Return A, B and d in deviations from the origin, with so many entries of y."""
+    linear, (T, n, m) = problem.linear, (problem.horizon, problem.state_dim, problem.control_dim)
+    A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
+    A[:-1], d[:-1] = linear.A, linear.successors(origin.x, origin.u) - origin.x[1:]
+    B[:-1, :, :m] = np.where(origin.held[:-1, None, n:], 0.0, linear.B)
+    return A, B, d
+
+
+def _ends(problem: OptimalControlProblem) -> tuple[Array, Mask]:
+    """Return the bounds of both ends, (2, 2, n), lower ones first, and which are equal, (2, n)."""
+    tube = problem.state_tube
+    bounds = np.stack([tube.lower[[0, -1]], tube.upper[[0, -1]]])
+    return bounds, bounds[0] == bounds[1]

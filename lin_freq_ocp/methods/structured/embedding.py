@@ -27,9 +27,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
-from lin_freq_ocp.methods.structured.kkt.system import System, Values
-from lin_freq_ocp.methods.structured.model.cones import Cone, into
+from lin_freq_ocp.methods.structured.cones import Cone, clip_change
+from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System, Values, largest
 
 FRACTION = 0.99  # of the way to the boundary
 MOST_FRACTION = 0.999  # of it where a whole step is nearly possible
@@ -48,8 +47,8 @@ RAY = 1e-9  # residual of a ray, relative to b'z or h'y, from which rounding hid
 ROUGH_RAY = 1e-5  # the same where the iteration stalled
 EXPECTED = 3.0  # residual after a step, in units of what Newton's method leaves, from which systems are refined
 LEAST_TERMS = 1e-4  # of the objective's absolute terms where y is 1: what the gap is relative to, at least
-VANISHED = 1e-3  # tau, relative to kappa, below which a ray is believed at ``RAY``
-LEAST_TAU = 1e-100  # below which a ray that is not believed gets no better; soon after, the square of tau is zero
+VANISHED = 1e-3  # tau, relative to kappa, below which a ray is accepted at ``RAY``
+LEAST_TAU = 1e-100  # below which a ray that is not accepted gets no better; soon after, the square of tau is zero
 
 
 class End(Enum):
@@ -159,10 +158,10 @@ class Embedding:
     system: System
     step: StepSystem
     targets: Targets = field(default_factory=Targets)
-    believed: Callable[[Values], bool] = lambda z: False  # whether a ray, however rough, proves infeasibility
+    accept_ray: Callable[[Values], bool] = lambda z: False  # whether a ray, however rough, proves infeasibility
 
     def __post_init__(self):
-        self._h, self._b = self.system.stages.h, self.system.b
+        self._h, self._b, self._cones = self.system.stages.h, self.system.b, self.system.cones
         self._sizes = 1 + float(np.abs(self._h).max(initial=0.0)), 1 + largest(self._b)
         self._degree = self.system.degree + 1
         self._refined, self._expected = False, np.inf
@@ -173,16 +172,12 @@ class Embedding:
         """Return the sum of the absolute terms of the objective."""
         return abs(self.system.stages.constant) + 0.5 * yPy + _dot(np.abs(self._h), np.abs(y))
 
-    @property
-    def _cones(self) -> dict[int, Cone]:
-        return self.system.cones
-
     def run(self) -> Answer:
         """Iterate until the targets, a ray, a stall, or the time limit."""
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is seen by numbers that are not finite
-            return self._iterated()
+            return self._iterate()
 
-    def _iterated(self) -> Answer:
+    def _iterate(self) -> Answer:
         best: Answer | None = None
         least, progress = np.inf, 0
         try:
@@ -191,21 +186,21 @@ class Embedding:
             last = now() - clock  # a step takes about as long
             for step in count():
                 clock = now()
-                found = self.measured(point)
-                self._refined |= found.left > EXPECTED * self._expected + self.targets.residual * point.tau
-                if best is None or found.errors.merit(self.targets) < best.errors.merit(self.targets):
-                    best, progress = _answer(End.STALLED, point, found, step, point.tau), step
-                if found.mu <= PROGRESS * least:
-                    least, progress = found.mu, step
-                ended = self._ended(point, found, step)
+                measures = self.measured(point)
+                self._refined |= measures.left > EXPECTED * self._expected + self.targets.residual * point.tau
+                if best is None or measures.errors.merit(self.targets) < best.errors.merit(self.targets):
+                    best, progress = _answer(End.STALLED, point, measures, step, point.tau), step
+                if measures.mu <= PROGRESS * least:
+                    least, progress = measures.mu, step
+                ended = self._conclude(point, measures, step)
                 if ended is not None:
                     return ended
-                stalled = step - progress > STALLED and not self._vanishing(point)
-                if stalled or step == MOST_STEPS or point.tau < LEAST_TAU or not np.isfinite(found.errors.primal):
-                    return self._rough_ray(point, found, step) or best
+                stalled = step - progress > STALLED and not self._tau_vanishes(point)
+                if stalled or step == MOST_STEPS or point.tau < LEAST_TAU or not np.isfinite(measures.errors.primal):
+                    return self._rough_ray(point, measures, step) or best
                 if clock + last > self.targets.end:
                     return replace(best, end=End.TIME)
-                point = self._next(point, found)
+                point = self._next(point, measures)
                 last = now() - clock
         except KeyboardInterrupt:
             if best is None:
@@ -218,8 +213,8 @@ class Embedding:
             cone.reset()
         self.step.factor()
         y, z = self.step.solve(-self._h, self._b)
-        s = _inside(self._cones, {i: -z[i] for i in self._cones})
-        for i, part in _inside(self._cones, {i: z[i] for i in self._cones}).items():
+        s = _move_inside(self._cones, {i: -z[i] for i in self._cones})
+        for i, part in _move_inside(self._cones, {i: z[i] for i in self._cones}).items():
             z[i] = part
         return Point(y, z, s)
 
@@ -245,30 +240,30 @@ class Embedding:
         descent = max(largest(Ay), curved) / -hy if hy < 0 else np.inf
         return _Measures(f_y, f_z, f_tau, Py, yPy, hy, bz, mu, errors, max(of_y, of_z), ray, descent)
 
-    def _ended(self, point: Point, found: _Measures, step: int) -> Answer | None:
+    def _conclude(self, point: Point, measures: _Measures, step: int) -> Answer | None:
         """Return the answer if the point is one."""
-        if found.errors.merit(self.targets) <= 1:
-            return _answer(End.OPTIMAL, point, found, step, point.tau)
-        vanishing = self._vanishing(point)
-        if (found.ray <= RAY and vanishing) or (found.bz < 0 and vanishing and self.believed(point.z)):
-            return _answer(End.INFEASIBLE, point, found, step, -found.bz)
-        if found.descent <= RAY and vanishing:
-            return _answer(End.UNBOUNDED, point, found, step, -found.hy)
+        if measures.errors.merit(self.targets) <= 1:
+            return _answer(End.OPTIMAL, point, measures, step, point.tau)
+        vanishing = self._tau_vanishes(point)
+        if (measures.ray <= RAY and vanishing) or (measures.bz < 0 and vanishing and self.accept_ray(point.z)):
+            return _answer(End.INFEASIBLE, point, measures, step, -measures.bz)
+        if measures.descent <= RAY and vanishing:
+            return _answer(End.UNBOUNDED, point, measures, step, -measures.hy)
         return None
 
-    def _rough_ray(self, point: Point, found: _Measures, steps: int) -> Answer | None:
+    def _rough_ray(self, point: Point, measures: _Measures, steps: int) -> Answer | None:
         """Return the ray or direction at which the iteration stalled, if it is one, for the judge to verify."""
-        if self._vanishing(point) and found.ray <= ROUGH_RAY:
-            return _answer(End.INFEASIBLE, point, found, steps, -found.bz)
-        if point.tau < VANISHED and found.descent <= ROUGH_RAY:
-            return _answer(End.UNBOUNDED, point, found, steps, -found.hy)
+        if self._tau_vanishes(point) and measures.ray <= ROUGH_RAY:
+            return _answer(End.INFEASIBLE, point, measures, steps, -measures.bz)
+        if point.tau < VANISHED and measures.descent <= ROUGH_RAY:
+            return _answer(End.UNBOUNDED, point, measures, steps, -measures.hy)
         return None
 
     @staticmethod
-    def _vanishing(point: Point) -> bool:
+    def _tau_vanishes(point: Point) -> bool:
         return point.tau < VANISHED * min(1.0, point.kappa)
 
-    def _next(self, point: Point, found: _Measures) -> Point:
+    def _next(self, point: Point, measures: _Measures) -> Point:
         """Return the point after a step of predictor and correctors."""
         cones, tau, kappa = self._cones, point.tau, point.kappa
         for i, cone in cones.items():
@@ -276,59 +271,61 @@ class Embedding:
         self.step.factor()
         constant = self.step.solve(-self._h, self._b, self._refined)
         squares = {i: cone.product(cone.lam, cone.lam) for i, cone in cones.items()}
-        affine = self._direction(point, found, constant, _Aim(0.0, squares, kappa * tau))
+        affine = self._direction(point, measures, constant, _Aim(0.0, squares, kappa * tau))
         sigma = (1 - min(self._longest(point, affine), 1.0)) ** 3
         centred = {
-            i: squares[i] + cone.product(affine.scaled_s[i], affine.scaled_z[i]) - sigma * found.mu * cone.identity
+            i: squares[i] + cone.product(affine.scaled_s[i], affine.scaled_z[i]) - sigma * measures.mu * cone.identity
             for i, cone in cones.items()
         }
-        of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * found.mu
-        step, length = self._corrected(point, found, constant, _Aim(sigma, centred, of_kappa))
-        length = min(_fraction(length) * length, 1.0)
-        self._expected = (1 - length * (1 - sigma)) * found.left
+        of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * measures.mu
+        step, length = self._correct(point, measures, constant, _Aim(sigma, centred, of_kappa))
+        # The closer a whole step is to being possible, the closer to the boundary it may end
+        fraction = min(MOST_FRACTION, max(FRACTION, 1 - FRACTION_SLOPE * (1 - min(length, 1.0)) ** 2))
+        length = min(fraction * length, 1.0)
+        self._expected = (1 - length * (1 - sigma)) * measures.left
         return point.moved(step, length)
 
-    def _corrected(
-        self, point: Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim
+    def _correct(
+        self, point: Point, measures: _Measures, constant: tuple[Array, Values], aim: _Aim
     ) -> tuple[_Direction, float]:
         """Return the direction after Gondzio's correctors, and the longest step along it."""
-        step = self._direction(point, found, constant, aim)
+        step = self._direction(point, measures, constant, aim)
         length = self._longest(point, step)
         for _ in range(CORRECTORS):
             if length >= FAR:
                 break
-            aim = self._recentred(point, step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, found.mu)
-            other = self._direction(point, found, constant, aim)
+            aim = self._recentre(point, step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, measures.mu)
+            other = self._direction(point, measures, constant, aim)
             further = self._longest(point, other)
             if further < length + GAIN:
                 break
             step, length = other, further
         return step, length
 
-    def _recentred(self, point: Point, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
+    def _recentre(self, point: Point, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
         """Return the aim with outliers after such a step moved towards sigma mu."""
         low, high = aim.sigma * mu / OUTLYING, aim.sigma * mu * OUTLYING
         of_s = dict(aim.of_s)
         for i, cone in self._cones.items():
             s, z = cone.lam + length * step.scaled_s[i], cone.lam + length * step.scaled_z[i]
-            of_s[i] = of_s[i] - cone.into(cone.product(s, z), low, high)
+            of_s[i] = of_s[i] - cone.clip_change(cone.product(s, z), low, high)
         product = (point.tau + length * step.tau) * (point.kappa + length * step.kappa)
-        return _Aim(aim.sigma, of_s, aim.of_kappa - float(into(np.array(product), low, high)))
+        return _Aim(aim.sigma, of_s, aim.of_kappa - float(clip_change(np.array(product), low, high)))
 
-    def _direction(self, point: Point, found: _Measures, constant: tuple[Array, Values], aim: _Aim) -> _Direction:
+    def _direction(self, point: Point, measures: _Measures, constant: tuple[Array, Values], aim: _Aim) -> _Direction:
         cones, tau, kappa, b, rest = self._cones, point.tau, point.kappa, self._b, 1 - aim.sigma
-        right = [-rest * part for part in found.f_z]
+        right = [-rest * part for part in measures.f_z]
         for i, cone in cones.items():
             right[i] = right[i] + cone.scaled(cone.quotient(aim.of_s[i]), 1)
-        y, z = self.step.solve(-rest * found.f_y, right, self._refined)
-        slope = self._h + 2 * found.Py / tau
-        steepness = _dot(slope, constant[0]) + sum(map(_dot, b, constant[1])) - found.yPy / tau**2 - kappa / tau
-        missing = -rest * found.f_tau + aim.of_kappa / tau - _dot(slope, y) - sum(map(_dot, b, z))
+        y, z = self.step.solve(-rest * measures.f_y, right, self._refined)
+        slope = self._h + 2 * measures.Py / tau
+        steepness = _dot(slope, constant[0]) + sum(map(_dot, b, constant[1])) - measures.yPy / tau**2 - kappa / tau
+        missing = -rest * measures.f_tau + aim.of_kappa / tau - _dot(slope, y) - sum(map(_dot, b, z))
         dtau = missing / steepness
         y = y + dtau * constant[0]
         z = [part + dtau * other for part, other in zip(z, constant[1], strict=True)]
         rows = self.system.rows(y)
-        s = {i: (b[i] * dtau - rest * found.f_z[i] - rows[i]) * cone.present for i, cone in cones.items()}
+        s = {i: (b[i] * dtau - rest * measures.f_z[i] - rows[i]) * cone.present for i, cone in cones.items()}
         scaled_s = {i: cone.scaled(s[i], -1) for i, cone in cones.items()}
         scaled_z = {i: cone.scaled(z[i], 1) for i, cone in cones.items()}
         return _Direction(y, z, s, scaled_s, scaled_z, dtau, -(aim.of_kappa + kappa * dtau) / tau)
@@ -341,16 +338,11 @@ class Embedding:
         return min([*lengths, *ends], default=np.inf)
 
 
-def _fraction(length: float) -> float:
-    """Return the part of the longest step that is taken."""
-    return min(MOST_FRACTION, max(FRACTION, 1 - FRACTION_SLOPE * (1 - min(length, 1.0)) ** 2))
+def _answer(end: End, point: Point, measures: _Measures, steps: int, unit: float) -> Answer:
+    return Answer(end, point.y / unit, [part / unit for part in point.z], measures.errors, steps)
 
 
-def _answer(end: End, point: Point, found: _Measures, steps: int, unit: float) -> Answer:
-    return Answer(end, point.y / unit, [part / unit for part in point.z], found.errors, steps)
-
-
-def _inside(cones: dict[int, Cone], v: dict[int, Array]) -> dict[int, Array]:
+def _move_inside(cones: dict[int, Cone], v: dict[int, Array]) -> dict[int, Array]:
     """Return v, moved into the cones if it is not well inside of all.
 
     All cones move by the same amount: products of s and z of different sizes would allow short steps only.
