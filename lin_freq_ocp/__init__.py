@@ -21,7 +21,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from lin_freq_ocp.base.starting import leave_silently
+from lin_freq_ocp.base.interrupts import leave_silently
 
 leave_silently()
 

@@ -13,7 +13,7 @@ from rich.console import Console, ConsoleDimensions
 from rich.markup import escape
 
 from lin_freq_ocp.base.errors import LinFreqOCPError, first_line
-from lin_freq_ocp.base.starting import INTERRUPTED
+from lin_freq_ocp.base.interrupts import INTERRUPTED
 from lin_freq_ocp.base.status import Status
 
 if TYPE_CHECKING:

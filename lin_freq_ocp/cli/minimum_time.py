@@ -11,7 +11,7 @@ import click
 
 from lin_freq_ocp import __version__
 from lin_freq_ocp.api.minimum_time import MinimumTime, minimum_time
-from lin_freq_ocp.base.starting import INTERRUPTED
+from lin_freq_ocp.base.interrupts import INTERRUPTED
 from lin_freq_ocp.cli.console import (
     NO_SOLUTION,
     NOT_PROVEN,

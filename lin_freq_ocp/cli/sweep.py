@@ -19,7 +19,7 @@ from lin_freq_ocp.api.sweep import Sweep, sweep
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import replacing, writing
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.starting import INTERRUPTED
+from lin_freq_ocp.base.interrupts import INTERRUPTED
 from lin_freq_ocp.batch.sweep.grid import MOST_POINTS, Source
 from lin_freq_ocp.batch.sweep.tasks import WorkerPool, process_pool
 from lin_freq_ocp.cli.console import NOT_PROVEN, PROVEN, complain, err, print_json, print_table, written

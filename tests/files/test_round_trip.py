@@ -14,8 +14,8 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.costs import L1Cost, LInfCost
 from lin_freq_ocp.files.problem_file import toml_file
 from lin_freq_ocp.files.problem_file.toml_file import INLINE_LIMIT
-from lin_freq_ocp.formulas.definitions import EXACT
 from lin_freq_ocp.formulas.nodes import written
+from lin_freq_ocp.formulas.text import EXACT
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram, notch
 from lin_freq_ocp.testing.random_mixed import FEATURES, problem_of, random_model
 

@@ -9,9 +9,8 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, positive_integer, real
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.locations import FileTable, FileValue
 from lin_freq_ocp.files.problem_file.codec import Record, Tables, Value, checked, nonzero
-from lin_freq_ocp.formulas.definitions import defined, with_definitions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
-from lin_freq_ocp.formulas.text import formula_from_text, require_formula
+from lin_freq_ocp.formulas.text import defined, formula_from_text, require_formula, with_definitions
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse

@@ -19,7 +19,7 @@ from socket import socket
 from typing import NoReturn
 
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
-from lin_freq_ocp.base.interrupt import interrupts_noted
+from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.pages.explorer.page import page
 from lin_freq_ocp.pages.explorer.session import Session
 from lin_freq_ocp.pages.explorer.view import Data

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.box_quadratic import box_minimiser
+from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.program.hybrid.rows import ModeStages
 

@@ -1,4 +1,7 @@
-"""Ctrl-C while the command line imports what it needs: out at once, with its status and without a traceback."""
+"""Ctrl-C while the command line imports what it needs: out at once, with its status and without a traceback.
+
+Ctrl-C during a solver's compiled code: noted at once, acted on between its iterations, nothing lost.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,25 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import PurePath
 from types import FrameType
+
+
+@contextmanager
+def interrupts_noted() -> Generator[threading.Event]:
+    """Set the event, instead of raising KeyboardInterrupt, when Ctrl-C arrives; only the main thread receives it."""
+    noted = threading.Event()
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is None:
+        yield noted
+        return
+    before = signal.signal(signal.SIGINT, lambda number, frame: noted.set())
+    try:
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, before)
+
 
 INTERRUPTED = 130  # exit status after Ctrl-C, as of shells
 
