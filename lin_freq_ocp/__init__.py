@@ -55,7 +55,7 @@ if TYPE_CHECKING:
         write_problem,
     )
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
-    from lin_freq_ocp.problem.rate_limit import rate_limited
+    from lin_freq_ocp.problem.reformulations import rate_limited
     from lin_freq_ocp.problem.simulation import simulate
     from lin_freq_ocp.results import Trajectory
     from lin_freq_ocp.sets import Box, FiniteSet, Periodic, StageRows

@@ -11,8 +11,8 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.response_bound import farkas_bound
-from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 

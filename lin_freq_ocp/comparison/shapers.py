@@ -22,7 +22,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
 
 INSENSITIVITY = 0.05  # V of EI: the customary 5 %
 

@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.problem.terms.peaks.search import peaks_above
+from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome

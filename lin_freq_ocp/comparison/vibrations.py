@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 FREQUENCIES, DAMPINGS = 401, 9  # at which the vibration is shown, and over which its largest value is taken

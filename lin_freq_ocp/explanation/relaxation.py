@@ -14,12 +14,12 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.explanation.blocks import ENDS, Block, hard_only, kept_stopped, relaxed
-from lin_freq_ocp.problem.augmented import AddedStates, extended
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import AddedStates, extended
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.solving.outcome import Cure
 from lin_freq_ocp.solving.solve import solve_judged
 

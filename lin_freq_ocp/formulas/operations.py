@@ -86,8 +86,8 @@ def stack_jets(arguments: Sequence[Jet]) -> Stacked:
 def compose_jets(arguments: Stacked, value: Array, first: Array, second: Array) -> Stacked:
     """Return the jets of the outputs of g(a): D = sum g_i Da_i, D2 = sum g_i D2a_i + sum g_ij Da_i Da_j'.
 
-    Of arguments from ``stack_jets``; value (points, outputs), first (..., arguments), second (..., arguments, arguments). The
-    result has a first axis of outputs.
+    The arguments are those of ``stack_jets``; value (points, outputs), first (..., arguments), second (..., arguments,
+    arguments). The result has a first axis of outputs.
     """
     _, slopes, hessians = arguments
     hessian = np.einsum("poi,iklp->oklp", first, hessians)

@@ -17,14 +17,14 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, brief, positive_
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.common import symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import notch, stop_band
 from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 MS_PER_S = 1e3
 BAND_LEVEL = 145.17  # mT/m: 5 % of the largest |V| of the default pulse without bands, 2903.35 mT/m at 632 Hz

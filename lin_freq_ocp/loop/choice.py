@@ -10,8 +10,8 @@ from dataclasses import replace
 
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.problem.translation import translation_of
 from lin_freq_ocp.solving.hybrid.smooth import no_multipliers
 from lin_freq_ocp.solving.judging import allowed_residual
 

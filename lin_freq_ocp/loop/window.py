@@ -17,8 +17,8 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, Everything
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 SPECTRA = ("control_spectrum", "state_spectrum", "output_spectrum")
 

@@ -22,14 +22,11 @@ from lin_freq_ocp.problem.hybrid.levels import with_levels
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics, as_sequence
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
-from lin_freq_ocp.problem.problem_data import ProblemData
-from lin_freq_ocp.problem.problem_terms import bounded_bins, terms_of
+from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets, box_of, end_set, end_within
-from lin_freq_ocp.problem.sets.stage_sets import StageSets, stage_sets
-from lin_freq_ocp.problem.spectrum.base import Constraints
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
-from lin_freq_ocp.problem.terms.stage_rows import StageRows, row_families
+from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
+from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 

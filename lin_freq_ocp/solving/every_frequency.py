@@ -21,10 +21,10 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.peaks.search import peaks_above
+from lin_freq_ocp.problem.reformulations import at_frequencies
+from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import judged

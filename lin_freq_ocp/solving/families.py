@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 
 from lin_freq_ocp.base.errors import UnsupportedError, suggestion
 from lin_freq_ocp.problem.dynamics.base import entry_for
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.hybrid.pulse_train import PulseTrain

@@ -13,9 +13,9 @@ from lin_freq_ocp.certificate.hybrid.bound import TreeBound
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.reformulations import Translation, translation_of
 from lin_freq_ocp.problem.starts import Start, start_of
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.problem.translation import Translation, translation_of
 from lin_freq_ocp.program.backends.base import backend as solver_named
 from lin_freq_ocp.program.backends.base import names
 from lin_freq_ocp.solving.every_frequency import solved_by

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.problem.rate_limit import NAME
+from lin_freq_ocp.problem.reformulations import NAME
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.program.backends.base import Claim, backend

@@ -8,7 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
-from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.testing.random_mixed import problem_of, random_model
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.peaks.search import peaks_above
+from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
 
 
 def peak_points(problem: OptimalControlProblem, x: Array, u: Array, above: float) -> dict[str, Array]:

@@ -22,7 +22,7 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
 from lin_freq_ocp.certificate.peaks.cells import TERMS, Cells, Peak, joined, largest
-from lin_freq_ocp.problem.terms.limits import Limits
+from lin_freq_ocp.problem.terms.semi_infinite import Limits
 
 CELLS = 4  # for each sample: the series then converges like (pi/8)^j / j!
 DOUBLE_SHARE = 1e-11  # error of the ratio, from rounding in double precision, that needs no longer numbers

@@ -9,9 +9,7 @@ from lin_freq_ocp.certificate.peaks.cells import Peak
 from lin_freq_ocp.certificate.peaks.held import HeldSeries
 from lin_freq_ocp.certificate.peaks.masks import certified_peak
 from lin_freq_ocp.certificate.peaks.vibrations import certified_vibration
-from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
-from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
+from lin_freq_ocp.problem.terms.semi_infinite import Continuum, Frequencies, HeldFrequencies, PlantBox
 
 
 @singledispatch

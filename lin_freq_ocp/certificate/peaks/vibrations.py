@@ -1,7 +1,7 @@
 """The largest residual vibration over a box of modes, with proof.
 
 |V| = |Q| / sin(phi), Q(y) = (z - 1) sum_t v_t z^(N-1-t), z = exp(h e^y), y = ln w + i phi, is largest on an edge of the
-rectangle of all y, as ln |V| is subharmonic (problem/terms/continua/vibration.py). An edge is divided into cells of
+rectangle of all y, as ln |V| is subharmonic (problem/terms/semi_infinite.py). An edge is divided into cells of
 half-length r about y_c. Q at K points of the circle of radius r about y_c has the Fourier coefficients
 a_j = q_j + q_{j+K} + ..., where Q = sum_j q_j ((y - y_c) / r)^j. By Cauchy, |q_j| <= M (r/R)^j with |Q| <= M on the
 circle of radius R: with W = N h max w, M = 2 exp(W (e^R - 1)) sum |v_t|. The limit times sin(phi), which is concave, is
@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, extended
 from lin_freq_ocp.certificate.peaks.cells import TERMS, Cells, Peak, joined, largest
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
 
 GROWTH = 16.0  # W (e^R - 1): the least of exp(GROWTH) (r/R)^TERMS is near GROWTH = TERMS
 INNER = 0.03  # r / R: what the series leaves is 2e-17 of the sum of the samples' absolute values

@@ -12,8 +12,8 @@ from lin_freq_ocp.files.problem_file.codec import Record, Tables, Value, checked
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import defined, formula_from_text, require_formula, with_definitions
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.hybrid.affine_mode import MODE, AffineMode
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode

@@ -19,13 +19,12 @@ from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
-from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.bands import Band, LinearConstraint, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum.base import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, MagnitudeBound
-from lin_freq_ocp.problem.spectrum.linear_constraint import LinearConstraint
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 SCHEMA = 2  # version of the layout; earlier ones are read, as what was added since is optional
 

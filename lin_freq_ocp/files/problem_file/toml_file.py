@@ -22,7 +22,7 @@ from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.files.files import npz_bytes, opened_npz, read_text, require_file
 from lin_freq_ocp.files.locations import FileTable, FileValue, naming, require_keys
 from lin_freq_ocp.files.problem_file.tables import PROBLEM, problem_from_tables
-from lin_freq_ocp.problem.dynamics.response.measured import read_response
+from lin_freq_ocp.problem.dynamics.frequency_response import read_response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 ARRAYS_SUFFIX = ".problem.npz"  # of the arrays of cart.toml: cart.npz may be a solution

@@ -13,8 +13,8 @@ from lin_freq_ocp.pages.explorer.slider import LARGEST_PART, LEAST_PART, NOTCHES
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 AT_LEAST = "\N{GREATER-THAN OR EQUAL TO}"
 

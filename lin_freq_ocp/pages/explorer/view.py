@@ -13,10 +13,10 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.comparison.signals import Signal, controls_of, outputs_of, states_of
 from lin_freq_ocp.comparison.vibrations import ABOVE, frequencies_around, vibration
 from lin_freq_ocp.pages.report.units import frequency_scale, time_scale
-from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.reformulations import everywhere_of
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 

@@ -11,9 +11,8 @@ from lin_freq_ocp.pages.figures.panels import FEW_BINS
 from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.figures.style import BAND, BOUND, MUTED, new_figure, style_axes, thinned
 from lin_freq_ocp.pages.figures.vibration import PANEL_HEIGHT, Ringing, legend_beside, vibration_panel
-from lin_freq_ocp.problem.frequencies import everywhere_of
-from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.reformulations import everywhere_of
+from lin_freq_ocp.problem.terms.semi_infinite import HeldFrequencies, PlantBox
 from lin_freq_ocp.problem.terms.term import Term
 
 FINENESS = 8  # points for each bin

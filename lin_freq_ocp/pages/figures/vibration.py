@@ -25,7 +25,7 @@ from lin_freq_ocp.pages.figures.style import (
     style_axes,
 )
 from lin_freq_ocp.pages.report.units import aligned
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 PANEL_HEIGHT = 1.15 * ROW_HEIGHT

@@ -19,11 +19,11 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, names, positiv
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.stage_sets import StageSets
-from lin_freq_ocp.problem.terms.ends_map import Link
+from lin_freq_ocp.problem.sets.stage_rows import StageSets
+from lin_freq_ocp.problem.terms.term import Link
 
 Entry = TypeVar("Entry")
 Step = Callable[[int, Array, Array], Array]  # from t, x_t (n,) and u_t (m,) to x_{t+1} (n,)

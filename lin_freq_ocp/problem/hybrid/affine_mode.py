@@ -13,7 +13,7 @@ from lin_freq_ocp.base.arrays import Array, assign, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import System
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 
 REGION = "mode region"  # the name under which the region rows of a fixed mode sequence, and their multipliers, stand
 MODE = "mode"  # the field that errors name until ``located_at`` names the mode

@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
-from lin_freq_ocp.problem.sets.stage_sets import StageSets
+from lin_freq_ocp.problem.sets.stage_rows import StageSets
 
 
 @dataclass(frozen=True, eq=False, init=False)

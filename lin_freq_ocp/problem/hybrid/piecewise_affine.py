@@ -20,8 +20,7 @@ from lin_freq_ocp.problem.hybrid.guards import guarded_modes
 from lin_freq_ocp.problem.hybrid.max_min import modes_of
 from lin_freq_ocp.problem.hybrid.mode_arrays import REPLAY_ROUNDING, ModeArrays
 from lin_freq_ocp.problem.hybrid.regions import CheckedRegions, SwitchingFacet, borders_of
-from lin_freq_ocp.problem.sets.stage_sets import StageSets
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -257,6 +257,44 @@ class SumMap(MatrixMap):
         return SumMap(Phi, Psi, np.abs(self.constant))
 
 
+@dataclass(frozen=True, eq=False)
+class EndsMap(MatrixMap):
+    """v = E_0 x_0 + E_T x_T - e, a single group."""
+
+    E_0: Array  # (rows, n)
+    E_T: Array  # (rows, n)
+    e: Array  # (rows,)
+    horizon: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return 1, len(self.e)
+
+    @property
+    def positions(self) -> Indices:
+        return np.array([0, self.horizon])
+
+    @property
+    def additions(self) -> float:
+        return float(2 * self.E_0.shape[1] + 1)
+
+    def values(self, x: Array, u: Array) -> Array:
+        return (self.E_0 @ x[0] + self.E_T @ x[-1] - self.e)[None]
+
+    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        of_x, of_u = (np.zeros(shape, dtype=weights.dtype) for shape in shapes)
+        of_x[0], of_x[-1] = weights[0] @ self.E_0, weights[0] @ self.E_T
+        return of_x, of_u
+
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        between = sp.csr_array((len(self.e), (horizon - 1) * n))
+        of_x = sp.csr_array(sp.hstack([sp.csr_array(self.E_0), between, sp.csr_array(self.E_T)]))
+        return joined_rows(of_x, sp.csr_array((len(self.e), horizon * m))), -self.e
+
+    def magnitudes(self) -> AffineMap:
+        return EndsMap(np.abs(self.E_0), np.abs(self.E_T), -np.abs(self.e), self.horizon)
+
+
 def _first_columns(rows: Array, columns: int) -> sp.csr_array:
     """Return rows on the first of so many columns."""
     found = sp.csr_array(rows)

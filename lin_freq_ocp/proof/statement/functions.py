@@ -12,8 +12,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.problem.terms.ends_map import Within
-from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
+from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone, Within
 from lin_freq_ocp.problem.terms.penalty import Penalty
 
 NORMS = {1: "1", 2: "2", np.inf: "inf"}

@@ -8,7 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
+from lin_freq_ocp.problem.terms.semi_infinite import Continuum, Frequencies
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.proof.lines import encoded, line
 from lin_freq_ocp.proof.statement.functions import function_of

@@ -14,10 +14,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap
-from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
-from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
+from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
 from lin_freq_ocp.proof.lines import encoded
 
 Sizes = tuple[int, int, int]  # T, n, m
