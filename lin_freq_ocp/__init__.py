@@ -81,7 +81,7 @@ _HOMES = {
     "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
     "io": "from_time_response load load_run load_sweep read_csv read_mat read_problem to_cvxpy write_problem",
     "problem.ocp": "OptimalControlProblem",
-    "problem.rate_limit": "rate_limited",
+    "problem.reformulations": "rate_limited",
     "problem.simulation": "simulate",
     "results": "Trajectory",
     "sets": "Box FiniteSet Periodic StageRows",

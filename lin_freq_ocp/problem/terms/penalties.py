@@ -5,20 +5,16 @@ Their conic forms, with slacks s >= 0:
 
     HalfSpaces, hard         v <= limit
     HalfSpaces, soft         v - s <= limit, s >= 0                             cost weight * s, a slack per entry
+    Within                   -reach <= v <= reach
     NormBall, 1              v - s <= 0, v + s >= 0                             cost weight * s, a slack per entry
     NormBall, inf, hard      -radius <= v <= radius
     NormBall, inf, soft      v - s <= radius, v + s >= -radius, s >= 0          cost weight * s, a slack per group
     NormBall, 2, hard        (radius, v) in the second-order cone; v = 0 where the radius is 0
     NormBall, 2, soft        (radius + s, v) in the second-order cone, s >= 0   cost weight * s, a slack per group
     StandardCone             v in the second-order cone
+    LargestExcess            (l_j + (l_j / L) s, v_j) in the cone, s >= 0       cost (weight / L) * s, a single slack
 
-The price of the largest relative excess of several norms over their limits: one slack for all of them.
-
-    h(v) = weight * max(0, max_j |v_j| / l_j - 1),    h*(lambda) = sum_j l_j |lambda_j|  where that is <= weight.
-
-Conic form, with one slack s, a multiple L of the excess (L the largest limit, so that s has the unit of the values):
-
-    (l_j + (l_j / L) s, v_j) in the second-order cone, s >= 0         cost (weight / L) s
+L is the largest limit l_j, so that s has the unit of the values.
 """
 
 from __future__ import annotations
@@ -111,6 +107,45 @@ class HalfSpaces(Penalty):
 
     def _limited(self, shape: tuple[int, ...]) -> Indices:
         return np.flatnonzero(np.isfinite(np.broadcast_to(self.limit, shape)))
+
+
+@dataclass(frozen=True, eq=False)
+class Within(Penalty):
+    """|v| <= reach in every entry, always; with a reach of 0, the equation v = 0."""
+
+    reach: float
+
+    @property
+    def weights(self) -> Array:
+        return HARD
+
+    def excess(self, v: Array) -> Array:
+        return np.abs(v) - self.reach
+
+    def excess_slope(self, v: Array, change: Array, near: float) -> Array:
+        return np.where(np.abs(v) > near, np.sign(v) * change, np.abs(change))
+
+    def recession(self, change: Array) -> Array:
+        return np.abs(change)
+
+    def subgradient(self, multipliers: Array, eta_C: float) -> Array:
+        return multipliers
+
+    def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
+        return self.reach * np.abs(multipliers) - multipliers * v
+
+    def sizes(self) -> Array:
+        return np.full(1, self.reach)
+
+    def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+        return np.full(shape, -self.reach), np.full(shape, self.reach)
+
+    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+        return c, replace(self, reach=self.reach + amount)
+
+    def conic(self, groups: int, dim: int) -> ConicForm:
+        count = groups * dim
+        return selected_rows(np.arange(count), np.full(count, -self.reach), np.full(count, self.reach))
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,37 +309,12 @@ class StandardCone(Penalty):
         return selected_rows(np.arange(count), np.zeros(count), np.full(count, np.inf), cones)
 
 
-def norm_of(v: Array, order: float) -> Array:
-    """Return |v| of every group, (groups,)."""
-    if order == 2:
-        return np.sqrt((v * v).sum(1))  # and not np.linalg.norm, which leaves extended precision
-    return np.abs(v).sum(1) if order == 1 else np.abs(v).max(1)
-
-
-def slope_of_norm(v: Array, change: Array, order: float, near: float) -> Array:
-    """Return the derivative of |v| along a change, per group; entries nearer than ``near`` to a kink count as on it."""
-    if order == 2:
-        size = norm_of(v, 2)
-        along = (v * change).sum(1) / np.where(size > 0, size, 1.0)
-        return np.where(size > near, along, norm_of(change, 2))
-    by_entry = np.where(np.abs(v) > near, np.sign(v) * change, np.abs(change))
-    if order == 1:
-        return by_entry.sum(1)
-    largest = np.abs(v) >= np.abs(v).max(1, keepdims=True) - near
-    return np.where(largest, by_entry, -np.inf).max(1)
-
-
-def across(v: Array, multipliers: Array) -> Array:
-    """Return |v| |lambda - its part along v|, (groups,)."""
-    square = (v * v).sum(1)
-    along = (multipliers * v).sum(1) / np.where(square > 0, square, 1.0)
-    rest = multipliers - along[:, None] * v
-    return np.sqrt(square * (rest * rest).sum(1))
-
-
 @dataclass(frozen=True, eq=False)
 class LargestExcess(Penalty):
-    """h(v) = weight * max(0, max over groups of |v| / limit - 1)."""
+    """h(v) = weight * max(0, max over groups of |v_j| / l_j - 1): the price of the largest relative excess of norms.
+
+    h*(lambda) = sum_j l_j |lambda_j| where that is <= weight.
+    """
 
     limit: Array  # (groups,), above zero; inf where there is none
     weight: Array  # (), finite
@@ -408,40 +418,29 @@ class LargestExcess(Penalty):
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class Within(Penalty):
-    """|v| <= reach in every entry, always; with a reach of 0, the equation v = 0."""
+def norm_of(v: Array, order: float) -> Array:
+    """Return |v| of every group, (groups,)."""
+    if order == 2:
+        return np.sqrt((v * v).sum(1))  # and not np.linalg.norm, which leaves extended precision
+    return np.abs(v).sum(1) if order == 1 else np.abs(v).max(1)
 
-    reach: float
 
-    @property
-    def weights(self) -> Array:
-        return HARD
+def slope_of_norm(v: Array, change: Array, order: float, near: float) -> Array:
+    """Return the derivative of |v| along a change, per group; entries nearer than ``near`` to a kink count as on it."""
+    if order == 2:
+        size = norm_of(v, 2)
+        along = (v * change).sum(1) / np.where(size > 0, size, 1.0)
+        return np.where(size > near, along, norm_of(change, 2))
+    by_entry = np.where(np.abs(v) > near, np.sign(v) * change, np.abs(change))
+    if order == 1:
+        return by_entry.sum(1)
+    largest = np.abs(v) >= np.abs(v).max(1, keepdims=True) - near
+    return np.where(largest, by_entry, -np.inf).max(1)
 
-    def excess(self, v: Array) -> Array:
-        return np.abs(v) - self.reach
 
-    def excess_slope(self, v: Array, change: Array, near: float) -> Array:
-        return np.where(np.abs(v) > near, np.sign(v) * change, np.abs(change))
-
-    def recession(self, change: Array) -> Array:
-        return np.abs(change)
-
-    def subgradient(self, multipliers: Array, eta_C: float) -> Array:
-        return multipliers
-
-    def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
-        return self.reach * np.abs(multipliers) - multipliers * v
-
-    def sizes(self) -> Array:
-        return np.full(1, self.reach)
-
-    def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
-        return np.full(shape, -self.reach), np.full(shape, self.reach)
-
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
-        return c, replace(self, reach=self.reach + amount)
-
-    def conic(self, groups: int, dim: int) -> ConicForm:
-        count = groups * dim
-        return selected_rows(np.arange(count), np.full(count, -self.reach), np.full(count, self.reach))
+def across(v: Array, multipliers: Array) -> Array:
+    """Return |v| |lambda - its part along v|, (groups,)."""
+    square = (v * v).sum(1)
+    along = (multipliers * v).sum(1) / np.where(square > 0, square, 1.0)
+    rest = multipliers - along[:, None] * v
+    return np.sqrt(square * (rest * rest).sum(1))

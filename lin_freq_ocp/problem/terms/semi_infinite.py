@@ -1,38 +1,11 @@
 # ruff: noqa: D102  (a method without a docstring is described by the class that it implements)
-"""Infinitely many constraints |V(p)| <= l(p), one for each point p of a parameter set, on a signal of the trajectory.
+"""Semi-infinite constraints |V(p)| <= l(p), one for each point p of a parameter set, on a signal of the trajectory.
 
 A term of a problem has finitely many of them, at its points; what must hold at all others stands in its ``everywhere``.
-By Caratheodory's theorem, an optimum has multipliers at finitely many points only. A new parameter set is a subclass of
-``Continuum``, registered in ``peaks/search`` (its maxima) and in ``certificate/peaks/proven`` (their proof).
-
-Limits on the magnitude of a spectrum at every frequency: linear between points, on intervals of [0, pi].
-
-Sums over the samples of a signal that are no plain spectrum of it: each value has a factor of its own.
-
-The spectrum of a signal that is held between its samples: |S(w) V(w)| <= l(w), w = 2 pi f h for any f >= 0 in Hz.
-
-v(t) = v_k for k h <= t < (k + 1) h has the spectrum h S V but for a factor of modulus 1, with S(w) = sin(w/2) / (w/2)
-and V(w) = sum_t v_t exp(-iwt), of period 2 pi. Limits that are constant from some w = a on need only be held up to
-a + 2 pi: |S V| = 2 |sin(w/2) V(w)| / w, whose numerator has the period 2 pi, so that every later value is below the
-value at a frequency of that interval.
-
-What a held signal leaves ringing in modes q'' + 2 zeta w q' + w^2 q = w^2 v, whose (w, zeta) lie in a box.
-
-With the eigenvalue s = w (-zeta + i sqrt(1 - zeta^2)), z = exp(s h), and no signal after N samples, it is |V|,
-
-    V = (z - 1) / sqrt(1 - zeta^2) sum_t v_t z^(N-1-t).
-
-In y = ln s = ln w + i phi, the sum times (z - 1) is analytic and sqrt(1 - zeta^2) = sin(phi): ln |V| is subharmonic,
-as the second derivative of -ln sin(phi) is 1/sin(phi)^2. The box is a rectangle in y: the largest |V| is on its edges.
-
-Local maxima of a spectrum relative to its limit: from a zero-padded FFT, refined by Newton's method.
-
-Of f = ln |V|^2 - 2 ln l:  f' = 2 Re(V'/V) - 2 l'/l,  f'' = 2 Re(V''/V - (V'/V)^2) + 2 (l'/l)^2. Of a held signal, V
-is multiplied by a factor S, the derivatives of ln S^2 are added, and the FFT's period is 2 pi.
-
-Local maxima of the residual vibration on the edges of a box of modes: sampled, refined by Newton's method.
-
-Where a signal's infinitely many constraints have local maxima relative to their limit.
+By Caratheodory's theorem, an optimum has multipliers at finitely many points only. The sets are the frequencies of a
+spectrum, those of a signal that is held between its samples, and the modes of a plant that is known up to a box. Each
+finds the local maxima of |V|/l. A new set is a subclass of ``Continuum`` with a function registered in ``peaks_above``
+and one in ``certificate/peaks/proven``, which proves the maxima.
 """
 
 from __future__ import annotations
@@ -52,6 +25,52 @@ from lin_freq_ocp.problem.terms.maps import Shapes
 from lin_freq_ocp.problem.terms.penalties import LargestExcess, NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD, Penalty
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap
+
+
+@dataclass(frozen=True, eq=False)
+class Continuum(ABC):
+    """|V(p)| <= l(p) at every point of a parameter set; points are arrays (k,) or (k, parameters)."""
+
+    map: FrequencyMap  # at no point
+    price: float = field(default=np.inf, kw_only=True)  # of the largest |V|/l - 1, if that is above 0; inf: never is
+
+    @abstractmethod
+    def limit_at(self, points: Array) -> Array:
+        """Return l at points, (k,); infinity outside the set."""
+
+    @abstractmethod
+    def first_points(self) -> Array:
+        """Return the points to begin with."""
+
+    @abstractmethod
+    def distances(self, some: Array, others: Array) -> Array:
+        """Return the distances of k points and l others, in DFT bins of the signal, (k, l)."""
+
+    def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
+        """Return the map to the values at points, and their balls."""
+        if points.shape[1:] != self.map.at.shape[1:]:
+            expected = "shape " + str(("atoms", *self.map.at.shape[1:])).replace("'", "")
+            raise ProblemError("multipliers.frequencies", f"{brief(points.tolist())}", expected)
+        limits = self.limit_at(points)
+        soft = np.isfinite(self.price)
+        ball = LargestExcess(limits, np.asarray(self.price)) if soft else NormBall(2, limits, HARD)
+        return self.map.placed(points), ball
+
+
+FINENESS = 16  # points of a first search for each bin of the signal's DFT
+STEPS = 4  # of Newton's method, from 1/16 of a bin: quadratic from the first on
+
+
+@singledispatch
+def peaks_above(everywhere: Continuum, x: Array, u: Array, above: float) -> tuple[Array, Array]:
+    """Return the points of the local maxima of |V|/l above a ratio, and these ratios, (peaks,); by kind of set."""
+    raise NotImplementedError(type(everywhere).__name__)
+
+
+def _local_maxima(ratio: Array, above: float) -> Mask:
+    """Return which samples of |V|/l are local maxima from which the refinement may rise above a ratio."""
+    padded = np.concatenate([[-np.inf], ratio, [-np.inf]])
+    return (ratio >= padded[:-2]) & (ratio >= padded[2:]) & (ratio > above * (1 - 1 / FINENESS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,63 +112,6 @@ def limits_on(intervals: Sequence[tuple[float, float]], frequencies: Array, limi
 
 
 @dataclass(frozen=True, eq=False)
-class ScaledMap(FrequencyMap, ABC):
-    """A factor times a sum of which no term is larger than its sample; the values are about no bins."""
-
-    @property
-    @abstractmethod
-    def gain(self) -> ComplexArray:
-        """Return the factor of each value, (groups,)."""
-
-    @property
-    def nearest_bins(self) -> Indices:
-        return np.arange(0)
-
-    @property
-    def frequencies(self) -> Array:
-        return np.zeros(0)
-
-    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
-        return False
-
-    def sizes(self, x: Array, u: Array) -> Array:
-        return super().sizes(x, u) * np.abs(self.gain.astype(complex))[:, None]
-
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        return super().pulled_sizes(weights * np.abs(self.gain.astype(complex))[:, None], shapes)
-
-
-@dataclass(frozen=True, eq=False)
-class Continuum(ABC):
-    """|V(p)| <= l(p) at every point of a parameter set; points are arrays (k,) or (k, parameters)."""
-
-    map: FrequencyMap  # at no point
-    price: float = field(default=np.inf, kw_only=True)  # of the largest |V|/l - 1, if that is above 0; inf: never is
-
-    @abstractmethod
-    def limit_at(self, points: Array) -> Array:
-        """Return l at points, (k,); infinity outside the set."""
-
-    @abstractmethod
-    def first_points(self) -> Array:
-        """Return the points to begin with."""
-
-    @abstractmethod
-    def distances(self, some: Array, others: Array) -> Array:
-        """Return the distances of k points and l others, in DFT bins of the signal, (k, l)."""
-
-    def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
-        """Return the map to the values at points, and their balls."""
-        if points.shape[1:] != self.map.at.shape[1:]:
-            expected = "shape " + str(("atoms", *self.map.at.shape[1:])).replace("'", "")
-            raise ProblemError("multipliers.frequencies", f"{brief(points.tolist())}", expected)
-        limits = self.limit_at(points)
-        soft = np.isfinite(self.price)
-        ball = LargestExcess(limits, np.asarray(self.price)) if soft else NormBall(2, limits, HARD)
-        return self.map.placed(points), ball
-
-
-@dataclass(frozen=True, eq=False)
 class Frequencies(Continuum):
     """|V(w)| <= l(w) at every frequency w in rad/sample of the intervals of the limits."""
 
@@ -182,6 +144,85 @@ class Frequencies(Continuum):
         return np.abs(some[:, None] - others) * self.map.samples / (2 * np.pi)
 
 
+@peaks_above.register
+def _spectral_peaks(everywhere: Frequencies, x: Array, u: Array, above: float) -> tuple[Array, Array]:
+    """Return where |V|/l has local maxima above a ratio, in rad/sample, and these ratios, both (peaks,).
+
+    They are those of a zero-padded FFT, refined by Newton's method. Of a held signal, V is multiplied by a factor S,
+    and the FFT's period is 2 pi.
+    """
+    signal, limits = everywhere.map.signal(x, u), everywhere.limits
+    points = fft.next_fast_len(FINENESS * len(signal), real=True)
+    step, spectrum, places = 2 * np.pi / points, np.abs(fft.rfft(signal, n=points)), list[Array]()
+    for low, high, at_low, at_high in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
+        k = np.arange(int(low / step), int(high / step) + 2)
+        k = k[(step * k > low) & (step * k < high)]
+        w = np.concatenate([[low], step * k, [high]])
+        ends = np.abs(everywhere.map.placed(w[[0, -1]]).transform(signal))
+        inner = spectrum[np.minimum(k % points, -k % points)] * everywhere.factor(w[1:-1])
+        slope = (at_high - at_low) / (high - low) if high > low else 0.0
+        ratio = np.concatenate([ends[:1], inner, ends[1:]]) / (at_low + slope * (w - low))
+        highest = w[_local_maxima(ratio, above)]
+        places.append(_refine_on_interval(everywhere, signal, highest, (low, high), at_low, slope, np.pi / points))
+    found = np.unique(np.concatenate(places))
+    ratios = np.abs(everywhere.map.placed(found).transform(signal)) / limits.at(found)
+    return found[ratios > above], ratios[ratios > above]
+
+
+def _refine_on_interval(
+    everywhere: Frequencies,
+    signal: Array,
+    w: Array,
+    ends: tuple[float, float],
+    level: float,
+    slope: float,
+    reach: float,
+) -> Array:
+    """Return local maxima w of f = ln |V|^2 + ln S^2 - 2 ln l near w, by Newton's method.
+
+    f' = 2 Re(V'/V) - 2 l'/l,  f'' = 2 Re(V''/V - (V'/V)^2) + 2 (l'/l)^2, and the derivatives of ln S^2.
+    """
+    start, t = w, np.arange(len(signal))
+    for _ in range(STEPS):
+        at = everywhere.map.placed(w)
+        V, first, second = (at.transform(part) for part in (signal, t * signal, -(t**2.0) * signal))
+        V = np.where(V == 0, 1.0, V)
+        growth, limit = -1j * first / V, slope / (level + slope * (w - ends[0]))
+        slope_of_factor, bend_of_factor = everywhere.log_slopes(w)
+        steepness = 2 * growth.real - 2 * limit + 2 * slope_of_factor
+        curvature = 2 * (second / V - growth**2).real + 2 * limit**2 + 2 * bend_of_factor
+        step = np.where(curvature < 0, -steepness / np.where(curvature < 0, curvature, 1.0), 0.0)
+        w = np.clip(np.clip(w + step, start - 2 * reach, start + 2 * reach), *ends)
+    return w
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledMap(FrequencyMap, ABC):
+    """A factor times a sum of the samples, of which no term is larger than its sample; the values are about no bins."""
+
+    @property
+    @abstractmethod
+    def gain(self) -> ComplexArray:
+        """Return the factor of each value, (groups,)."""
+
+    @property
+    def nearest_bins(self) -> Indices:
+        return np.arange(0)
+
+    @property
+    def frequencies(self) -> Array:
+        return np.zeros(0)
+
+    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
+        return False
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        return super().sizes(x, u) * np.abs(self.gain.astype(complex))[:, None]
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        return super().pulled_sizes(weights * np.abs(self.gain.astype(complex))[:, None], shapes)
+
+
 ZERO = 1e-6  # of S, below which an end of an interval is none of the first points: its constraint is hardly any
 SERIES = 1e-2  # below it, the logarithm of S is -w^2/24, to w^4/2880
 
@@ -206,7 +247,13 @@ class HeldMap(ScaledMap):
 
 @dataclass(frozen=True, eq=False)
 class HeldFrequencies(Frequencies):
-    """|S(w) V(w)| <= l(w) at every w of the intervals of the limits, which may lie beyond pi."""
+    """|S(w) V(w)| <= l(w) at every w of the intervals of the limits, w = 2 pi f h for any f >= 0 in Hz.
+
+    v(t) = v_k for k h <= t < (k + 1) h has the spectrum h S V but for a factor of modulus 1, with S(w) = sin(w/2) /
+    (w/2) and V(w) = sum_t v_t exp(-iwt), of period 2 pi. Limits that are constant from some w = a on need only be held
+    up to a + 2 pi: |S V| = 2 |sin(w/2) V(w)| / w, whose numerator has the period 2 pi, so that every later value is
+    below the value at a frequency of that interval.
+    """
 
     highest: ClassVar[float] = np.inf
 
@@ -275,7 +322,16 @@ class VibrationMap(ScaledMap):
 
 @dataclass(frozen=True, eq=False)
 class PlantBox(Continuum):
-    """|V| <= limit for every mode of a box."""
+    """|V| <= limit for every mode of a box: what a held signal leaves ringing in q'' + 2 zeta w q' + w^2 q = w^2 v.
+
+    With the eigenvalue s = w (-zeta + i sqrt(1 - zeta^2)), z = exp(s h), and no signal after N samples, it is |V|,
+
+        V = (z - 1) / sqrt(1 - zeta^2) sum_t v_t z^(N-1-t).
+
+    In y = ln s = ln w + i phi, the sum times (z - 1) is analytic and sqrt(1 - zeta^2) = sin(phi): ln |V| is
+    subharmonic, as the second derivative of -ln sin(phi) is 1/sin(phi)^2. The box of (w, zeta) is a rectangle in y: the
+    largest |V| is on its edges.
+    """
 
     low: Array  # natural frequency in Hz and damping ratio, (2,)
     high: Array
@@ -323,76 +379,30 @@ class PlantBox(Continuum):
         return np.clip(np.column_stack([np.exp(y.real) / (2 * np.pi), -np.cos(y.imag)]), self.low, self.high)
 
 
-FINENESS = 16  # points of the FFT for each sample
-STEPS = 4  # of Newton's method, from 1/16 of a bin: quadratic from the first on
-
-
-def spectral_peaks(everywhere: Frequencies, x: Array, u: Array, above: float) -> tuple[Array, Array]:
-    """Return where |V|/l has local maxima above a ratio, in rad/sample, and these ratios, both (peaks,)."""
-    signal, limits = everywhere.map.signal(x, u), everywhere.limits
-    points = fft.next_fast_len(FINENESS * len(signal), real=True)
-    step, spectrum, places = 2 * np.pi / points, np.abs(fft.rfft(signal, n=points)), list[Array]()
-    for low, high, at_low, at_high in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
-        k = np.arange(int(low / step), int(high / step) + 2)
-        k = k[(step * k > low) & (step * k < high)]
-        w = np.concatenate([[low], step * k, [high]])
-        ends = np.abs(everywhere.map.placed(w[[0, -1]]).transform(signal))
-        inner = spectrum[np.minimum(k % points, -k % points)] * everywhere.factor(w[1:-1])
-        slope = (at_high - at_low) / (high - low) if high > low else 0.0
-        ratio = np.concatenate([ends[:1], inner, ends[1:]]) / (at_low + slope * (w - low))
-        padded = np.concatenate([[-np.inf], ratio, [-np.inf]])
-        highest = (ratio >= padded[:-2]) & (ratio >= padded[2:]) & (ratio > above * (1 - 1 / FINENESS))
-        places.append(_refine_on_interval(everywhere, signal, w[highest], (low, high), at_low, slope, np.pi / points))
-    found = np.unique(np.concatenate(places))
-    ratios = np.abs(everywhere.map.placed(found).transform(signal)) / limits.at(found)
-    return found[ratios > above], ratios[ratios > above]
-
-
-def _refine_on_interval(
-    everywhere: Frequencies,
-    signal: Array,
-    w: Array,
-    ends: tuple[float, float],
-    level: float,
-    slope: float,
-    reach: float,
-) -> Array:
-    start, t = w, np.arange(len(signal))
-    for _ in range(STEPS):
-        at = everywhere.map.placed(w)
-        V, first, second = (at.transform(part) for part in (signal, t * signal, -(t**2.0) * signal))
-        V = np.where(V == 0, 1.0, V)
-        growth, limit = -1j * first / V, slope / (level + slope * (w - ends[0]))
-        slope_of_factor, bend_of_factor = everywhere.log_slopes(w)
-        steepness = 2 * growth.real - 2 * limit + 2 * slope_of_factor
-        curvature = 2 * (second / V - growth**2).real + 2 * limit**2 + 2 * bend_of_factor
-        step = np.where(curvature < 0, -steepness / np.where(curvature < 0, curvature, 1.0), 0.0)
-        w = np.clip(np.clip(w + step, start - 2 * reach, start + 2 * reach), *ends)
-    return w
-
-
 DIFFERENCE = 1e-2  # distance of the points of differences, in that of the samples: they err by 1e-5 of a step
 FARTHEST = 2.0  # distances of the samples that a maximum may be from the sample
 
 
-def vibration_peaks(box: PlantBox, x: Array, u: Array, above: float) -> tuple[Array, Array]:
-    """Return the modes of local maxima of |V|/limit above a ratio, (peaks, 2), and these ratios, (peaks,)."""
+@peaks_above.register
+def _vibration_peaks(box: PlantBox, x: Array, u: Array, above: float) -> tuple[Array, Array]:
+    """Return the modes of local maxima of |V|/limit above a ratio, (peaks, 2), and these ratios, (peaks,).
+
+    They are on the edges: those of samples, refined by Newton's method.
+    """
     signal, places = box.map.signal(x, u), list[Array]()
     for edge in box.edges:
         samples = int(np.ceil(FINENESS * box.bins(edge)))
         share, step = np.linspace(0.0, 1.0, samples + 1), 1.0 / max(samples, 1)
         ratio = _ratios(box, signal, box.modes_on(edge, share))
-        padded = np.concatenate([[-np.inf], ratio, [-np.inf]])
-        highest = (ratio >= padded[:-2]) & (ratio >= padded[2:]) & (ratio > above * (1 - 1 / FINENESS))
-        places.append(
-            box.modes_on(edge, _refine_on_edge(box, signal, edge, share[highest], 1.0 / max(len(share) - 1, 1)))
-        )
+        highest = share[_local_maxima(ratio, above)]
+        places.append(box.modes_on(edge, _refine_on_edge(box, signal, edge, highest, step)))
     found = np.unique(np.concatenate(places), axis=0)
     ratios = _ratios(box, signal, found)
     return found[ratios > above], ratios[ratios > above]
 
 
 def _refine_on_edge(box: PlantBox, signal: Array, edge: tuple[complex, complex], start: Array, step: float) -> Array:
+    """Return the shares of the way along an edge at which ln |V| has its maxima near ``start``, from differences."""
     share, d = start, DIFFERENCE * step
     for _ in range(STEPS):
         inner = np.clip(share, d, 1 - d)
@@ -405,13 +415,3 @@ def _refine_on_edge(box: PlantBox, signal: Array, edge: tuple[complex, complex],
 
 def _ratios(box: PlantBox, signal: Array, modes: Array) -> Array:
     return np.abs(box.map.placed(modes).transform(signal)) / box.limit
-
-
-@singledispatch
-def peaks_above(everywhere: Continuum, x: Array, u: Array, above: float) -> tuple[Array, Array]:
-    """Return the points of the local maxima of |V|/l above a ratio, and these ratios, (peaks,); by kind of set."""
-    raise NotImplementedError(type(everywhere).__name__)
-
-
-peaks_above.register(Frequencies, spectral_peaks)
-peaks_above.register(PlantBox, vibration_peaks)

@@ -1,9 +1,7 @@
 # ruff: noqa: D102  (a method without a docstring is described by ``AffineMap``)
-"""DFT bins of a linear output of the trajectory, as an affine map.
+"""Spectra of a linear output y_t = C x_t + D u_t of the trajectory as affine maps.
 
-The spectrum of a linear output of the trajectory at any frequencies, as an affine map.
-
-DFT bins of windows of a linear output, of which samples before time 0 are data, as an affine map.
+They stand at the bins of a DFT, at any frequencies, or at the bins of windows, of which samples before time 0 are data.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
-from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, joined_rows
+from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, joined_rows, pad_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,15 +155,6 @@ class SpectrumMap(AffineMap):
             if row is not None:
                 part[: len(signal)] += np.outer(signal, row)
         return of_x, of_u
-
-
-def signal_rows(of_y: sp.csr_array, row: Array | None, samples: int, columns: int) -> sp.csr_array:
-    """Return rows on y_t = row'v_t, (rows, some samples), as rows on v, (rows, samples * columns)."""
-    count, total = of_y.shape[0], samples * columns
-    if row is None:
-        return sp.csr_array((count, total))
-    rows = sp.csr_array(sp.kron(of_y, row[None]))
-    return sp.csr_array((rows.data, rows.indices, rows.indptr), shape=(count, total))
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,3 +390,10 @@ class SpectrogramMap(AffineMap):
         signal = np.zeros(P + samples, dtype=frames.dtype)
         np.add.at(signal, P + self.starts[:, None] + np.arange(frames.shape[1]), frames)
         return signal[P:]
+
+
+def signal_rows(of_y: sp.csr_array, row: Array | None, samples: int, columns: int) -> sp.csr_array:
+    """Return rows on y_t = row'v_t, (rows, some samples), as rows on v, (rows, samples * columns)."""
+    if row is None:
+        return sp.csr_array((of_y.shape[0], samples * columns))
+    return pad_columns(sp.csr_array(sp.kron(of_y, row[None])), samples * columns)
