@@ -1,14 +1,8 @@
-"""States counted from where they move: x = origin + y, and the same problem in y.
+"""Problems made of a problem: its states counted from another origin, states added to its own, rates limited.
 
-A, B, control sets, multipliers and costs stay; offsets, ends, state sets, references, rows, guards and regions move
-along. A move of 1 m at a northing of 5 000 000 m is badly posed in double precision, as every solver and every relative
-tolerance sees numbers of 5e6; counted from the start of the move, it is the same problem as anywhere else.
-
-A problem with masks at every frequency, or for all plants of a box, and its terms at finitely many.
-
-Problems with states added to their own: the memory of a constraint becomes a state.
-
-Limits on how much a control may change from one step to the next: joint rows on the state (x_t, u_{t-1}).
+A far origin costs digits, so that states are counted from where they move. Where a constraint has a memory, the memory
+becomes a state; a limit on the change of a control is joint rows on (x_t, u_{t-1}). Semi-infinite constraints have
+terms at finitely many points, and ``at_frequencies`` chooses these.
 """
 
 from __future__ import annotations
@@ -46,204 +40,19 @@ from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-Kind = TypeVar("Kind", bound=Continuum)
-
-
-def at_frequencies(
-    problem: OptimalControlProblem, frequencies: Mapping[str, Array], relaxed: bool = False
-) -> OptimalControlProblem:
-    """Return the problem whose terms stand at these points, (groups,) in rad/sample or (groups, 2), by their name.
-
-    Others stay where they are. ``relaxed``: nothing is required at other points.
-    """
-    found = [term for term in problem.terms if term.everywhere is not None]
-    if not found or not (frequencies or relaxed):
-        return problem
-    pending = iter([frequencies.get(term.name, term.map.places) for term in found])
-    states = [_placed(one, problem.state_names, pending, relaxed) for one in entries_of(problem.state_spectrum)]
-    controls = [_placed(one, problem.control_names, pending, relaxed) for one in entries_of(problem.control_spectrum)]
-    outputs = [_outputs_placed(one, pending, relaxed) for one in entries_of(problem.output_spectrum)]
-    return replace(problem, state_spectrum=states, control_spectrum=controls, output_spectrum=outputs)
-
-
-def everywhere_of(problem: OptimalControlProblem, kind: type[Kind]) -> list[tuple[Term, Kind]]:
-    """Return the terms whose infinitely many constraints are of a kind, and these."""
-    return [(term, found) for term in problem.terms if isinstance(found := term.everywhere, kind)]
-
-
-def _placed(
-    constraint: FrequencyConstraint, names: Sequence[str], pending: Iterator[Array], relaxed: bool
-) -> FrequencyConstraint:
-    if not constraint.every_frequency:
-        return constraint
-    count = len(component_indices("spectrum", constraint.component, names))
-    return constraint.at_frequencies([next(pending) for _ in range(count)], relaxed)
-
-
-def _outputs_placed(outputs: OutputSpectrum, pending: Iterator[Array], relaxed: bool) -> OutputSpectrum:
-    constraints = [_placed(one, outputs.output_names, pending, relaxed) for one in outputs.constraints]
-    return OutputSpectrum(outputs.C, outputs.D, constraints, outputs.output_names)
-
-
-@dataclass(frozen=True, eq=False)
-class AddedStates:
-    """States w of w_{t+1} = A w_t + B u_t, without cost."""
-
-    A: Array  # (k, k)
-    B: Array  # (k, m)
-    initial: Box  # of w_0, bounds (k,)
-    lower: Array  # (k,), of w_t at all times
-    names: Sequence[str]
-
-
-def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
-    """Return the problem in the states (x, w); its own constraints and cost are as they were."""
-    dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
-    return wider(problem, dynamics, added.initial, added.lower, _wider_cost(problem, len(added.A)))
-
-
-def wider(
-    problem: OptimalControlProblem, dynamics: Dynamics, initial: Box, lower: Array, cost: Cost
-) -> OptimalControlProblem:
-    """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,)."""
-    k = len(lower)
-    free = np.full(k, np.inf)
-    return replace(
-        problem,
-        dynamics=dynamics,
-        cost=cost,
-        state_set=_wider_state_set(problem, lower),
-        initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
-        terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
-        state_spectrum=[
-            more for one in entries_of(problem.state_spectrum) for more in one.extended(problem.state_dim, k)
-        ]
-        or None,
-        stage_rows=[
-            StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
-        ],
-        output_spectrum=[one.extended(problem.state_dim, k) for one in entries_of(problem.output_spectrum)] or None,
-    )
-
-
-def _wider_cost(problem: OptimalControlProblem, k: int) -> CostSum:
-    cost, n = problem.quadratic, problem.state_dim
-    wider = QuadraticCost(
-        Q=with_rows(with_columns(cost.Q, k), np.zeros((k, n + k))),
-        R=cost.R,
-        S=with_rows(cost.S, np.zeros((k, problem.control_dim))),
-        q=with_columns(cost.q, k),
-        r=cost.r,
-        P=with_rows(with_columns(cost.P, k), np.zeros((k, n + k))),
-        p=with_columns(cost.p, k),
-        x_ref=with_columns(cost.x_ref, k),
-        u_ref=cost.u_ref,
-    )
-    return CostSum([wider, *(one.extended(n, k) for one in problem.cost.norms)])
-
-
-def _wider_state_set(problem: OptimalControlProblem, lower: Array) -> ConvexSet | list[ConvexSet]:
-    given, boxes, upper = problem.state_set, problem.state_boxes, np.full(len(lower), np.inf)
-    if given is not None and not isinstance(given, ConvexSet):
-        return [_with_box(one, boxes.at(t), Box(lower, upper)) for t, one in enumerate(given)]
-    shape = problem.horizon + 1, len(lower)
-    return _with_box(given, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)))
-
-
-def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
-    """Return the set of (x, w) with x in the given set, whose bounds these are, and w within the added ones."""
-    box = Box(np.hstack([bounds.lower, added.lower]), np.hstack([bounds.upper, added.upper]))
-    n, k = bounds.lower.shape[-1], added.lower.shape[-1]
-    members = () if given is None else given.members
-    return Intersection([box, *(one.extended(n, k) for one in members)]) if members else box
-
-
-NAME = "rate limit"  # of the added rows
-
-
-def rate_limited(
-    problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None
-) -> OptimalControlProblem:
-    """Return the problem with |u_t - u_{t-1}| <= limit, in the states (x, u_{t-1}).
-
-    Parameters
-    ----------
-    problem : OptimalControlProblem
-    limit : float or (m,)
-        Largest change per step, zero or above; None or inf: no limit on that control. A single number holds for all.
-    previous : (m,), or a number for a single control, optional
-        The control before the first, u_{-1}; without it, the first control is free of the limit.
-
-    Returns
-    -------
-    OptimalControlProblem
-        With one more state for each limited control, named after it, and stage rows "rate limit".
-
-    Raises
-    ------
-    ProblemError
-        If the limit or the previous control does not fit the problem.
-
-    Examples
-    --------
-    >>> problem = lfo.rate_limited(lfo.library.double_integrator(), 0.5)
-    >>> problem.state_dim
-    3
-    """
-    require_problem(problem)
-    m = problem.control_dim
-    limits = _limits(limit, m)
-    limited = np.flatnonzero(np.isfinite(limits))
-    if not len(limited):
-        raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
-    if any(rows.name == NAME for rows in problem.stage_rows):
-        raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{NAME}'")
-    k, chosen = len(limited), np.eye(m)[limited]
-    before = (
-        np.full((2, k), [[-np.inf], [np.inf]]) if previous is None else np.tile(_previous(previous, m)[limited], (2, 1))
-    )
-    names = [_before(problem.control_names[j]) for j in limited]
-    added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
-    remembering = extended(problem, added)
-    of_x = np.zeros((k, problem.state_dim))
-    rows = StageRows(
-        np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
-        np.vstack([chosen, -chosen]),
-        np.tile(limits[limited], 2),
-        name=NAME,
-    )
-    return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
-
-
-def _before(name: str) -> str:
-    label, unit = split_unit(name)
-    return f"{label} before [{unit}]" if unit else f"{label} before"
-
-
-def _limits(limit: Bound, m: int) -> Array:
-    given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
-    limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
-    if limits.shape not in ((), (m,)) or (limits < 0).any():
-        raise ProblemError(
-            "rate_limit", brief(limit), f"one number, zero or above, or one for each of the {m} controls"
-        )
-    return np.broadcast_to(limits, m)
-
-
-def _previous(previous: ArrayLike, m: int) -> Array:
-    before = one_component(real_array("previous", previous), m)
-    if before.shape != (m,):
-        raise ProblemError("previous", f"shape {before.shape}", f"one number for each of the {m} controls")
-    return before
-
-
 OF_STATES = ("state_boxes", "met_ends", "state_tube", "terms", "borders", "gap")  # what a problem caches of its states
 FAR = 10.0  # distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
+ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its terms
 
 
 @dataclass(frozen=True, eq=False)
 class Translation:
-    """A problem, and the same problem with its states counted from an origin, (n,)."""
+    """A problem, and the same problem with its states counted from an origin, (n,): x = origin + y.
+
+    A, B, control sets, multipliers and costs stay; offsets, ends, state sets, references, rows, guards and regions move
+    along. A move of 1 m at a northing of 5 000 000 m is badly posed in double precision, as every solver and every
+    relative tolerance sees numbers of 5e6; counted from the start of the move, it is the same problem as anywhere else.
+    """
 
     given: OptimalControlProblem
     problem: OptimalControlProblem
@@ -332,7 +141,7 @@ def far_origin(problem: OptimalControlProblem) -> Array:
         return np.zeros(problem.state_dim)
     centre = np.nan_to_num(centre)
     far &= np.abs(centre) > FAR * _drift(problem, centre)
-    return np.where(far & ~_about_zero(problem), centre, 0.0)
+    return np.where(far & ~_limited_about_zero(problem), centre, 0.0)
 
 
 def _fixed_places(problem: OptimalControlProblem) -> list[Array]:
@@ -372,7 +181,7 @@ def _drift(problem: OptimalControlProblem, place: Array) -> Array:
     return problem.horizon * np.nan_to_num(np.abs(moved))
 
 
-def _about_zero(problem: OptimalControlProblem) -> Mask:
+def _limited_about_zero(problem: OptimalControlProblem) -> Mask:
     """Return which states a frequency constraint limits by their distance from zero, (n,)."""
     n, none = problem.state_dim, np.zeros((problem.horizon, problem.control_dim))
     found = problem.state_stop[0].copy()
@@ -390,4 +199,196 @@ def _about_zero(problem: OptimalControlProblem) -> Mask:
     return found
 
 
-ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its terms
+@dataclass(frozen=True, eq=False)
+class AddedStates:
+    """States w of w_{t+1} = A w_t + B u_t, without cost."""
+
+    A: Array  # (k, k)
+    B: Array  # (k, m)
+    initial: Box  # of w_0, bounds (k,)
+    lower: Array  # (k,), of w_t at all times
+    names: Sequence[str]
+
+
+def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
+    """Return the problem in the states (x, w); its own constraints and cost are as they were."""
+    dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
+    return wider(problem, dynamics, added.initial, added.lower, _augmented_cost(problem, len(added.A)))
+
+
+def wider(
+    problem: OptimalControlProblem, dynamics: Dynamics, initial: Box, lower: Array, cost: Cost
+) -> OptimalControlProblem:
+    """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,)."""
+    k = len(lower)
+    free = np.full(k, np.inf)
+    return replace(
+        problem,
+        dynamics=dynamics,
+        cost=cost,
+        state_set=_augmented_state_set(problem, lower),
+        initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
+        terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
+        state_spectrum=[
+            more for one in entries_of(problem.state_spectrum) for more in one.extended(problem.state_dim, k)
+        ]
+        or None,
+        stage_rows=[
+            StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
+        ],
+        output_spectrum=[one.extended(problem.state_dim, k) for one in entries_of(problem.output_spectrum)] or None,
+    )
+
+
+def _augmented_cost(problem: OptimalControlProblem, k: int) -> CostSum:
+    cost, n = problem.quadratic, problem.state_dim
+    wider = QuadraticCost(
+        Q=with_rows(with_columns(cost.Q, k), np.zeros((k, n + k))),
+        R=cost.R,
+        S=with_rows(cost.S, np.zeros((k, problem.control_dim))),
+        q=with_columns(cost.q, k),
+        r=cost.r,
+        P=with_rows(with_columns(cost.P, k), np.zeros((k, n + k))),
+        p=with_columns(cost.p, k),
+        x_ref=with_columns(cost.x_ref, k),
+        u_ref=cost.u_ref,
+    )
+    return CostSum([wider, *(one.extended(n, k) for one in problem.cost.norms)])
+
+
+def _augmented_state_set(problem: OptimalControlProblem, lower: Array) -> ConvexSet | list[ConvexSet]:
+    given, boxes, upper = problem.state_set, problem.state_boxes, np.full(len(lower), np.inf)
+    if given is not None and not isinstance(given, ConvexSet):
+        return [_with_box(one, boxes.at(t), Box(lower, upper)) for t, one in enumerate(given)]
+    shape = problem.horizon + 1, len(lower)
+    return _with_box(given, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)))
+
+
+def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
+    """Return the set of (x, w) with x in the given set, whose bounds these are, and w within the added ones."""
+    box = Box(np.hstack([bounds.lower, added.lower]), np.hstack([bounds.upper, added.upper]))
+    n, k = bounds.lower.shape[-1], added.lower.shape[-1]
+    members = () if given is None else given.members
+    return Intersection([box, *(one.extended(n, k) for one in members)]) if members else box
+
+
+RATE_LIMIT = "rate limit"  # of the added rows
+
+
+def rate_limited(
+    problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None
+) -> OptimalControlProblem:
+    """Return the problem with |u_t - u_{t-1}| <= limit, in the states (x, u_{t-1}).
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    limit : float or (m,)
+        Largest change per step, zero or above; None or inf: no limit on that control. A single number holds for all.
+    previous : (m,), or a number for a single control, optional
+        The control before the first, u_{-1}; without it, the first control is free of the limit.
+
+    Returns
+    -------
+    OptimalControlProblem
+        With one more state for each limited control, named after it, and stage rows "rate limit".
+
+    Raises
+    ------
+    ProblemError
+        If the limit or the previous control does not fit the problem.
+
+    Examples
+    --------
+    >>> problem = lfo.rate_limited(lfo.library.double_integrator(), 0.5)
+    >>> problem.state_dim
+    3
+    """
+    require_problem(problem)
+    m = problem.control_dim
+    limits = _limits_of_changes(limit, m)
+    limited = np.flatnonzero(np.isfinite(limits))
+    if not len(limited):
+        raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
+    if any(rows.name == RATE_LIMIT for rows in problem.stage_rows):
+        raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{RATE_LIMIT}'")
+    k, chosen = len(limited), np.eye(m)[limited]
+    before = (
+        np.full((2, k), [[-np.inf], [np.inf]])
+        if previous is None
+        else np.tile(_control_before(previous, m)[limited], (2, 1))
+    )
+    names = [_name_before(problem.control_names[j]) for j in limited]
+    added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
+    remembering = extended(problem, added)
+    of_x = np.zeros((k, problem.state_dim))
+    rows = StageRows(
+        np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
+        np.vstack([chosen, -chosen]),
+        np.tile(limits[limited], 2),
+        name=RATE_LIMIT,
+    )
+    return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
+
+
+def _name_before(name: str) -> str:
+    label, unit = split_unit(name)
+    return f"{label} before [{unit}]" if unit else f"{label} before"
+
+
+def _limits_of_changes(limit: Bound, m: int) -> Array:
+    given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
+    limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
+    if limits.shape not in ((), (m,)) or (limits < 0).any():
+        raise ProblemError(
+            "rate_limit", brief(limit), f"one number, zero or above, or one for each of the {m} controls"
+        )
+    return np.broadcast_to(limits, m)
+
+
+def _control_before(previous: ArrayLike, m: int) -> Array:
+    before = one_component(real_array("previous", previous), m)
+    if before.shape != (m,):
+        raise ProblemError("previous", f"shape {before.shape}", f"one number for each of the {m} controls")
+    return before
+
+
+Kind = TypeVar("Kind", bound=Continuum)
+
+
+def everywhere_of(problem: OptimalControlProblem, kind: type[Kind]) -> list[tuple[Term, Kind]]:
+    """Return the terms whose infinitely many constraints are of a kind, and these."""
+    return [(term, found) for term in problem.terms if isinstance(found := term.everywhere, kind)]
+
+
+def at_frequencies(
+    problem: OptimalControlProblem, frequencies: Mapping[str, Array], relaxed: bool = False
+) -> OptimalControlProblem:
+    """Return the problem whose terms stand at these points, (groups,) in rad/sample or (groups, 2), by their name.
+
+    Others stay where they are. ``relaxed``: nothing is required at other points.
+    """
+    found = [term for term in problem.terms if term.everywhere is not None]
+    if not found or not (frequencies or relaxed):
+        return problem
+    pending = iter([frequencies.get(term.name, term.map.places) for term in found])
+
+    def placed(given: object, names: Sequence[str]) -> list[FrequencyConstraint]:
+        """Return the entries of a field; those at every frequency take the next points, one array a component."""
+        constraints: list[FrequencyConstraint] = []
+        for constraint in entries_of(given):
+            if constraint.every_frequency:
+                count = len(component_indices("spectrum", constraint.component, names))
+                constraint = constraint.at_frequencies([next(pending) for _ in range(count)], relaxed)
+            constraints.append(constraint)
+        return constraints
+
+    return replace(
+        problem,
+        state_spectrum=placed(problem.state_spectrum, problem.state_names),
+        control_spectrum=placed(problem.control_spectrum, problem.control_names),
+        output_spectrum=[
+            OutputSpectrum(one.C, one.D, placed(one.constraints, one.output_names), one.output_names)
+            for one in entries_of(problem.output_spectrum)
+        ],
+    )

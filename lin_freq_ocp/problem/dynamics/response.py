@@ -3,8 +3,6 @@
 
 A record has N samples: N = T, and x_0 .. x_T is one period and the first sample of the next; or N = 2T, the controls
 are zero from T on, and nothing of their response wraps around.
-
-x_0 - y_0(u): the first state is the first output, which all controls of a record may act on.
 """
 
 from __future__ import annotations
@@ -81,12 +79,9 @@ def _applied(G: ComplexArray, spectrum: ComplexArray) -> ComplexArray:
     return (G * spectrum[:, None, :]).sum(axis=2)
 
 
-NAME = "first output"
-
-
 @dataclass(frozen=True, eq=False)
 class FirstOutput(AffineMap):
-    """v = x_0 - y_0(u), a single group."""
+    """v = x_0 - y_0(u), a single group: the first state is the first output, which all controls may act on."""
 
     response: Response
 

@@ -2,9 +2,7 @@
 
 A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe``, ``terms``
 and ``extended``. To be written to problem files it is listed in ``files/problem_file/tables.py``.
-``lin_freq_ocp.testing.check_terms`` checks it.
-
-Frequency constraints on linear outputs of states and controls.
+``lin_freq_ocp.testing.check_terms`` checks it. ``OutputSpectrum`` puts such constraints on linear outputs.
 """
 
 from __future__ import annotations
@@ -22,23 +20,6 @@ from lin_freq_ocp.base.arrays import Array, assign, brief, names, real_array, wi
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name, split_unit
 from lin_freq_ocp.problem.terms.term import Term, TermKind
-
-
-@dataclass(frozen=True, eq=False)
-class Signal:
-    """The signal y_t = C x_t + D u_t that the frequency constraints of one field apply to."""
-
-    kind: TermKind
-    C: Array | None  # (components, n)
-    D: Array | None  # (components, m)
-    names: Sequence[str]  # of the components
-    length: int  # number of samples, from time 0
-    sampling_time: float | None
-
-    def rows(self, field: str, component: int | str | None) -> Iterator[tuple[str, Array | None, Array | None]]:
-        """Yield name and coefficients of a component, or of all for None; errors name the field."""
-        for j in component_indices(field, component, self.names):
-            yield self.names[j], None if self.C is None else self.C[j], None if self.D is None else self.D[j]
 
 
 class FrequencyConstraint(ABC):
@@ -100,34 +81,21 @@ class FrequencyConstraint(ABC):
 Constraints = FrequencyConstraint | Sequence[FrequencyConstraint] | None  # of states or controls, as a problem has them
 
 
-def entries_of(given: Any) -> Sequence[Any]:
-    """Return the content of a field, one entry or several or None, as a sequence."""
-    return given if isinstance(given, (list, tuple)) else () if given is None else (given,)
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """The signal y_t = C x_t + D u_t that the frequency constraints of one field apply to."""
 
+    kind: TermKind
+    C: Array | None  # (components, n)
+    D: Array | None  # (components, m)
+    names: Sequence[str]  # of the components
+    length: int  # number of samples, from time 0
+    sampling_time: float | None
 
-def component_words(component: int | str | None, names: Sequence[str]) -> str:
-    """Return the name of a component, without its unit, or that all are meant."""
-    if component is None and len(names) > 1:
-        return "every component"
-    return split_unit(names[component_indices("spectrum", component, names)[0]])[0]
-
-
-def component_indices(field: str, component: int | str | None, component_names: Sequence[str]) -> list[int]:
-    """Return the indices that a component (index, name, or None for all) stands for."""
-    count = len(component_names)
-    if component is None:
-        return list(range(count))
-    if isinstance(component, str):
-        matches = [i for i, name in enumerate(component_names) if component in (name, name.split(" [")[0])]
-        if len(matches) == 1:
-            return matches
-    elif isinstance(component, (int, np.integer)) and not isinstance(component, bool) and 0 <= component < count:
-        return [int(component)]
-    raise ProblemError(
-        f"{field}.component",
-        brief(component),
-        f"an index 0 .. {count - 1} or one of {', '.join(map(repr, component_names))}",
-    )
+    def rows(self, field: str, component: int | str | None) -> Iterator[tuple[str, Array | None, Array | None]]:
+        """Yield name and coefficients of a component, or of all for None; errors name the field."""
+        for j in component_indices(field, component, self.names):
+            yield self.names[j], None if self.C is None else self.C[j], None if self.D is None else self.D[j]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -220,3 +188,33 @@ class OutputSpectrum:
         signal = Signal(TermKind.OUTPUT_SPECTRUM, self.C, self.D, self.output_names, length, sampling_time)
         for i, one in enumerate(self.constraints):
             yield from one.terms(signal, f"{field}.constraints[{i}]", ("output_spectrum", index))
+
+
+def entries_of(given: Any) -> Sequence[Any]:
+    """Return the content of a field, one entry or several or None, as a sequence."""
+    return given if isinstance(given, (list, tuple)) else () if given is None else (given,)
+
+
+def component_words(component: int | str | None, names: Sequence[str]) -> str:
+    """Return the name of a component, without its unit, or that all are meant."""
+    if component is None and len(names) > 1:
+        return "every component"
+    return split_unit(names[component_indices("spectrum", component, names)[0]])[0]
+
+
+def component_indices(field: str, component: int | str | None, component_names: Sequence[str]) -> list[int]:
+    """Return the indices that a component (index, name, or None for all) stands for."""
+    count = len(component_names)
+    if component is None:
+        return list(range(count))
+    if isinstance(component, str):
+        matches = [i for i, name in enumerate(component_names) if component in (name, name.split(" [")[0])]
+        if len(matches) == 1:
+            return matches
+    elif isinstance(component, (int, np.integer)) and not isinstance(component, bool) and 0 <= component < count:
+        return [int(component)]
+    raise ProblemError(
+        f"{field}.component",
+        brief(component),
+        f"an index 0 .. {count - 1} or one of {', '.join(map(repr, component_names))}",
+    )
