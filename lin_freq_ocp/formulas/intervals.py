@@ -1,9 +1,8 @@
-"""Interval arithmetic on arrays, rounded outwards: every result contains what real numbers of the operands make.
+"""Interval arithmetic on arrays, rounded outwards, and rules of differentiation over boxes.
 
-An interval is a pair (lower, upper) of arrays. Infinite bounds stand for unknown ones: the numbers within are finite,
-so that 0 times an infinite bound is 0.
-
-Rules of differentiation over boxes: an interval jet encloses a value, its gradient and its Hessian.
+Every result contains what real numbers of the operands make. An interval is a pair (lower, upper) of arrays. Infinite
+bounds stand for unknown ones: the numbers within are finite, so that 0 times an infinite bound is 0. An interval jet
+encloses a value, its gradient and its Hessian.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
 """The operations of formulas: of each its values, derivatives, enclosures over boxes, affine form and text.
 
-``OPERATIONS`` holds all of them. A further function of one variable is one more ``ScalarFunction`` in this table.
-
-Rules of differentiation at points: a jet is a value with its gradient and Hessian; None for a Hessian of zeros.
-
-Points are the last axis here: NumPy is fast along that.
+``OPERATIONS`` holds all of them. A further function of one variable is one more ``ScalarFunction`` in this table. The
+rules of differentiation at points are at the end, those over boxes in ``intervals``.
 """
 
 from __future__ import annotations
@@ -20,94 +17,11 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas import intervals
 from lin_freq_ocp.formulas.intervals import Interval, IntervalJet, inverse, multiply, power, scale
 
+VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
+MAXIMUM, MINIMUM, NORM, EXTERNAL = "maximum", "minimum", "norm", "external"
 # Value (points,), gradient (k, points) and Hessian (k, k, points) by the k components of (x, u).
 Jet = tuple[Array, Array, Array | None]
 Stacked = tuple[Array, Array, Array]
-
-
-def sum_rule(factors: Sequence[float], arguments: Sequence[Jet], constant: float, shape: tuple[int, int]) -> Jet:
-    """Return the jet of a sum of multiples and a constant, (k, points) being the shape of its gradient."""
-    value, slope, hessian = np.full(shape[1], constant), np.zeros(shape), None
-    for factor, argument in zip(factors, arguments, strict=True):
-        value += factor * argument[0]
-        slope += factor * argument[1]
-        if argument[2] is not None:
-            hessian = _added(hessian, factor * argument[2])
-    return value, slope, hessian
-
-
-def product_rule(a: Jet, b: Jet) -> Jet:
-    """Return the jet of a b."""
-    cross = _outer(a[1], b[1])
-    hessian = cross + np.swapaxes(cross, 0, 1)
-    for one, other in ((a, b), (b, a)):
-        if other[2] is not None:
-            hessian += one[0] * other[2]
-    return a[0] * b[0], a[0] * b[1] + b[0] * a[1], hessian
-
-
-def chain_rule(a: Jet, value: Array, first: Array, second: Array) -> Jet:
-    """Return the jet of f(a), from f and its derivatives at a, (points,) each."""
-    hessian = _outer(second * a[1], a[1])
-    if a[2] is not None:
-        hessian += first * a[2]
-    return value, first * a[1], hessian
-
-
-def norm_rule(arguments: Sequence[Jet], selection: Array | None) -> Jet:
-    """Return the jet of |a|; where the selection (points, components) has numbers, they stand for its derivative by a.
-
-    The Hessian is zero there, and where a is zero.
-    """
-    a, slopes, hessians = stack_jets(arguments)
-    length = np.linalg.norm(a, axis=0)
-    at_zero = length == 0
-    divisor = np.where(at_zero, 1.0, length)
-    unit, flat = a / divisor, at_zero
-    if selection is not None:
-        flat = np.isfinite(selection).all(axis=1) | at_zero
-        unit = np.where(np.isfinite(selection.T), selection.T, unit)
-    slope = np.einsum("cp,ckp->kp", unit, slopes)
-    across = (np.einsum("ckp,clp->klp", slopes, slopes) - _outer(slope, slope)) / divisor
-    hessian = np.einsum("cp,cklp->klp", unit, hessians) + np.where(flat, 0.0, across)
-    return length, slope, hessian
-
-
-def stack_jets(arguments: Sequence[Jet]) -> Stacked:
-    """Return jets as one, with a first axis of components."""
-    values, slopes = np.stack([jet[0] for jet in arguments]), np.stack([jet[1] for jet in arguments])
-    hessians = np.zeros((len(slopes), *slopes.shape[1:2] * 2, slopes.shape[2]))
-    for i, (_, _, hessian) in enumerate(arguments):
-        if hessian is not None:
-            hessians[i] = hessian
-    return values, slopes, hessians
-
-
-def compose_jets(arguments: Stacked, value: Array, first: Array, second: Array) -> Stacked:
-    """Return the jets of the outputs of g(a): D = sum g_i Da_i, D2 = sum g_i D2a_i + sum g_ij Da_i Da_j'.
-
-    The arguments are those of ``stack_jets``; value (points, outputs), first (..., arguments), second (..., arguments,
-    arguments). The result has a first axis of outputs.
-    """
-    _, slopes, hessians = arguments
-    hessian = np.einsum("poi,iklp->oklp", first, hessians)
-    hessian += np.einsum("poij,ikp,jlp->oklp", second, slopes, slopes, optimize=True)
-    return value.T, np.einsum("poi,ikp->okp", first, slopes), hessian
-
-
-def _added(total: Array | None, more: Array) -> Array:
-    if total is None:
-        return more
-    total += more
-    return total
-
-
-def _outer(a: Array, b: Array) -> Array:
-    return a[:, None] * b
-
-
-VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
-MAXIMUM, MINIMUM, NORM, EXTERNAL = "maximum", "minimum", "norm", "external"
 
 
 class External(Protocol):
@@ -158,7 +72,11 @@ class Notation:
 
 
 class Operation:
-    """An operation; what it does not say is refused."""
+    """An operation; what it does not say is refused.
+
+    A jet is a value with its gradient and Hessian; None for a Hessian of zeros. Points are the last axis of a jet:
+    NumPy is fast along that.
+    """
 
     bracketed = False  # whether its text needs brackets within a product, a quotient or a multiple
 
@@ -428,3 +346,78 @@ OPERATIONS: dict[str, Operation] = {
 def scalar_functions() -> dict[str, ScalarFunction]:
     """Return the functions of one variable by name."""
     return {name: one for name, one in OPERATIONS.items() if isinstance(one, ScalarFunction)}
+
+
+def sum_rule(factors: Sequence[float], arguments: Sequence[Jet], constant: float, shape: tuple[int, int]) -> Jet:
+    """Return the jet of a sum of multiples and a constant, (k, points) being the shape of its gradient."""
+    value, slope, hessian = np.full(shape[1], constant), np.zeros(shape), None
+    for factor, argument in zip(factors, arguments, strict=True):
+        value += factor * argument[0]
+        slope += factor * argument[1]
+        if argument[2] is not None:
+            more = factor * argument[2]
+            hessian = more if hessian is None else hessian + more
+    return value, slope, hessian
+
+
+def product_rule(a: Jet, b: Jet) -> Jet:
+    """Return the jet of a b."""
+    cross = _outer(a[1], b[1])
+    hessian = cross + np.swapaxes(cross, 0, 1)
+    for one, other in ((a, b), (b, a)):
+        if other[2] is not None:
+            hessian += one[0] * other[2]
+    return a[0] * b[0], a[0] * b[1] + b[0] * a[1], hessian
+
+
+def chain_rule(a: Jet, value: Array, first: Array, second: Array) -> Jet:
+    """Return the jet of f(a), from f and its derivatives at a, (points,) each."""
+    hessian = _outer(second * a[1], a[1])
+    if a[2] is not None:
+        hessian += first * a[2]
+    return value, first * a[1], hessian
+
+
+def norm_rule(arguments: Sequence[Jet], selection: Array | None) -> Jet:
+    """Return the jet of |a|; where the selection (points, components) has numbers, they stand for its derivative by a.
+
+    The Hessian is zero there, and where a is zero.
+    """
+    a, slopes, hessians = stack_jets(arguments)
+    length = np.linalg.norm(a, axis=0)
+    at_zero = length == 0
+    divisor = np.where(at_zero, 1.0, length)
+    unit, flat = a / divisor, at_zero
+    if selection is not None:
+        flat = np.isfinite(selection).all(axis=1) | at_zero
+        unit = np.where(np.isfinite(selection.T), selection.T, unit)
+    slope = np.einsum("cp,ckp->kp", unit, slopes)
+    across = (np.einsum("ckp,clp->klp", slopes, slopes) - _outer(slope, slope)) / divisor
+    hessian = np.einsum("cp,cklp->klp", unit, hessians) + np.where(flat, 0.0, across)
+    return length, slope, hessian
+
+
+def stack_jets(arguments: Sequence[Jet]) -> Stacked:
+    """Return jets as one, with a first axis of components."""
+    values, slopes = np.stack([jet[0] for jet in arguments]), np.stack([jet[1] for jet in arguments])
+    hessians = np.zeros((len(slopes), *slopes.shape[1:2] * 2, slopes.shape[2]))
+    for i, (_, _, hessian) in enumerate(arguments):
+        if hessian is not None:
+            hessians[i] = hessian
+    return values, slopes, hessians
+
+
+def compose_jets(arguments: Stacked, value: Array, first: Array, second: Array) -> Stacked:
+    """Return the jets of the outputs of g(a): D = sum g_i Da_i, D2 = sum g_i D2a_i + sum g_ij Da_i Da_j'.
+
+    The arguments are those of ``stack_jets``; value (points, outputs), first (..., arguments), second (..., arguments,
+    arguments). The result has a first axis of outputs.
+    """
+    _, slopes, hessians = arguments
+    hessian = np.einsum("poi,iklp->oklp", first, hessians)
+    hessian += np.einsum("poij,ikp,jlp->oklp", second, slopes, slopes, optimize=True)
+    return value.T, np.einsum("poi,ikp->okp", first, slopes), hessian
+
+
+def _outer(a: Array, b: Array) -> Array:
+    return a[:, None] * b

@@ -1,6 +1,6 @@
 """Formulas as text, "norm(x_0, x_1) * u_0", and back: Python's arithmetic, with a few functions, and nothing else.
 
-Formulas as texts of moderate length: parts that are shared, long or nested deeply get names.
+Texts that are written are of moderate length: parts that are shared, long or nested deeply get names.
 """
 
 from __future__ import annotations
@@ -55,6 +55,40 @@ def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
     """Return x_0 .. and u_0 .. by name."""
     x, u = signals(*dimensions)
     return {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
+
+
+def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
+    """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
+    if callable(given):
+        given = _traced(field, given, dimensions)
+    if isinstance(given, (Formula, str)):
+        given = [given]
+    if not isinstance(given, (Sequence, np.ndarray)):
+        raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
+    zero, made = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
+    for i, one in enumerate(given):
+        if isinstance(one, str):
+            one = formula_from_text(f"{field}[{i}]", one, dimensions)
+        formula = one if isinstance(one, Formula) else as_formula(zero, f"{field}[{i}]", one)
+        if formula.dimensions != dimensions:
+            expected = f"{plural(dimensions[0], 'state')} and {plural(dimensions[1], 'control')}"
+            raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
+        made.append(formula)
+    return tuple(made)
+
+
+def _traced(field: str, function: Callable[..., object], dimensions: tuple[int, int]) -> object:
+    """Return the value of a function for signals."""
+    x, u = signals(*dimensions)
+    try:
+        return function(x, u)
+    except LinFreqOCPError:
+        raise
+    except Exception as error:  # any error of a function that was not made for formulas
+        got = f"{first_line(error)}, from the function"
+        expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
+        advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
+        raise ProblemError(field, got, expected, advice) from error
 
 
 def formula_from_text(
@@ -179,58 +213,6 @@ class _Reader:
         raise self._other()
 
 
-def require_formula(one: Formula, field: str = "formula") -> None:
-    """Raise ProblemError if a node is a function that is no formula."""
-    if one.function is not None:
-        raise ProblemError(field, f"the function {one.function.title}", "formulas, which are text in a file")
-
-
-def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
-    """Return a formula for people, with rounded numbers and the given names of states and controls, shortened."""
-    return written(one, shown(labels), LONGEST_SHOWN)
-
-
-def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
-    """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
-    if callable(given):
-        given = _traced(field, given, dimensions)
-    if isinstance(given, (Formula, str)):
-        given = [given]
-    if not isinstance(given, (Sequence, np.ndarray)):
-        raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
-    zero, made = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
-    for i, one in enumerate(given):
-        if isinstance(one, str):
-            one = formula_from_text(f"{field}[{i}]", one, dimensions)
-        formula = one if isinstance(one, Formula) else as_formula(zero, f"{field}[{i}]", one)
-        if formula.dimensions != dimensions:
-            expected = f"{plural(dimensions[0], 'state')} and {plural(dimensions[1], 'control')}"
-            raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
-        made.append(formula)
-    return tuple(made)
-
-
-def _traced(field: str, function: Callable[..., object], dimensions: tuple[int, int]) -> object:
-    """Return the value of a function for signals."""
-    x, u = signals(*dimensions)
-    try:
-        return function(x, u)
-    except LinFreqOCPError:
-        raise
-    except Exception as error:  # any error of a function that was not made for formulas
-        got = f"{first_line(error)}, from the function"
-        expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
-        advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
-        raise ProblemError(field, got, expected, advice) from error
-
-
-LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat
-SHORTEST_NAMED = 12  # characters: a shorter shared part is repeated, as a name would save nothing
-DEEPEST = 20  # brackets within brackets of one text: parsers take some hundred
-MOST_TERMS = 50  # terms of a sum in one text: parsers nest them
-EXACT = Notation(repr)  # numbers to the last bit
-
-
 def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
     """Return signals and named formulas, each of which may use those before it; errors call the table ``field``."""
     if not isinstance(given, Mapping):
@@ -246,6 +228,24 @@ def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str,
             raise ProblemError(entry, brief(text), "a formula in quotes, or a number")
         known[name] = formula_from_text(entry, str(text), dimensions, known)
     return known
+
+
+def require_formula(one: Formula, field: str = "formula") -> None:
+    """Raise ProblemError if a node is a function that is no formula."""
+    if one.function is not None:
+        raise ProblemError(field, f"the function {one.function.title}", "formulas, which are text in a file")
+
+
+def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
+    """Return a formula for people, with rounded numbers and the given names of states and controls, shortened."""
+    return written(one, shown(labels), LONGEST_SHOWN)
+
+
+LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat
+SHORTEST_NAMED = 12  # characters: a shorter shared part is repeated, as a name would save nothing
+DEEPEST = 20  # brackets within brackets of one text: parsers take some hundred
+MOST_TERMS = 50  # terms of a sum in one text: parsers nest them
+EXACT = Notation(repr)  # numbers to the last bit
 
 
 def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, str]]:

@@ -1,7 +1,4 @@
-"""Masses joined by springs: a chain between two walls, and two masses that swing against each other.
-
-Motion along one axis: the double integrator, and a scanner that draws lines.
-"""
+"""Masses that move along one axis: a double integrator, a resonant scanner, and masses joined by springs."""
 
 from __future__ import annotations
 

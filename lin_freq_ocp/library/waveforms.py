@@ -1,8 +1,7 @@
-"""The move of a printer's axis to a new place, shaped so that the machine does not ring after it.
+"""Waveforms whose moments or spectra are prescribed, and one that a plant known by its frequency response absorbs.
 
-Gradient waveforms of magnetic resonance imaging: shortest pulses with prescribed moments.
-
-A wave-energy converter, known by boundary-element coefficients per frequency: power is what the control absorbs.
+Gradient pulses of magnetic resonance imaging, the move of a printer's axis that leaves a resonance nearly still, and a
+wave-energy converter, known by boundary-element coefficients per frequency.
 """
 
 from __future__ import annotations
@@ -155,34 +154,92 @@ def _masks(bands: Sequence[Sequence[float]] | None, level: float) -> list[Magnit
     ] or None
 
 
+def printer_move(
+    horizon: int = 22,
+    sampling_time: float = 0.005,
+    distance: float = 0.02,
+    speed_bound: float | None = 0.5,
+    acceleration_bound: float | None = 10.0,
+    resonance_hz: float = 20.0,
+    uncertainty: float = 0.1,
+    damping: Sequence[float] = (0.02, 0.1),
+    vibration_bound: float | None = 0.5,
+) -> OptimalControlProblem:
+    """Move an axis from rest to rest, and leave a resonance that is known to 10 % nearly still.
+
+    Minimise 1/2 sum of a_t^2 over the accelerations of a position and a speed, held between the samples. What rings
+    after the move is a mode q'' + 2 zeta w q' + w^2 q = w^2 a of the frame: its amplitude is bounded for every w and
+    zeta of a box. With the defaults 22 samples (0.11 s) are feasible and 21 are not; without the bound on the vibration
+    18 are. ``lfo.compare`` sets input shapers of the same robustness beside it.
+
+    Parameters
+    ----------
+    horizon : int
+        T.
+    sampling_time : float
+        Seconds.
+    distance : float
+        Of the move in m.
+    speed_bound, acceleration_bound : float or None
+        Symmetric bounds on the speed [m/s] and the acceleration [m/s^2].
+    resonance_hz : float
+        Natural frequency w / (2 pi) in Hz, as it is known.
+    uncertainty : float
+        From 0 to below 1: the natural frequency lies within resonance_hz * (1 - uncertainty .. 1 + uncertainty).
+    damping : (lowest, highest)
+        Damping ratios, from 0 to below 1.
+    vibration_bound : float or None
+        Largest amplitude of q after the move, in m/s^2: a constant acceleration a moves q by a. Default: 5 % of the
+        bound on the acceleration. None: no bound.
+
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
+    Singer and Seering, "Preshaping command inputs to reduce system vibration", Journal of Dynamic Systems, Measurement,
+    and Control 112, 1990. The numbers are chosen here, of the size of those of desktop 3D printers.
+
+    Examples
+    --------
+    >>> lfo.minimum_time(lfo.library.printer_move, horizons=(1, 40)).horizon
+    22
+    """
+    centre, spread = positive_number("resonance_hz", resonance_hz), real_array("uncertainty", uncertainty)
+    if spread.ndim or not 0 <= spread < 1:
+        raise ProblemError("uncertainty", brief(uncertainty), "a number from 0 to below 1")
+    frequency = [centre * (1 - float(spread)), centre * (1 + float(spread))]
+    return OptimalControlProblem(
+        dynamics=LinearDynamics.from_continuous(
+            [[0, 1], [0, 0]],
+            [[0], [1]],
+            sampling_time,
+            state_names=["position [m]", "speed [m/s]"],
+            control_names=["acceleration [m/s^2]"],
+        ),
+        horizon=horizon,
+        cost=QuadraticCost(R=1.0),
+        control_set=symmetric("acceleration_bound", acceleration_bound),
+        state_set=symmetric("speed_bound", [None, speed_bound]),
+        initial_state=[0.0, 0.0],
+        terminal_state=[positive_number("distance", distance), 0.0],
+        control_spectrum=None if vibration_bound is None else ResidualVibration(frequency, damping, vibration_bound),
+        name="printer_move",
+    )
+
+
 RADII, HEIGHTS = (0.88, 0.35), (0.17, 0.20)  # m: a cylinder in the water, and the cone frustum below it
 DENSITY, GRAVITY = 1025.0, 9.81  # kg/m^3, m/s^2
 FRUSTUM = HEIGHTS[1] / 3 * (RADII[0] ** 2 + RADII[0] * RADII[1] + RADII[1] ** 2)  # m^3 over pi
 MASS = DENSITY * np.pi * (RADII[0] ** 2 * HEIGHTS[0] + FRUSTUM)  # kg: what the hull displaces
 STIFFNESS = DENSITY * GRAVITY * np.pi * RADII[0] ** 2  # N/m
 RESOLUTION = 1e-9  # in bins: how far the wave may be from a harmonic of the record
-
-
-@dataclass(frozen=True, eq=False)
-class Coefficients:
-    """Of the converter at frequencies (k,): 1/Z in m/s/N, excitation in N/m, and where they are known (else zero)."""
-
-    admittance: ComplexArray
-    excitation: ComplexArray
-    valid: Mask
-
-
-def coefficients_at(frequencies: Array, least_damping: float) -> Coefficients:
-    """Return the coefficients at frequencies in Hz, linear between those of the file; infinite ones are not known."""
-    text = files("lin_freq_ocp.library").joinpath("wavebot.csv").read_text("utf-8")
-    table = np.loadtxt(text.splitlines(), delimiter=",", skiprows=4)
-    w, known = 2 * np.pi * frequencies, table[:, 0]
-    step = known[1] - known[0]
-    valid = (w >= known[0] - RESOLUTION * step) & (w <= known[-1] + RESOLUTION * step)
-    A, B, real, imaginary = (np.interp(w, known, column) for column in table[:, 1:].T)
-    w = np.where(valid, w, 1.0)
-    Z = 1j * w * (MASS + A) + np.maximum(B, positive_number("least_damping", least_damping)) + STIFFNESS / (1j * w)
-    return Coefficients(np.where(valid, 1 / Z, 0.0), np.where(valid, real + 1j * imaginary, 0.0), valid)
 
 
 def wave_energy(
@@ -267,81 +324,23 @@ def wave_energy(
     )
 
 
-def printer_move(
-    horizon: int = 22,
-    sampling_time: float = 0.005,
-    distance: float = 0.02,
-    speed_bound: float | None = 0.5,
-    acceleration_bound: float | None = 10.0,
-    resonance_hz: float = 20.0,
-    uncertainty: float = 0.1,
-    damping: Sequence[float] = (0.02, 0.1),
-    vibration_bound: float | None = 0.5,
-) -> OptimalControlProblem:
-    """Move an axis from rest to rest, and leave a resonance that is known to 10 % nearly still.
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """Of the converter at frequencies (k,): 1/Z in m/s/N, excitation in N/m, and where they are known (else zero)."""
 
-    Minimise 1/2 sum of a_t^2 over the accelerations of a position and a speed, held between the samples. What rings
-    after the move is a mode q'' + 2 zeta w q' + w^2 q = w^2 a of the frame: its amplitude is bounded for every w and
-    zeta of a box. With the defaults 22 samples (0.11 s) are feasible and 21 are not; without the bound on the vibration
-    18 are. ``lfo.compare`` sets input shapers of the same robustness beside it.
+    admittance: ComplexArray
+    excitation: ComplexArray
+    valid: Mask
 
-    Parameters
-    ----------
-    horizon : int
-        T.
-    sampling_time : float
-        Seconds.
-    distance : float
-        Of the move in m.
-    speed_bound, acceleration_bound : float or None
-        Symmetric bounds on the speed [m/s] and the acceleration [m/s^2].
-    resonance_hz : float
-        Natural frequency w / (2 pi) in Hz, as it is known.
-    uncertainty : float
-        From 0 to below 1: the natural frequency lies within resonance_hz * (1 - uncertainty .. 1 + uncertainty).
-    damping : (lowest, highest)
-        Damping ratios, from 0 to below 1.
-    vibration_bound : float or None
-        Largest amplitude of q after the move, in m/s^2: a constant acceleration a moves q by a. Default: 5 % of the
-        bound on the acceleration. None: no bound.
 
-    Returns
-    -------
-    OptimalControlProblem
-
-    Raises
-    ------
-    ProblemError
-        If a parameter does not fit its description.
-
-    References
-    ----------
-    Singer and Seering, "Preshaping command inputs to reduce system vibration", Journal of Dynamic Systems, Measurement,
-    and Control 112, 1990. The numbers are chosen here, of the size of those of desktop 3D printers.
-
-    Examples
-    --------
-    >>> lfo.minimum_time(lfo.library.printer_move, horizons=(1, 40)).horizon
-    22
-    """
-    centre, spread = positive_number("resonance_hz", resonance_hz), real_array("uncertainty", uncertainty)
-    if spread.ndim or not 0 <= spread < 1:
-        raise ProblemError("uncertainty", brief(uncertainty), "a number from 0 to below 1")
-    frequency = [centre * (1 - float(spread)), centre * (1 + float(spread))]
-    return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            [[0, 1], [0, 0]],
-            [[0], [1]],
-            sampling_time,
-            state_names=["position [m]", "speed [m/s]"],
-            control_names=["acceleration [m/s^2]"],
-        ),
-        horizon=horizon,
-        cost=QuadraticCost(R=1.0),
-        control_set=symmetric("acceleration_bound", acceleration_bound),
-        state_set=symmetric("speed_bound", [None, speed_bound]),
-        initial_state=[0.0, 0.0],
-        terminal_state=[positive_number("distance", distance), 0.0],
-        control_spectrum=None if vibration_bound is None else ResidualVibration(frequency, damping, vibration_bound),
-        name="printer_move",
-    )
+def coefficients_at(frequencies: Array, least_damping: float) -> Coefficients:
+    """Return the coefficients at frequencies in Hz, linear between those of the file; infinite ones are not known."""
+    text = files("lin_freq_ocp.library").joinpath("wavebot.csv").read_text("utf-8")
+    table = np.loadtxt(text.splitlines(), delimiter=",", skiprows=4)
+    w, known = 2 * np.pi * frequencies, table[:, 0]
+    step = known[1] - known[0]
+    valid = (w >= known[0] - RESOLUTION * step) & (w <= known[-1] + RESOLUTION * step)
+    A, B, real, imaginary = (np.interp(w, known, column) for column in table[:, 1:].T)
+    w = np.where(valid, w, 1.0)
+    Z = 1j * w * (MASS + A) + np.maximum(B, positive_number("least_damping", least_damping)) + STIFFNESS / (1j * w)
+    return Coefficients(np.where(valid, 1 / Z, 0.0), np.where(valid, real + 1j * imaginary, 0.0), valid)

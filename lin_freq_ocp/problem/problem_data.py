@@ -45,7 +45,7 @@ class ProblemData:
 
     @property
     def origin(self) -> Array | None:
-        """Return where zero states lie in the coordinates that they were given in (``reformulations.py``); None: there."""
+        """Return where zero states lie in the coordinates that they were given in (``Translation``); None: there."""
         return self.__dict__.get("_origin")
 
     @property

@@ -8,7 +8,7 @@ terms at finitely many points, and ``at_frequencies`` chooses these.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -313,12 +313,14 @@ def rate_limited(
     if any(rows.name == RATE_LIMIT for rows in problem.stage_rows):
         raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{RATE_LIMIT}'")
     k, chosen = len(limited), np.eye(m)[limited]
-    before = (
-        np.full((2, k), [[-np.inf], [np.inf]])
-        if previous is None
-        else np.tile(_control_before(previous, m)[limited], (2, 1))
-    )
-    names = [_name_before(problem.control_names[j]) for j in limited]
+    before = np.full((2, k), [[-np.inf], [np.inf]])
+    if previous is not None:
+        given = one_component(real_array("previous", previous), m)
+        if given.shape != (m,):
+            raise ProblemError("previous", f"shape {given.shape}", f"one number for each of the {m} controls")
+        before = np.tile(given[limited], (2, 1))
+    labels = [split_unit(problem.control_names[j]) for j in limited]
+    names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
     added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
     remembering = extended(problem, added)
     of_x = np.zeros((k, problem.state_dim))
@@ -331,11 +333,6 @@ def rate_limited(
     return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
 
 
-def _name_before(name: str) -> str:
-    label, unit = split_unit(name)
-    return f"{label} before [{unit}]" if unit else f"{label} before"
-
-
 def _limits_of_changes(limit: Bound, m: int) -> Array:
     given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
     limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
@@ -344,13 +341,6 @@ def _limits_of_changes(limit: Bound, m: int) -> Array:
             "rate_limit", brief(limit), f"one number, zero or above, or one for each of the {m} controls"
         )
     return np.broadcast_to(limits, m)
-
-
-def _control_before(previous: ArrayLike, m: int) -> Array:
-    before = one_component(real_array("previous", previous), m)
-    if before.shape != (m,):
-        raise ProblemError("previous", f"shape {before.shape}", f"one number for each of the {m} controls")
-    return before
 
 
 Kind = TypeVar("Kind", bound=Continuum)

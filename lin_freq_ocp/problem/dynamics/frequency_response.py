@@ -390,11 +390,7 @@ def read_response(path: Path) -> Array:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError) as error:
         raise ProblemError(str(path), f"{error}", "a readable CSV file") from None
-    return response_table(path.name, [line for line in lines if line.strip() and not line.lstrip().startswith("#")])
-
-
-def response_table(name: str, lines: list[str]) -> Array:
-    """Return the table of lines of text, of which the first may be a header."""
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     rows = list[list[float]]()
     for i, line in enumerate(lines):
         try:
@@ -405,8 +401,8 @@ def response_table(name: str, lines: list[str]) -> Array:
             continue
         if len(row) != 3 or not np.isfinite(row).all():
             expected = "three finite numbers: frequency in Hz, real part, imaginary part"
-            raise ProblemError(f"{name}: row {i}", brief(line), expected)
+            raise ProblemError(f"{path.name}: row {i}", brief(line), expected)
         rows.append(row)
     if not rows:
-        raise ProblemError(name, "no rows", "rows of frequency in Hz, real part, imaginary part")
+        raise ProblemError(path.name, "no rows", "rows of frequency in Hz, real part, imaginary part")
     return np.array(rows)
