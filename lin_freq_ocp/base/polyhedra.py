@@ -1,7 +1,7 @@
 """Polyhedra {y : a'y <= b, row by row} and boxes: largest balls, coverings, redundant rows, and minima over them.
 
 Every question about polyhedra is the linear program of the largest ball. Its answer is measured again, from its centre
-and the rows: what is called empty may hold a ball that the solver has missed, what is called a ball is one.
+and the rows: a polyhedron that is called empty may hold a ball that the solver has missed; a returned ball is one.
 """
 
 from __future__ import annotations

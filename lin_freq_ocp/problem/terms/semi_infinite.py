@@ -322,9 +322,10 @@ class VibrationMap(ScaledMap):
 
 @dataclass(frozen=True, eq=False)
 class PlantBox(Continuum):
-    """|V| <= limit for every mode of a box: what a held signal leaves ringing in q'' + 2 zeta w q' + w^2 q = w^2 v.
+    """|V| <= limit for every mode of a box: the residual vibration of a signal that is held between its samples.
 
-    With the eigenvalue s = w (-zeta + i sqrt(1 - zeta^2)), z = exp(s h), and no signal after N samples, it is |V|,
+    A mode is q'' + 2 zeta w q' + w^2 q = w^2 v. With the eigenvalue s = w (-zeta + i sqrt(1 - zeta^2)), z = exp(s h),
+    and no signal after N samples, its amplitude is |V|,
 
         V = (z - 1) / sqrt(1 - zeta^2) sum_t v_t z^(N-1-t).
 
