@@ -21,8 +21,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from lin_freq_ocp.base.interrupts import leave_silently
 from lin_freq_ocp.base.kinds import register_later
-from lin_freq_ocp.base.starting import leave_silently
 
 leave_silently()
 
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
         write_problem,
     )
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
-    from lin_freq_ocp.problem.rate_limit import rate_limited
+    from lin_freq_ocp.problem.reformulations import rate_limited
     from lin_freq_ocp.problem.simulation import simulate
     from lin_freq_ocp.results import Trajectory
     from lin_freq_ocp.sets import Box, FiniteSet, Periodic, StageRows
@@ -80,7 +80,7 @@ _HOMES = {
     "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
     "io": "from_time_response load load_run load_sweep read_csv read_mat read_problem to_cvxpy write_problem",
     "problem.ocp": "OptimalControlProblem",
-    "problem.rate_limit": "rate_limited",
+    "problem.reformulations": "rate_limited",
     "problem.simulation": "simulate",
     "results": "Trajectory",
     "sets": "Box FiniteSet Periodic StageRows",

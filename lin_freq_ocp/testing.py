@@ -26,7 +26,7 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.problem.rate_limit import NAME
+from lin_freq_ocp.problem.reformulations import RATE_LIMIT
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.program.backends.base import Claim, backend
@@ -356,4 +356,4 @@ def _rate_limit_faults(problem: lfo.OptimalControlProblem, x: Array, u: Array) -
 
 
 def _of_kind(problem: lfo.OptimalControlProblem, kind: TermKind) -> list[Term]:
-    return [term for term in problem.terms if term.kind == kind and term.name != NAME]
+    return [term for term in problem.terms if term.kind == kind and term.name != RATE_LIMIT]

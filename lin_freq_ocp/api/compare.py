@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.base.html import html_table
+from lin_freq_ocp.base.phrases import html_table
 from lin_freq_ocp.comparison.compare import ComparisonOutcome, compare_methods
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 

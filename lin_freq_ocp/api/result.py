@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, final
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.atomic import replacing
 from lin_freq_ocp.base.errors import SolveError
-from lin_freq_ocp.base.html import html_table
+from lin_freq_ocp.base.phrases import html_table
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound
 from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.files.conversions import to_frame, to_time_response

@@ -1,14 +1,20 @@
-"""Numbers from outside become read-only float64 arrays of a known shape, or a ProblemError that says why not."""
+"""Numbers from outside become read-only float64 arrays of a known shape, or a ProblemError that says why not.
+
+Arrays that would not fit into memory are refused before they are allocated.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -17,32 +23,7 @@ Indices = NDArray[np.intp]
 Entry = TypeVar("Entry", bound=np.generic)
 Bound = ArrayLike | Sequence[float | None] | None  # as users give it: numbers, with None where there is none
 NO_BOUND = 1e20  # a bound from here on is none: other tools write infinity so
-
-
-def assign(instance: object, **fields: object) -> None:
-    """Set the fields of a frozen dataclass from within its own ``__init__``."""
-    for name, value in fields.items():
-        object.__setattr__(instance, name, value)
-
-
-def extended(given: ArrayLike) -> NDArray[Any]:
-    """Return a copy in the longest float or complex of the machine, where differences of large terms are formed."""
-    array = np.asarray(given)
-    return array.astype(np.clongdouble if array.dtype.kind == "c" else np.longdouble)
-
-
-def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
-    """Return the array itself if it is read-only, else a read-only copy."""
-    if array.flags.writeable:
-        array = array.copy()
-        array.flags.writeable = False
-    return array
-
-
-def sealed(array: NDArray[Entry]) -> NDArray[Entry]:
-    """Return a new array, now read-only: whoever takes it need not copy it."""
-    array.flags.writeable = False
-    return array
+LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer one is a slip of the pen
 
 
 def real_array(field: str, value: object, allow_infinite: bool = False) -> Array:
@@ -79,38 +60,6 @@ def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None 
 def one_component(array: Array, size: int) -> Array:
     """Return a single number as the vector that it stands for where there is one component; else what was given."""
     return array.reshape(1) if array.ndim == 0 and size == 1 else array
-
-
-def times_vectors(matrix: ArrayLike, vectors: Array) -> Array:
-    """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (T, columns)."""
-    matrix = np.asarray(matrix)
-    if matrix.ndim == 2 and not matrix.any():
-        return np.zeros((len(vectors), len(matrix)), dtype=vectors.dtype)
-    return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
-
-
-def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
-    """Return values + matrix @ vector + ..., rounded once: large terms cancel in extended precision.
-
-    values (..., k), each matrix (..., k, n) and vector (n,); infinite values stay.
-    """
-    total = extended(values)
-    for matrix, vector in products:
-        total = total + extended(matrix) @ extended(vector)
-    return frozen(total.astype(np.float64))
-
-
-def with_columns(array: Array, columns: int) -> Array:
-    """Return the array with so many zeros more along its last axis."""
-    return np.concatenate([array, np.zeros((*array.shape[:-1], columns))], axis=-1)
-
-
-def with_rows(matrices: Array, rows: Array) -> Array:
-    """Return a matrix, or one per time, with these rows below."""
-    return np.concatenate([matrices, np.broadcast_to(rows, (*matrices.shape[:-2], *rows.shape))], axis=-2)
-
-
-LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer one is a slip of the pen
 
 
 def positive_integer(field: str, value: object) -> int:
@@ -165,3 +114,93 @@ def brief(value: object, length: int = 80) -> str:
     except (ValueError, RecursionError):  # whole numbers of thousands of digits; nesting without end
         text = f"a value of type {type(value).__name__} that cannot be shown"
     return text if len(text) <= length else text[: length - 3] + "..."
+
+
+def assign(instance: object, **fields: object) -> None:
+    """Set the fields of a frozen dataclass from within its own ``__init__``."""
+    for name, value in fields.items():
+        object.__setattr__(instance, name, value)
+
+
+def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
+    """Return the array itself if it is read-only, else a read-only copy."""
+    if array.flags.writeable:
+        array = array.copy()
+        array.flags.writeable = False
+    return array
+
+
+def sealed(array: NDArray[Entry]) -> NDArray[Entry]:
+    """Return a new array, now read-only: whoever takes it need not copy it."""
+    array.flags.writeable = False
+    return array
+
+
+def extended(given: ArrayLike) -> NDArray[Any]:
+    """Return a copy in the longest float or complex of the machine, where differences of large terms are formed."""
+    array = np.asarray(given)
+    return array.astype(np.clongdouble if array.dtype.kind == "c" else np.longdouble)
+
+
+def times_vectors(matrix: ArrayLike, vectors: Array) -> Array:
+    """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (T, columns)."""
+    matrix = np.asarray(matrix)
+    if matrix.ndim == 2 and not matrix.any():
+        return np.zeros((len(vectors), len(matrix)), dtype=vectors.dtype)
+    return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
+
+
+def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
+    """Return values + matrix @ vector + ..., rounded once: large terms cancel in extended precision.
+
+    values (..., k), each matrix (..., k, n) and vector (n,); infinite values stay.
+    """
+    total = extended(values)
+    for matrix, vector in products:
+        total = total + extended(matrix) @ extended(vector)
+    return frozen(total.astype(np.float64))
+
+
+def with_columns(array: Array, columns: int) -> Array:
+    """Return the array with so many zeros more along its last axis."""
+    return np.concatenate([array, np.zeros((*array.shape[:-1], columns))], axis=-1)
+
+
+def with_rows(matrices: Array, rows: Array) -> Array:
+    """Return a matrix, or one per time, with these rows below."""
+    return np.concatenate([matrices, np.broadcast_to(rows, (*matrices.shape[:-2], *rows.shape))], axis=-2)
+
+
+SHARE = 0.5  # of the memory for one solve: estimates are good to a factor of two, and other programs need some
+GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container on Linux
+GIB = 2.0**30
+ALWAYS_THERE = 2.0**24  # bytes that every machine has: nothing is asked of it
+NUMBERS_PER_SIGNAL = 16  # per component and time, of a problem and a trajectory with multipliers
+
+
+def memory_limit() -> float:
+    """Return the bytes that one solve may take: a share of the machine's memory, or of what its container may use."""
+    available = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 2 * GIB
+    with suppress(OSError, ValueError):  # "max" where there is no limit
+        available = min(available, float(GROUP_LIMIT.read_text()))
+    return SHARE * available
+
+
+def require_memory(what: str, size: float, advice: str) -> None:
+    """Raise UnsupportedError if ``what`` (the subject of the message) needs more than one solve may take, in bytes."""
+    limit = np.inf if size < ALWAYS_THERE else memory_limit()
+    if size > limit:
+        raise UnsupportedError(
+            f"memory: {what} would take about {size / GIB:.3g} GiB; {limit / GIB:.3g} GiB may be used, "
+            f"{SHARE:.0%} of what there is. {advice}"
+        )
+
+
+def require_horizon(horizon: int, state_dim: int, control_dim: int) -> None:
+    """Raise UnsupportedError unless the signals of a problem fit into memory."""
+    size = 8.0 * NUMBERS_PER_SIGNAL * horizon * (state_dim + control_dim)
+    require_memory(
+        f"signals and bounds of horizon = {horizon}, {state_dim} states and {control_dim} controls",
+        size,
+        "Choose a shorter horizon or a longer sampling time.",
+    )

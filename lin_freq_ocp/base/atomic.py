@@ -30,7 +30,10 @@ def replacing(path: str | os.PathLike[str]) -> Generator[BinaryIO]:
     """
     path = Path(path)
     with writing(path):
-        target = _target(path)
+        try:
+            target = Path(os.path.realpath(path))
+        except ValueError as error:  # a character that no file name can have
+            raise ProblemError(repr(str(path)), reason(error), "the name of a file") from None
         if target.exists() and not target.is_file():
             with target.open("wb") as stream:
                 yield stream
@@ -110,10 +113,3 @@ def writing(path: Path) -> Generator[None]:
 def reason(error: Exception) -> str:
     """Return what the system says of a failure to read or write."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
-
-
-def _target(path: Path) -> Path:
-    try:
-        return Path(os.path.realpath(path))
-    except ValueError as error:  # a character that no file name can have
-        raise ProblemError(repr(str(path)), reason(error), "the name of a file") from None

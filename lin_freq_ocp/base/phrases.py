@@ -1,9 +1,10 @@
-"""Numbers, vectors, matrices and inequalities as people read them: what problems describe themselves with."""
+"""Numbers, vectors, matrices, inequalities and small tables as people read them: problems describe themselves so."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from html import escape
 from math import isfinite
 
 import numpy as np
@@ -11,7 +12,6 @@ import numpy as np
 from lin_freq_ocp.base.arrays import NO_BOUND, Array
 
 NAME_WITH_UNIT = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]\s*")
-
 SMALL, LARGE = 1e-3, 1e6  # numbers outside this range are written with a power of ten
 NOTHING = "\N{EN DASH}"  # in place of a missing number
 AT_MOST = "\N{LESS-THAN OR EQUAL TO}"
@@ -169,11 +169,30 @@ def intervals(lower: Array, upper: Array) -> str:
     return f"bounds that depend on time: {', '.join(parts)}{', none at some times' if missing else ''}"
 
 
+def _from_to(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return number(low) if low == high else f"{number(low)} to {number(high)}"
+
+
 def price(penalty: float | None, of: str = "excess") -> str:
     """Return the price of leaving a soft constraint, to stand behind it; nothing for a hard one."""
     return "" if penalty is None else f"; soft, {number(penalty)} per unit of {of}"
 
 
-def _from_to(values: Array) -> str:
-    low, high = float(values.min()), float(values.max())
-    return number(low) if low == high else f"{number(low)} to {number(high)}"
+MOST_TABLE_ROWS = 24  # a table says how many more there are
+LABEL = "text-align:left;vertical-align:top;font-weight:normal;opacity:0.7;white-space:nowrap;padding-right:1em"
+VALUE = "text-align:left;vertical-align:top;overflow-wrap:anywhere"
+
+
+def html_table(title: str, rows: Iterable[tuple[str, str]]) -> str:
+    """Return a table of terms and values under a title."""
+    given = list(rows)
+    shown = given[:MOST_TABLE_ROWS]
+    if len(given) > len(shown):
+        shown.append(("\N{HORIZONTAL ELLIPSIS}", f"{len(given) - len(shown)} more"))
+    body = "".join(
+        f'<tr><th style="{LABEL}">{escape(term)}</th><td style="{VALUE}">{escape(value)}</td></tr>'
+        for term, value in shown
+    )
+    caption = f'<caption style="text-align:left;font-weight:bold">{escape(title)}</caption>'
+    return f"<table>{caption}<tbody>{body}</tbody></table>"

@@ -1,7 +1,7 @@
-"""Polyhedra {y : a'y <= b, row by row}: the largest ball in one, what several leave uncovered, rows that say nothing.
+"""Polyhedra {y : a'y <= b, row by row} and boxes: largest balls, coverings, redundant rows, and minima over them.
 
-Every question is the linear program of the largest ball. Its answer is measured again, from its centre and the rows:
-what is called empty may hold a ball that the solver has missed, what is called a ball is one.
+Every question about polyhedra is the linear program of the largest ball. Its answer is measured again, from its centre
+and the rows: a polyhedron that is called empty may hold a ball that the solver has missed; a returned ball is one.
 """
 
 from __future__ import annotations
@@ -114,14 +114,14 @@ def ball_centre(
         in_plane = plane is None or abs(plane[0] @ y - plane[1]) <= thickness
         return bool(np.isfinite(y).all() and free and in_plane and (slack[~grows] >= 0).all())
 
-    y = _projected(normals, right - EASY_RADIUS * rows[:, -1], plane)
+    y = _project(normals, right - EASY_RADIUS * rows[:, -1], plane)
     if y is not None and EASY_RADIUS > thickness and holds(y):
         return y
     y = _largest_ball(rows, right, plane)
     return y if y is not None and holds(y) else None
 
 
-def _projected(normals: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
+def _project(normals: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
     """Return a point of normals y <= right by projections on the most violated row, None if a few do not lead there."""
     y, steps = np.zeros(normals.shape[1]), normals
     if plane is not None:
@@ -158,12 +158,14 @@ def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) 
     return None if answer.x is None or answer.status == INFEASIBLE else np.asarray(answer.x[:-1])
 
 
-def minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array | None:
-    """Return a minimiser of cost'y over matrix y <= limits (dense or sparse) and the bounds, or None."""
-    from scipy.optimize import linprog  # slow to import
-
-    answer = linprog(cost, matrix, limits, bounds=np.column_stack([lower, upper]).tolist(), method="highs")
-    return np.asarray(answer.x) if answer.status == OPTIMAL else None
+def irredundant(cell: Cell, thickness: float) -> Indices:
+    """Return the rows that the others do not imply: beyond each, a ball fits that they all allow."""
+    kept = list(range(len(cell.limits)))
+    for row in range(len(cell.limits)):
+        others = cell.take(np.array([k for k in kept if k != row], dtype=int))
+        if (others & cell.beyond(row)).inner_point(thickness) is None:
+            kept.remove(row)
+    return np.array(kept, dtype=int)
 
 
 def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
@@ -180,32 +182,38 @@ def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
             normal, limit = cell.normals[row], float(cell.limits[row])
             if domain.same_as(normal, limit).any():
                 continue
-            foot, along = limit * normal, _basis_across(normal)
+            foot, along = limit * normal, np.linalg.qr(np.column_stack([normal, np.eye(len(normal))]))[0][:, 1:]
             facet = (domain & cell.take(~cell.same_as(normal, limit))).restricted(foot, along)
             point = None
             if facet is not None:
-                point = _left_over(facet, _FarSide(cells, i, normal, limit, foot, along), frozenset())
+                point = _uncovered_point(facet, _FarSide(cells, i, normal, limit, foot, along), frozenset())
             if point is not None:
-                return _into_the_gap(foot + along @ point, normal, domain, cells)
+                return _point_in_gap(foot + along @ point, normal, domain, cells)
     return None
 
 
-def _into_the_gap(start: Array, direction: Array, domain: Cell, cells: Sequence[Cell]) -> Array:
-    """Return a point halfway from a facet to where, straight on, the next cell begins or the domain ends."""
-    ends = [_interval(domain, start, direction)[1], 2 * LARGEST_BALL]
-    begins = [interval[0] for cell in cells if (interval := _interval(cell, start, direction))[1] > THICKNESS]
-    return start + min(*ends, *(begin for begin in begins if begin > THICKNESS)) / 2 * direction
+def _uncovered_point(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
+    """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None if there is none.
 
-
-def _interval(cell: Cell, start: Array, direction: Array) -> tuple[float, float]:
-    """Return from where to where a straight line is in a cell, as multiples of the direction; (inf, -inf): nowhere."""
-    slack, rate = cell.limits - cell.normals @ start, cell.normals @ direction
-    falling, rising = rate < -FLAT, rate > FLAT
-    if (slack[~falling & ~rising] < -THICKNESS).any():
-        return np.inf, -np.inf
-    first = float((slack[falling] / rate[falling]).max(initial=-np.inf))
-    last = float((slack[rising] / rate[rising]).min(initial=np.inf))
-    return (first, last) if first <= last else (np.inf, -np.inf)
+    The piece is cut along the rows of the cell around the centre of its largest ball, and so on with what remains.
+    """
+    point = piece.inner_point(THICKNESS)
+    if point is None:
+        return None
+    k = far.around(point, used)
+    cell = None if k is None else far.cells[k].restricted(far.foot, far.along)
+    if k is None:
+        return point
+    if cell is None:
+        return _uncovered_point(piece, far, used | {k})
+    for row in range(len(cell.limits)):
+        if piece.implies(cell, row):
+            continue
+        outside = _uncovered_point(piece & cell.beyond(row), far, used | {k})
+        if outside is not None:
+            return outside
+        piece = piece & cell.take(slice(row, row + 1))
+    return None
 
 
 class _FarSide:
@@ -232,43 +240,22 @@ class _FarSide:
         return k if margins[k] >= -THICKNESS else None
 
 
-def _left_over(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
-    """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None if there is none.
-
-    The piece is cut along the rows of the cell around the centre of its largest ball, and so on with what remains.
-    """
-    point = piece.inner_point(THICKNESS)
-    if point is None:
-        return None
-    k = far.around(point, used)
-    cell = None if k is None else far.cells[k].restricted(far.foot, far.along)
-    if k is None:
-        return point
-    if cell is None:
-        return _left_over(piece, far, used | {k})
-    for row in range(len(cell.limits)):
-        if piece.implies(cell, row):
-            continue
-        outside = _left_over(piece & cell.beyond(row), far, used | {k})
-        if outside is not None:
-            return outside
-        piece = piece & cell.take(slice(row, row + 1))
-    return None
+def _point_in_gap(start: Array, direction: Array, domain: Cell, cells: Sequence[Cell]) -> Array:
+    """Return a point halfway from a facet to where, straight on, the next cell begins or the domain ends."""
+    ends = [_interval(domain, start, direction)[1], 2 * LARGEST_BALL]
+    begins = [interval[0] for cell in cells if (interval := _interval(cell, start, direction))[1] > THICKNESS]
+    return start + min(*ends, *(begin for begin in begins if begin > THICKNESS)) / 2 * direction
 
 
-def _basis_across(normal: Array) -> Array:
-    """Return orthonormal columns that span what is orthogonal to a vector of length 1, (d, d - 1)."""
-    return np.linalg.qr(np.column_stack([normal, np.eye(len(normal))]))[0][:, 1:]
-
-
-def irredundant(cell: Cell, thickness: float) -> Indices:
-    """Return the rows that the others do not imply: beyond each, a ball fits that they all allow."""
-    kept = list(range(len(cell.limits)))
-    for row in range(len(cell.limits)):
-        others = cell.take(np.array([k for k in kept if k != row], dtype=int))
-        if (others & cell.beyond(row)).inner_point(thickness) is None:
-            kept.remove(row)
-    return np.array(kept, dtype=int)
+def _interval(cell: Cell, start: Array, direction: Array) -> tuple[float, float]:
+    """Return from where to where a straight line is in a cell, as multiples of the direction; (inf, -inf): nowhere."""
+    slack, rate = cell.limits - cell.normals @ start, cell.normals @ direction
+    falling, rising = rate < -FLAT, rate > FLAT
+    if (slack[~falling & ~rising] < -THICKNESS).any():
+        return np.inf, -np.inf
+    first = float((slack[falling] / rate[falling]).max(initial=-np.inf))
+    last = float((slack[rising] / rate[rising]).min(initial=np.inf))
+    return (first, last) if first <= last else (np.inf, -np.inf)
 
 
 def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float) -> Array:
@@ -305,3 +292,64 @@ def _reach(coefficients: Array, limits: Array, sizes: Array) -> Array:
     own = reach[alone].max(axis=0, initial=0.0)
     shared = np.where(reach[~alone] > 0, reach[~alone], np.inf).min(axis=0, initial=np.inf)
     return np.where(own > 0, own, np.where(np.isfinite(shared), shared, 0.0))
+
+
+def minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array | None:
+    """Return a minimiser of cost'y over matrix y <= limits (dense or sparse) and the bounds, or None."""
+    from scipy.optimize import linprog  # slow to import
+
+    answer = linprog(cost, matrix, limits, bounds=np.column_stack([lower, upper]).tolist(), method="highs")
+    return np.asarray(answer.x) if answer.status == OPTIMAL else None
+
+
+ROUNDS = 6  # of a Newton step and a sweep; two or three are usual
+REGULAR = 1e-13  # of a diagonal entry, added to it: a Hessian may be singular
+
+
+def box_minimiser(slope: Array, hessian: Array, low: Array, high: Array) -> Array:
+    """Return v near the minimum of slope v + 1/2 v'H v over low <= v <= high, (..., k), H (..., k, k) semidefinite.
+
+    A component whose diagonal entry is zero stays at the point of its bounds nearest to zero. Many boxes are solved
+    side by side.
+
+    Coordinate descent alone takes as many sweeps as the Hessian is ill-conditioned, and the weights of a Riccati
+    equation are. Between sweeps there is therefore a Newton step of the components that no bound holds, cut at the
+    bounds or at the first of them, whichever is lower: with the right bounds it ends the search.
+    """
+    shape = np.broadcast_shapes(slope.shape, low.shape, high.shape, hessian.shape[:-1])
+    v = np.clip(np.zeros(shape), low, high)
+    diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
+    curved, sizes = diagonal > 0, np.where(diagonal > 0, diagonal, 1.0)
+    for _ in range(ROUNDS):
+        before = v.copy()
+        v = _newton_step(slope, hessian, low, high, v)
+        for j in range(shape[-1]):
+            gradient = slope[..., j] + (hessian[..., j, :] * v).sum(axis=-1)
+            step = np.where(curved[..., j], gradient / sizes[..., j], 0.0)
+            v[..., j] = np.clip(v[..., j] - step, low[..., j], high[..., j])
+        if (v == before).all():
+            break
+    return v
+
+
+def _newton_step(slope: Array, hessian: Array, low: Array, high: Array, v: Array) -> Array:
+    """Return the better of two points on the way to the minimum of the components that no bound holds, or v."""
+    diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
+    gradient = slope + (hessian * v[..., None, :]).sum(axis=-1)
+    free = (diagonal > 0) & ~((v <= low) & (gradient >= 0)) & ~((v >= high) & (gradient <= 0))
+    sizes = np.where(diagonal > 0, diagonal, 1.0)[..., None] * np.eye(v.shape[-1])
+    system = np.where(free[..., None] & free[..., None, :], hessian + REGULAR * sizes, sizes)
+    step = -np.linalg.solve(system, np.where(free, gradient, 0.0)[..., None])[..., 0]
+    moving = step != 0
+    margin = np.where(step > 0, high - v, v - low) / np.where(moving, np.abs(step), 1.0)
+    length = np.minimum(np.where(moving, margin, np.inf).min(axis=-1, keepdims=True), 1.0)
+    best, least = v, _quadratic_value(slope, hessian, v)
+    for point in (np.clip(v + length * step, low, high), np.clip(v + step, low, high)):
+        value = _quadratic_value(slope, hessian, point)
+        best = np.where((value < least)[..., None], point, best)
+        least = np.minimum(value, least)
+    return best
+
+
+def _quadratic_value(slope: Array, hessian: Array, v: Array) -> Array:
+    return ((slope + 0.5 * (hessian * v[..., None, :]).sum(axis=-1)) * v).sum(axis=-1)

@@ -12,9 +12,9 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.rays import Exclusion, exclusion
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.problem.translation import Translation, far_origin, translated_by, translated_set
 from lin_freq_ocp.solving.families import chosen, saved_options
 from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral

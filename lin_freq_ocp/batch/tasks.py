@@ -14,7 +14,7 @@ from multiprocessing import forkserver, get_all_start_methods, get_context, pare
 from queue import SimpleQueue
 from typing import Generic, ParamSpec, TypeVar
 
-from lin_freq_ocp.base.interrupt import interrupts_noted
+from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.solving import solve
 
 RESUBMISSIONS = 2  # of a lost point: a worker may die by chance; after three losses the point itself is the reason

@@ -27,7 +27,7 @@ is cut off, and what is cut off is added.
 
 Residual vibrations over a box of modes. |V| = |Q| / sin(phi), Q(y) = (z - 1) sum_t v_t z^(N-1-t), z = exp(h e^y), y =
 ln w + i phi, is largest on an edge of the rectangle of all y, as ln |V| is subharmonic
-(problem/terms/continua/vibration.py). An edge is divided into cells of half-length r about y_c. Q at K points of the
+(problem/terms/semi_infinite.py). An edge is divided into cells of half-length r about y_c. Q at K points of the
 circle of radius r about y_c has the Fourier coefficients a_j = q_j + q_{j+K} + ..., where Q = sum_j q_j ((y - y_c) /
 r)^j. By Cauchy, |q_j| <= M (r/R)^j with |Q| <= M on the circle of radius R: with W = N h max w, M = 2 exp(W (e^R - 1))
 sum |v_t|. The limit times sin(phi), which is concave, is above its chord.
@@ -45,11 +45,14 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
-from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
-from lin_freq_ocp.problem.terms.limits import Limits
-from lin_freq_ocp.problem.terms.peaks.search import peaks_above
+from lin_freq_ocp.problem.terms.semi_infinite import (
+    Continuum,
+    Frequencies,
+    HeldFrequencies,
+    Limits,
+    PlantBox,
+    peaks_above,
+)
 
 TERMS = 16  # of the series: what is left is 1e-20 of the sum of the samples' absolute values
 RATIO = 1e-10  # by which the proven ratio may exceed the largest found

@@ -17,7 +17,7 @@ import click
 
 from lin_freq_ocp import __version__
 from lin_freq_ocp.base.errors import BandWarning, SolveError
-from lin_freq_ocp.base.starting import INTERRUPTED, leave_silently, let_commands_decide
+from lin_freq_ocp.base.interrupts import INTERRUPTED, leave_silently, let_commands_decide
 from lin_freq_ocp.cli.console import (
     BAD_INPUT,
     NOT_PROVEN,

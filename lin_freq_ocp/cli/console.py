@@ -25,7 +25,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from lin_freq_ocp.base.errors import LinFreqOCPError, first_line
-from lin_freq_ocp.base.starting import INTERRUPTED
+from lin_freq_ocp.base.interrupts import INTERRUPTED
 from lin_freq_ocp.base.status import Status
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from lin_freq_ocp.api.minimum_time import MinimumTime, minimum_time
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import replacing, writing
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.starting import INTERRUPTED
+from lin_freq_ocp.base.interrupts import INTERRUPTED
 from lin_freq_ocp.batch.grid import MOST_POINTS, Source
 from lin_freq_ocp.batch.tasks import WorkerPool, process_pool
 from lin_freq_ocp.cli.console import (

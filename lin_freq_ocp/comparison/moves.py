@@ -34,9 +34,9 @@ from lin_freq_ocp.batch.minimum_time import Search, obstacles, problem_at_horizo
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replay_control
-from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.reformulations import everywhere_of
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome

@@ -24,10 +24,8 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
-from lin_freq_ocp.problem.terms.continuum import Frequencies
-from lin_freq_ocp.problem.terms.peaks.search import peaks_above
+from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
+from lin_freq_ocp.problem.terms.semi_infinite import Frequencies, peaks_above
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome

@@ -11,10 +11,9 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, box_of
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import Band, bands_of
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, entries_of
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, entries_of
 
 ENDS = ("initial state", "terminal state")
 SETS = ("state_set", "control_set", "initial_state", "terminal_state")  # the fields of a problem that hold sets

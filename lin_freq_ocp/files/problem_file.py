@@ -38,7 +38,7 @@ from lin_freq_ocp.files.reading import (
 )
 from lin_freq_ocp.files.summary import finite, head
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.response.measured import read_response
+from lin_freq_ocp.problem.dynamics.frequency_response import read_response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 

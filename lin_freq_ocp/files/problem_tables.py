@@ -16,14 +16,13 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_intege
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.codec import Kinds, Record, Tables, Value, checked_value, nonzero
 from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
-from lin_freq_ocp.formulas.definitions import defined, with_definitions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
-from lin_freq_ocp.formulas.text import formula_from_text, require_formula
+from lin_freq_ocp.formulas.text import defined, formula_from_text, require_formula, with_definitions
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.hybrid.affine_mode import MODE, AffineMode
 from lin_freq_ocp.problem.hybrid.levels import FiniteSet
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
@@ -34,13 +33,12 @@ from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
-from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.bands import Band, LinearConstraint, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum.base import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, MagnitudeBound
-from lin_freq_ocp.problem.spectrum.linear_constraint import LinearConstraint
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 FORMULA_KEYS = ("f", "region", "domain")
 

@@ -30,10 +30,10 @@ from lin_freq_ocp.loop.step_problem import (
     with_past,
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.problem.translation import translation_of
 from lin_freq_ocp.solving.hybrid.modes import KeptTree
 from lin_freq_ocp.solving.hybrid.smooth import no_multipliers
 from lin_freq_ocp.solving.judging import allowed_residual

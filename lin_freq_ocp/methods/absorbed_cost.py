@@ -18,11 +18,11 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Mask, with_columns
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.problem.augmented import wider
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
-from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import wider
 from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import Term

@@ -9,25 +9,20 @@ from functools import cached_property
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer, require_horizon
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.html import html_table
-from lin_freq_ocp.base.memory import require_horizon
-from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, in_form, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.levels import with_levels
-from lin_freq_ocp.problem.problem_data import ProblemData
-from lin_freq_ocp.problem.problem_terms import bounded_bins, terms_of
+from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets, box_of, end_set, end_within
-from lin_freq_ocp.problem.sets.stage_sets import StageSets, stage_sets
-from lin_freq_ocp.problem.spectrum.base import Constraints
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
-from lin_freq_ocp.problem.terms.stage_rows import StageRows, row_families
+from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
+from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 

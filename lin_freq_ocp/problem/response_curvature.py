@@ -20,7 +20,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import first_few
 from lin_freq_ocp.problem.costs.quadratic import CONVEXITY_TOLERANCE
-from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 

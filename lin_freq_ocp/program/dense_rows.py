@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lin_freq_ocp.base.memory import require_memory
+from lin_freq_ocp.base.arrays import require_memory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 BYTES_PER_ENTRY = 100.0  # of a dense row at the peak, with indices during assembly and the scaled copies for solvers

@@ -22,9 +22,9 @@ from lin_freq_ocp.certificate.reach import Enclosure as Region
 from lin_freq_ocp.certificate.reach import stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE
-from lin_freq_ocp.problem.frequencies import at_frequencies
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.convex import LARGER_RISE, convex_problem, raised_by
 from lin_freq_ocp.proof.dual import Dual, dual_of, precision

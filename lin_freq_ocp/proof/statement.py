@@ -21,14 +21,11 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.continuum import Continuum, Frequencies
-from lin_freq_ocp.problem.terms.ends_map import Within
-from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap
-from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
+from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone, Within
 from lin_freq_ocp.problem.terms.penalty import Penalty
-from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
-from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
+from lin_freq_ocp.problem.terms.semi_infinite import Continuum, Frequencies
+from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.proof.lines import Value, encode, line
 

@@ -14,7 +14,7 @@ from rich.table import Table
 
 import lin_freq_ocp as lfo
 from benchmark.record import Record, build_parser
-from lin_freq_ocp.library.waveforms.wave_energy import coefficients_at
+from lin_freq_ocp.library.waveforms import coefficients_at
 
 PUBLISHED = {None: 140.007195, 2000.0: 98.11269, 1000.0: 58.75533}  # W; analytic, and computed independently
 STEP = 0.05  # s

@@ -9,7 +9,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of, random_model
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
-from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from helpers.programs import SOLVABLE, ask, is_accepted, long_program
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.interrupt import interrupts_noted
+from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost

@@ -14,8 +14,8 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.program.backends.base import backend
 from lin_freq_ocp.program.program import Block, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription

@@ -13,7 +13,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
-from lin_freq_ocp.problem.terms.largest_excess import LargestExcess
+from lin_freq_ocp.problem.terms.penalties import LargestExcess
 from lin_freq_ocp.solving import solve as solving
 
 MASK = lfo.MagnitudeBound

@@ -25,8 +25,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.base.box_quadratic import box_minimiser
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
     RIGOROUS,

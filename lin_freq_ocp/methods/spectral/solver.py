@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, brief, known_entries, positive_number
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.base.interrupt import interrupts_noted
+from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends

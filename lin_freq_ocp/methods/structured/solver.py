@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from lin_freq_ocp.base.arrays import require_memory
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.memory import require_memory
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active

@@ -16,9 +16,8 @@ import numpy as np
 from lin_freq_ocp.pages.explorer.movable import NOTCHES, Movable, Slider, Values, notches
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import Band, low_pass
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, component_words, entries_of
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_words, entries_of
 from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, MagnitudeBound
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 
 CUTOFF, GROUP = "cutoff", "frequency"
 MOST_NOTCHES = 200  # of an edge: one bin each up to horizons of 400

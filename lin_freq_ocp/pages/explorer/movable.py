@@ -17,8 +17,8 @@ from lin_freq_ocp.base.phrases import AT_MOST, split_unit
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 NOTCHES = 100  # of a slider, about
 LEAST_PART, LARGEST_PART = 0.1, 3.0  # of the problem's own bounds and limits

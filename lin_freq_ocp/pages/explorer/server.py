@@ -27,7 +27,7 @@ from typing import NoReturn
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
-from lin_freq_ocp.base.interrupt import interrupts_noted
+from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.pages.explorer.frequencies import CUTOFF
 from lin_freq_ocp.pages.explorer.movable import Slider
 from lin_freq_ocp.pages.explorer.session import FOLDED, GROUPS, Data, Session

@@ -33,10 +33,10 @@ from lin_freq_ocp.pages.explorer.movable import BOUNDS, ENDS, ROWS, Movable, Sli
 from lin_freq_ocp.pages.report.findings import finding
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.units import frequency_scale, time_scale
-from lin_freq_ocp.problem.frequencies import everywhere_of
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.reformulations import everywhere_of
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import family_of

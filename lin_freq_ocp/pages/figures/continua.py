@@ -33,9 +33,8 @@ from lin_freq_ocp.pages.figures.plot_data import (
     thin_out,
 )
 from lin_freq_ocp.pages.units import align
-from lin_freq_ocp.problem.frequencies import everywhere_of
-from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox
+from lin_freq_ocp.problem.reformulations import everywhere_of
+from lin_freq_ocp.problem.terms.semi_infinite import HeldFrequencies, PlantBox
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 

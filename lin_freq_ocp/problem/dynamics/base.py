@@ -21,11 +21,10 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.kinds import register_all
 from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.stage_sets import StageSets
-from lin_freq_ocp.problem.terms.ends_map import Link
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
+from lin_freq_ocp.problem.terms.term import Link
 
 Entry = TypeVar("Entry")
 Form = TypeVar("Form", bound="Dynamics")

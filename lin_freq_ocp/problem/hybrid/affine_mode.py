@@ -15,7 +15,7 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, real_a
 from lin_freq_ocp.base.errors import ProblemError, located_at
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import System
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 
 # A point this far beyond a facet of a region, relative to the size of its row, is still on it: solvers meet rows to
 # 1e-8 or so, and the judge forgives 1e-6.

@@ -31,7 +31,7 @@ from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
-from lin_freq_ocp.problem.sets.stage_sets import StageSets
+from lin_freq_ocp.problem.sets.stage_rows import StageSets
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 
 ON_ENVELOPE = 1e-12  # of the largest cost: a level this far above the line between others counts as on it (rounding)

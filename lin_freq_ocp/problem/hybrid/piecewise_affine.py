@@ -39,8 +39,7 @@ from lin_freq_ocp.problem.hybrid.affine_mode import (
 )
 from lin_freq_ocp.problem.hybrid.formula_modes import modes_of
 from lin_freq_ocp.problem.hybrid.regions import CheckedRegions, SwitchingFacet, borders_of
-from lin_freq_ocp.problem.sets.stage_sets import StageSets
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
 
 SIGNS = {"+": -1.0, "-": 1.0}  # factors that make a row <= 0 of G x + H u - d
 ANY = "*"

@@ -27,7 +27,7 @@ from lin_freq_ocp.base.polyhedra import (
 )
 from lin_freq_ocp.problem.dynamics.base import SwitchingBoundary
 from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE, ModeArrays
-from lin_freq_ocp.problem.sets.stage_sets import StageSet, StageSets
+from lin_freq_ocp.problem.sets.stage_rows import StageSet, StageSets
 
 # Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices
 # linearised are right to 1e-9 or so, and what the judge forgives, FACET_TOLERANCE, is ten times as much.

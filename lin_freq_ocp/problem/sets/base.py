@@ -22,8 +22,8 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, frozen, with_columns, with_products
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT
-from lin_freq_ocp.problem.terms.ends_map import Link
 from lin_freq_ocp.problem.terms.penalty import Penalty
+from lin_freq_ocp.problem.terms.term import Link
 
 Bounds = tuple[Array, Array]  # lower and upper, of no, one or two dimensions
 

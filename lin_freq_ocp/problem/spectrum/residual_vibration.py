@@ -14,7 +14,7 @@ from lin_freq_ocp.base.arrays import Array, assign, brief, positive_number, real
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST, number
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox, VibrationMap
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox, VibrationMap
 from lin_freq_ocp.problem.terms.term import Term
 
 

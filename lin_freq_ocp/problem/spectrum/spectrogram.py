@@ -15,7 +15,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_indices
 from lin_freq_ocp.problem.spectrum.bounds import SpectrumBound
-from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrogramMap
 from lin_freq_ocp.problem.terms.term import Term
 
 

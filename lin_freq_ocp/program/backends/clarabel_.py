@@ -10,7 +10,7 @@ import clarabel
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.interrupt import interrupts_noted
+from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.program import Program, StandardForm
 

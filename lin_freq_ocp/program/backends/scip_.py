@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.interrupt import interrupts_noted
+from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program, SingleBounds
 

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.base.box_quadratic import box_minimiser
+from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
-from lin_freq_ocp.base.memory import require_memory
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, require_memory
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.kernels import Kernels
 from lin_freq_ocp.methods.spectral.model.lti import Lti

@@ -13,8 +13,8 @@ import numpy as np
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.methods.spectral.model.soft_sets import SETS, soft_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.penalty import HARD
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
 

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.base.memory import require_memory
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, require_memory
 from lin_freq_ocp.methods.spectral.kkt.bordered_system import BorderedSystem
 from lin_freq_ocp.methods.spectral.model.lti import Bounds, Lti
 

@@ -1,4 +1,8 @@
-"""Ctrl-C while the command line imports what it needs: out at once, with its status and without a traceback."""
+"""Ctrl-C, where an exception would do harm: while modules are imported, and during a solver's compiled code.
+
+While the command line imports, it ends the process at once, with its status and without a traceback. During compiled
+code it is noted at once and acted on between iterations, so that nothing is lost.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,8 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import PurePath
 from types import FrameType
 
@@ -39,3 +45,17 @@ def _is_command_line() -> bool:
         given = sys.orig_argv
         return "lin_freq_ocp" in (given[given.index("-m") + 1 :] if "-m" in given else [])[:1]
     return PurePath(program).stem == "lin-freq-ocp"
+
+
+@contextmanager
+def interrupts_noted() -> Generator[threading.Event]:
+    """Set the event, instead of raising KeyboardInterrupt, when Ctrl-C arrives; only the main thread receives it."""
+    noted = threading.Event()
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is None:
+        yield noted
+        return
+    before = signal.signal(signal.SIGINT, lambda number, frame: noted.set())
+    try:
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, before)

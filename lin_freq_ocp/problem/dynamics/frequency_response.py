@@ -1,7 +1,8 @@
 """Plants known by their frequency response: y_k = G_k u_k + g_k at every bin of the DFT.
 
 The states of such a problem are the outputs: x_t = y_t for t = 0 .. T, with eta_t the multiplier of x_{t+1} = y_{t+1}.
-Of a periodic record, x_T = x_0; else the first output is an equation of its own (first_output.py).
+Of a periodic record, x_T = x_0; else the first output is an equation of its own (``FirstOutput``). Measured responses
+are tables of frequency, real and imaginary part, interpolated at the bins of a record.
 """
 
 from __future__ import annotations
@@ -16,15 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, real_array
+from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, positive_integer, positive_number, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
-from lin_freq_ocp.problem.dynamics.response.first_output import NAME, FirstOutput
-from lin_freq_ocp.problem.dynamics.response.measured import read_response, response_at_bins
-from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.dynamics.response import FirstOutput, Response
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
-from lin_freq_ocp.problem.terms.ends_map import Link, Within
+from lin_freq_ocp.problem.terms.penalties import Within
+from lin_freq_ocp.problem.terms.term import Link
 
 MODES = ("periodic", "zero-padded")
 REAL_TOLERANCE = 1e-12  # imaginary part, relative to the largest response, that is rounding at bins 0 and N/2
@@ -242,22 +242,20 @@ class FrequencyResponse(StateEquations):
     def response(self, horizon: int) -> Response:
         """Return the map from all controls to all outputs."""
         if self._kept is None or self._kept.horizon != horizon:
-            assign(self, _kept=self._response_at(horizon))
+            N = self.record(horizon)
+            base = fft.irfft(self.offset, n=N, axis=0)
+            if self.disturbance is not None:
+                base[: len(self.disturbance)] += self.disturbance
+            assign(self, _kept=Response(self.G, base[np.arange(horizon + 1) % N], horizon, N))
         assert self._kept is not None
         return self._kept
-
-    def _response_at(self, horizon: int) -> Response:
-        N = self.record(horizon)
-        base = fft.irfft(self.offset, n=N, axis=0)
-        if self.disturbance is not None:
-            base[: len(self.disturbance)] += self.disturbance
-        return Response(self.G, base[np.arange(horizon + 1) % N], horizon, N)
 
     def links(self, horizon: int) -> tuple[Link, ...]:
         """Return x_T = x_0 for a period; else that x_0 is the first output."""
         if not self.padded:
             return Periodic().links(self.state_dim, horizon)
-        return (Link(NAME, FirstOutput(self.response(horizon)), Within(0.0), periodic=False, repeats=False),)
+        first = FirstOutput(self.response(horizon))
+        return (Link("first output", first, Within(0.0), periodic=False, repeats=False),)
 
     def successors(self, x: Array, u: Array) -> Array:
         """Return y_1 .. y_T, (T, p)."""
@@ -346,3 +344,65 @@ def _require_real(field: str, spectrum: ComplexArray, k: int) -> None:
         expected = f"a real response at {what}, where signals are real"
         advice = "Take its real part, or remove that bin by a stop band and set it to 0."
         raise ProblemError(f"{field}[{k}]", f"imaginary part {imaginary:g}", expected, advice)
+
+
+OUTSIDE = ("refuse", "zero")
+COVERED = 1e-9  # of the distance of bins: how far a bin may lie outside a table whose frequencies were rounded
+
+
+def response_at_bins(
+    field: str, frequencies: Array, values: ComplexArray, samples: int, sampling_time: float, outside: str
+) -> ComplexArray:
+    """Return the response at the bins of a record, (N//2 + 1, ...), from values (k, ...) at frequencies (k,) in Hz.
+
+    Between two frequencies, real and imaginary part are linear. A bin outside the table is an error that names it, or
+    has a response of 0. At the Nyquist frequency N/2, where a sampled signal has no phase, it is the real part.
+    """
+    if outside not in OUTSIDE:
+        raise ProblemError("outside", brief(outside), "'refuse' or 'zero'")
+    if len(frequencies) < 2 or frequencies[0] < 0 or (np.diff(frequencies) <= 0).any():
+        got = f"{len(frequencies)} frequencies from {frequencies[:3].tolist()}"
+        raise ProblemError(field, got, "at least two frequencies in Hz, zero or above, each above the one before")
+    N = positive_integer("samples", samples)
+    spacing = 1 / (N * positive_number("dynamics.sampling_time", sampling_time))
+    bins = spacing * np.arange(N // 2 + 1)
+    slack = COVERED * spacing
+    missing = np.flatnonzero((bins < frequencies[0] - slack) | (bins > frequencies[-1] + slack))
+    if len(missing) and outside == "refuse":
+        named = first_few([f"{k} ({bins[k]:.6g} Hz)" for k in missing], 6)
+        got = f"frequencies from {frequencies[0]:.6g} to {frequencies[-1]:.6g} Hz"
+        advice = f"Not covered: bins {named}. outside='zero' makes the response 0 there; remove them by a stop band."
+        raise ProblemError(field, got, f"all bins of the record, 0 to {bins[-1]:.6g} Hz", advice)
+    flat = values.reshape(len(values), -1)
+    columns = [
+        np.interp(bins, frequencies, column.real) + 1j * np.interp(bins, frequencies, column.imag) for column in flat.T
+    ]
+    found = np.stack(columns, axis=1)
+    found[missing] = 0.0
+    if N % 2 == 0:
+        found[-1] = found[-1].real
+    return found.reshape(len(bins), *values.shape[1:])
+
+
+def read_response(path: Path) -> Array:
+    """Return the table of a CSV file, (k, 3): frequency in Hz, real and imaginary part; a header line is left out."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise ProblemError(str(path), f"{error}", "a readable CSV file") from None
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    rows = list[list[float]]()
+    for i, line in enumerate(lines):
+        try:
+            row = [float(entry) for entry in line.split(",")]
+        except ValueError:
+            row = []
+        if i == 0 and not row:
+            continue
+        if len(row) != 3 or not np.isfinite(row).all():
+            expected = "three finite numbers: frequency in Hz, real part, imaginary part"
+            raise ProblemError(f"{path.name}: row {i}", brief(line), expected)
+        rows.append(row)
+    if not rows:
+        raise ProblemError(path.name, "no rows", "rows of frequency in Hz, real part, imaginary part")
+    return np.array(rows)
