@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
-from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.structure import Structure
 from lin_freq_ocp.pages.figures.style import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, new_figure, style_axes
 
 HORIZON, SAMPLING_TIME = 60, 0.1  # 31 bins, four eigenvalues well apart, and few samples at a bound

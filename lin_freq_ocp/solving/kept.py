@@ -17,9 +17,8 @@ from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound a
 from lin_freq_ocp.methods.hybrid.search.cover import CoverNode
 from lin_freq_ocp.methods.hybrid.search.search import SearchLimits, SearchOutcome, SearchProgress
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_form
-from lin_freq_ocp.methods.spectral.algorithm.together import Together
-from lin_freq_ocp.methods.spectral.model.row_form import RowForm
-from lin_freq_ocp.methods.spectral.model.soft_bins import SoftBins, soft_bins
+from lin_freq_ocp.methods.spectral.recovery import Together
+from lin_freq_ocp.methods.spectral.reductions import RowForm, SoftBins, soft_bins
 from lin_freq_ocp.methods.structured.prepared import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet

@@ -7,7 +7,7 @@
 ``solver``     SpectralSolver, which puts these together
 """
 
-from lin_freq_ocp.methods.spectral.model.row_form import row_form
+from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.solver import SpectralSolution, SpectralSolver
 
 __all__ = ["SpectralSolution", "SpectralSolver", "row_form"]

@@ -19,15 +19,21 @@ from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
 from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
 from lin_freq_ocp.methods.convex.sparse_program import require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.algorithm.ends_model import EndsModel, ends_model
-from lin_freq_ocp.methods.spectral.algorithm.exchange import Exchange, Outcome, Stop, deadline
-from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
-from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, residuals, trajectory
-from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
-from lin_freq_ocp.methods.spectral.algorithm.together import Together, fits, solve_together
-from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units
-from lin_freq_ocp.methods.spectral.model.row_form import row_form
-from lin_freq_ocp.methods.spectral.rows.working_set import Rows
+from lin_freq_ocp.methods.spectral.exchange import Exchange, Outcome, Stop, deadline, first_working_set
+from lin_freq_ocp.methods.spectral.model import Lti, Units, lti_problem, natural_units, refusal, revised_units
+from lin_freq_ocp.methods.spectral.recovery import (
+    Recovered,
+    Together,
+    in_units,
+    recover,
+    residuals,
+    solve_together,
+    takes_batches,
+    trajectory,
+)
+from lin_freq_ocp.methods.spectral.reductions import row_form
+from lin_freq_ocp.methods.spectral.rows import Rows
+from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_of, ends_model
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
@@ -184,7 +190,7 @@ class SpectralSolver:
             Claims without residuals, for a judge. None where joint rows, state bands, or more than 2500 bounded values
             prevent it.
         """
-        if not fits(self._structure) or np.isnan(self._lti.start).any():
+        if not takes_batches(self._structure) or np.isnan(self._lti.start).any():
             return None
         if self._last_rows is None:
             self._last_rows = self.solve(initial_state=initial_states[0]).active  # which may revise the units
@@ -256,7 +262,7 @@ class SpectralSolver:
         model = self._model_between(lti)
         known = None if model is None else model.at(lti)
         if model is None or known is None:
-            exchange = Exchange(self._structure, prepare(self._structure, lti), first, tolerance, stop)
+            exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
             answer = self._measured(exchange, exchange.run())
         else:
             exchange = Exchange(self._structure, known[0], first, tolerance, stop, model.violations, known[1])

@@ -17,9 +17,8 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.model.kernels import Kernels
-from lin_freq_ocp.methods.spectral.model.lti import Lti
-from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
+from lin_freq_ocp.methods.spectral.model import Lti
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces, Kernels
 from lin_freq_ocp.program.real_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling

@@ -2,34 +2,133 @@
 
 docs/spectral.md, 7 and 8. Every round corrects the defects of the true signals (section 6): its fixed point has true
 slacks in spite of errors of the small QP.
+
+Rounds on a model of all bounded values.
+
+A first working set from a cheaper problem: a shorter horizon, or samples held together (docs/spectral.md, 11).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.algorithm.rays import Ray, equation_ray, regularised_ray, row_ray
-from lin_freq_ocp.methods.spectral.algorithm.structure import (
+from lin_freq_ocp.methods.spectral.model import Lti
+from lin_freq_ocp.methods.spectral.qp import BorderedQp, bounded_qp
+from lin_freq_ocp.methods.spectral.rows import (
+    LOCAL_ROWS,
+    ActiveSetDuals,
+    Rows,
+    Violations,
+    WholeHorizon,
+    WorkingSet,
+    bounded_rows,
+    neighbourhood_of,
+)
+from lin_freq_ocp.methods.spectral.structure import (
     Data,
+    EndsModel,
+    Ray,
     Signals,
     Structure,
-    Unforced,
+    UnconstrainedPoint,
+    data_of,
+    equation_ray,
     equation_residual,
+    regularised_ray,
+    row_ray,
     signals,
 )
-from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
-from lin_freq_ocp.methods.spectral.kkt.dual_qp import bounded_qp
-from lin_freq_ocp.methods.spectral.rows.neighbourhood import around
-from lin_freq_ocp.methods.spectral.rows.violations import Violations
-from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon, exchanged
-from lin_freq_ocp.methods.spectral.rows.working_set import LOCAL_ROWS, Rows, WorkingSet, bounded
+
+MODEL_ROUNDS = 12  # after which the true signals are evaluated
+
+
+def exchange_values(
+    whole: WholeHorizon,
+    violations: Violations,
+    start: ActiveSetDuals,
+    base: Array,
+    tolerance: float,
+    unconstrained: Array | None,
+    stop: Callable[[], str | None],
+) -> ActiveSetDuals:
+    """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
+
+    ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
+    """
+    index, sign, weights = start.indices, start.sign, start.weights
+    found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
+    none = np.zeros(0, dtype=np.intp)
+    (lower, upper), prices = violations.flat_bounds(), violations.flat_prices()
+    for count in range(1, MODEL_ROUNDS + 1):
+        values = base
+        violations.set_saturated(none, none)
+        if len(index):
+            d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
+            free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
+            most = None if prices is None else np.where(sign > 0, prices[1][index], prices[0][index])
+            response = None if prices is None else whole.free_response(index)
+            gram = whole.gram(index) * sign * sign[:, None]
+            weights, accurate = bounded_qp(gram, d, weights, free, stop, most, response)
+            found = ActiveSetDuals(index, sign, weights, count, accurate)
+            if not accurate:
+                break
+            values = base - whole.response(index, sign * weights)
+            if most is not None:
+                saturated = index[weights >= most]
+                violations.set_saturated(whole.t[saturated], whole.f[saturated])
+        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
+            break
+        kept = weights > 0
+        index, sign, weights = index[kept], sign[kept], weights[kept]
+        inside[:] = False
+        inside[index] = True
+        entering, side = violations.chosen(tolerance)
+        new = ~inside[entering]
+        added = np.count_nonzero(new)
+        if not added or len(index) + added > LOCAL_ROWS:
+            break
+        index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
+        weights = np.concatenate([weights, np.zeros(added)])
+    return found
+
+
+def batch_working_sets(
+    structure: Structure,
+    model: EndsModel,
+    values: Array,
+    first: Rows | None,
+    tolerance: float,
+    stop: Callable[[], str | None],
+    failed: Callable[[int], None],
+) -> tuple[Array, Mask, Rows | None]:
+    """Return the multipliers of all values with signs, (N, values), where they were found, and the last rows."""
+    whole, violations = model.whole, model.violations
+    weights, found, rows = np.zeros(values.shape), np.zeros(len(values), dtype=bool), first
+    none = np.zeros(0, dtype=np.intp)
+    for i, base in enumerate(values):
+        if stop():
+            break
+        if model.may_refute(base):
+            continue
+        start = ActiveSetDuals(none, np.zeros(0), np.zeros(0)) if rows is None else whole.duals(rows)
+        duals = exchange_values(whole, violations, start, base, tolerance, structure.unconstrained, stop)
+        if duals.accurate and violations.worst < tol.FINE_VIOLATION:
+            weights[i, duals.indices], found[i] = duals.sign * duals.weights, True
+            active = duals.weights > 0
+            index = duals.indices[active]
+            rows = Rows(whole.t[index], whole.f[index], duals.sign[active], duals.weights[active])
+        else:
+            failed(i)
+    return weights, found, rows
+
 
 INFEASIBLE = "no trajectory satisfies all constraints"
 MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual
@@ -76,14 +175,14 @@ class Exchange:
         tolerance: float,
         stop: Stop,
         violations: Violations | None = None,
-        unforced: Unforced | None = None,
+        first_point: UnconstrainedPoint | None = None,
     ):
         self.structure, self.data, self.border = structure, data, structure.border
         self.working = WorkingSet(self.border)
         self.violations = violations or Violations(data.lti)
         self.whole = structure.whole_horizon(self.violations.rows)
-        self.unforced = None if self.whole is None else unforced
-        self.first = None if first is None else bounded(first, data.lti)
+        self.first_point = None if self.whole is None else first_point
+        self.first = None if first is None else bounded_rows(first, data.lti)
         if self.first is not None and self.whole is None:
             self.working.add(self.first.t, self.first.f, self.first.sign)
             if self.first.weights is not None:
@@ -96,7 +195,7 @@ class Exchange:
         self.ray: Ray | None = None
         self._known_cost: float | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
-        if self.unforced is None:
+        if self.first_point is None:
             self._evaluate()
 
     def run(self) -> Outcome:
@@ -184,7 +283,7 @@ class Exchange:
         """Return the right-hand side of the bordered system: what the slope and the equations lack."""
         return np.concatenate([-self.slope, self.residual])
 
-    def _without_rows(self, whole: WholeHorizon) -> Unforced:
+    def _without_rows(self, whole: WholeHorizon) -> UnconstrainedPoint:
         """Return the step to the point without working rows, and its values."""
         working, step = self.working, self.border.inverse @ self._defects()
         base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
@@ -192,14 +291,14 @@ class Exchange:
             indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
             base += whole.response(indices, mu)
             step += whole.through[:, indices] @ mu
-        return Unforced(step, base)
+        return UnconstrainedPoint(step, base)
 
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
         """Return the step of the border and weights from rounds on all values; None if a small QP was inaccurate."""
-        working, known = self.working, self.unforced is not None
-        (step, base), self.unforced = self.unforced or self._without_rows(whole), None
+        working, known = self.working, self.first_point is not None
+        (step, base), self.first_point = self.first_point or self._without_rows(whole), None
         start, self.first = whole.duals(self.first or Rows(*working.rows(), working.weights)), None
-        found = exchanged(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
+        found = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
         rows = Rows(whole.t[found.indices], whole.f[found.indices], found.sign, found.weights)
         self.rounds += max(0, found.rounds - 1)
         if not found.accurate:
@@ -222,7 +321,7 @@ class Exchange:
             converged = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
             if converged or not 0 < len(working) <= LOCAL_ROWS:
                 break
-            near = near or around(self.border, self.violations, working)
+            near = near or neighbourhood_of(self.border, self.violations, working)
             if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
                 break
             self.values = working.values(self.signals.y, self.signals.last)
@@ -336,3 +435,113 @@ def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
         return "time limit" if now() + needed > end else None
 
     return stop
+
+
+GUESSED_HORIZON = 600  # from which a first guess costs less than the rounds it saves
+HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
+SPREAD = 2  # further samples on each side of an active coarse control
+DECAY_EXPONENT = 40.0  # the ends do not affect each other where the slowest mode decays by exp(-DECAY_EXPONENT)
+ON_CIRCLE = 1e-6  # |log |lambda|| of a mode that does not decay, and is not counted
+LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR where samples may be held instead
+HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
+LARGEST_SHORTENING = 10  # largest ratio of the horizons
+
+
+def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
+    """Return a guess of the active rows, or None; ``structures`` keeps those of the cheaper problems by horizon."""
+    if lti.horizon < GUESSED_HORIZON or lti.response is not None:
+        return None
+    shorter = _shortened_horizon(lti)
+    hold = shorter * HOLD_FACTOR > lti.horizon and _may_be_held(lti)
+    if not hold and shorter * LEAST_SHORTENING > lti.horizon:
+        return None
+    coarse, tolerance = (
+        (_hold_samples(lti), tol.HOLD_TOLERANCE) if hold else (_shorten(lti, shorter), tol.SHORT_TOLERANCE)
+    )
+    try:
+        if coarse.horizon not in structures:
+            structures[coarse.horizon] = Structure(coarse)
+        structure = structures[coarse.horizon]
+        guess = first_working_set(coarse, stop, structures)
+        outcome = Exchange(structure, data_of(structure, coarse), guess, tolerance, stop).run()
+    except (UnsupportedError, np.linalg.LinAlgError):
+        return None
+    if outcome.status != "optimal":
+        return None
+    active = outcome.working.weights > 0
+    working = outcome.working
+    t, f, sign = working.t[active], working.f[active], working.sign[active]
+    if hold:
+        return _refine_rows(lti, t, f, sign)
+    return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
+
+
+def _may_be_held(lti: Lti) -> bool:
+    """Whether the dynamics hardly grow while a control is held."""
+    return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HOLD_FACTOR <= HOLD_GROWTH
+
+
+def _shortened_horizon(lti: Lti) -> int:
+    """Return the horizon at which the ends do not affect each other; the given horizon if there is none."""
+    rate = np.abs(np.log(np.abs(np.linalg.eigvals(lti.A)) + 1e-300))
+    rate = rate[rate > ON_CIRCLE]
+    decay_time = int(DECAY_EXPONENT / rate.min()) if len(rate) else lti.horizon
+    return max(2 * decay_time, lti.horizon // LARGEST_SHORTENING)
+
+
+def _shorten(lti: Lti, T: int) -> Lti:
+    """Return the problem without its middle; bands keep their frequencies."""
+    head, tail = slice(0, T // 2), slice(lti.horizon - (T - T // 2), lti.horizon)
+
+    def cut(signal: Array) -> Array:
+        return np.hstack([signal[:, head], signal[:, tail]])
+
+    bins = np.round(np.arange(T // 2 + 1) * (lti.horizon / T)).astype(int).clip(0, lti.horizon // 2)
+    return _without_equations(lti, T, lti.passed[:, bins], cut)
+
+
+def _hold_samples(lti: Lti) -> Lti:
+    """Return the problem in which HOLD_FACTOR samples of the control are equal."""
+    T, n = lti.horizon // HOLD_FACTOR, lti.state_dim
+    A, B = np.eye(n), np.zeros_like(lti.B)
+    offset = None if lti.offset is None else np.zeros((n, T))
+    for j in range(HOLD_FACTOR):
+        A, B = lti.A @ A, lti.A @ B + lti.B
+        if offset is not None and lti.offset is not None:
+            offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
+    coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
+    linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
+    prices = None if coarse.prices is None else coarse.prices.times(HOLD_FACTOR)
+    return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
+
+
+def _without_equations(lti: Lti, T: int, passed: Mask, cut: Callable[[Array], Array]) -> Lti:
+    """Return the problem at another horizon, without state bands and without values that bounds fix."""
+    lower, upper = cut(lti.lower), cut(lti.upper)
+    fixed = lower == upper
+    return replace(
+        lti,
+        horizon=T,
+        passed=passed,
+        state_stop=np.zeros(((T + 1) // 2 + 1, lti.state_dim), dtype=bool),
+        lower=np.where(fixed, -np.inf, lower),
+        upper=np.where(fixed, np.inf, upper),
+        linear=None if lti.linear is None else cut(lti.linear),
+        offset=None if lti.offset is None else cut(lti.offset),
+        prices=None if lti.prices is None else lti.prices.at(cut),
+    )
+
+
+def _refine_rows(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
+    """Return rows of the coarse problem as rows of the given: controls with their neighbours, states once, and x_T."""
+    n, T = lti.state_dim, lti.horizon
+    last = t == T // HOLD_FACTOR
+    states = ~last & ~lti.F[f, n:].any(1)
+    controls = ~last & ~states
+    around = np.arange(-SPREAD, HOLD_FACTOR + SPREAD)
+    many = (t[controls, None] * HOLD_FACTOR + around).clip(0, T - 1).ravel()
+    times = np.concatenate([np.full(int(last.sum()), T), t[states] * HOLD_FACTOR, many])
+    rows = np.concatenate([f[last], f[states], np.repeat(f[controls], len(around))])
+    signs = np.concatenate([sign[last], sign[states], np.repeat(sign[controls], len(around))])
+    _, unique = np.unique((times * len(lti.F) + rows) * 2 + (signs > 0), return_index=True)
+    return Rows(times[unique], rows[unique], signs[unique])

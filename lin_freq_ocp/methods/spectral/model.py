@@ -7,6 +7,8 @@
 A bound with a finite price is soft: the price times its excess joins the cost, and limits its multiplier.
 
 Units are powers of two: changing to them and back rounds nothing.
+
+The dynamics of a problem in the frequency domain: a recursion, or a response at every bin.
 """
 
 from __future__ import annotations
@@ -22,12 +24,23 @@ from scipy.linalg import matrix_balance
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.model.dynamics import dynamics_of
-from lin_freq_ocp.methods.spectral.model.soft_sets import placed, soft_set, soft_sets
+from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set, soft_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.problem.terms.term import TermKind
+
+
+def dynamics_of(problem: OptimalControlProblem) -> tuple[Array, Array, Array, ComplexArray | None]:
+    """Return A, B, d, and the response of x_{t+1} at every bin where there is no recursion, (n, m, bins)."""
+    T = problem.horizon
+    found = problem.dynamics.response(T)
+    if found is None:
+        return problem.linear.A, problem.linear.B, problem.linear.offset, None
+    n, m = problem.state_dim, problem.control_dim
+    ahead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
+    return np.zeros((n, n)), np.zeros((n, m)), found.base[1:], ahead * np.moveaxis(found.G, 0, -1)
+
 
 STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the border
 
@@ -98,7 +111,7 @@ class Lti:
 
     def between(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
         """Return the problem between other ends, in units x (n,) of the states; None if x_0 has free components."""
-        start, end = (_point(box) / x for box in ends)
+        start, end = (_fixed_values(box) / x for box in ends)
         if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
             return None
         other = self.at_points(start, end)
@@ -267,10 +280,10 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         (lower, upper, last_lower, last_upper), prices = _soft_bounds(problem, units, lower, upper)
     periodic = closes_on_the_circle(problem)
     if periodic:
-        lower = _met(np.maximum, lower, last_lower)
-        upper = _met(np.minimum, upper, last_upper)
+        lower = _with_end_bound(np.maximum, lower, last_lower)
+        upper = _with_end_bound(np.minimum, upper, last_upper)
         last_lower, last_upper = np.full(n, -np.inf), np.full(n, np.inf)
-    start, end = (_point(box) / x for box in problem.ends)
+    start, end = (_fixed_values(box) / x for box in problem.ends)
     p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
     return Lti(
         A=A * x / x[:, None],
@@ -297,7 +310,7 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     )
 
 
-def _met(tighter: np.ufunc, side: Array, last: Array) -> Array:
+def _with_end_bound(tighter: np.ufunc, side: Array, last: Array) -> Array:
     """Return bounds (rows, T) with those of x_T, (n,), on x_0, too."""
     first = tighter(side[: len(last), 0], last)
     if (first == side[: len(last), 0]).all():
@@ -307,7 +320,7 @@ def _met(tighter: np.ufunc, side: Array, last: Array) -> Array:
     return both
 
 
-def _point(box: Box) -> Array:
+def _fixed_values(box: Box) -> Array:
     """Return the values that a box fixes, NaN elsewhere."""
     return np.where(box.fixed, box.lower, np.nan)
 
@@ -358,7 +371,7 @@ def _soft_bounds(
     """Return the bounds with those of soft sets in their places, and all prices; rows are soft on their upper side."""
     n, T, y = problem.state_dim, problem.horizon, np.concatenate([units.x, units.u])
     given = soft_sets(problem)
-    everything = None if given is None else placed(problem, given)
+    everything = None if given is None else priced_bounds(problem, given)
     if everything is None:
         raise UnsupportedError(
             "method 'spectral': a soft set that bounds of components cannot say. Use method 'convex'."
