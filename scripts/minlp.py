@@ -10,7 +10,7 @@ import numpy as np
 from minlp_program import SmoothProgram, smooth_program
 
 from helpers.checks.claimed import differences
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.hybrid.claims import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.hybrid.nonsmooth.sequential import LocalOptimum, local_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -10,13 +10,13 @@ import numpy as np
 from lin_freq_ocp.base.arrays import positive_number
 from lin_freq_ocp.base.clock import now, processor_now
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.explanation.blocks import Block, blocks, without
 from lin_freq_ocp.explanation.relaxation import least_cure
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
 from lin_freq_ocp.solving.solve import solve_judged

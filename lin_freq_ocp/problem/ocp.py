@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.html import html_table
-from lin_freq_ocp.base.memory import require_horizon
 from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts

@@ -42,6 +42,13 @@ def natural_scaling(transcription: LinearTranscription) -> Scaling:
     return _scaling(transcription, columns, columns)
 
 
+def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription, Scaling, Program]:
+    """Return the transcription, its natural units, and the program in them."""
+    transcription = LinearTranscription(problem)
+    scaling = natural_scaling(transcription)
+    return transcription, scaling, transcription.program.scaled(scaling)
+
+
 def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
     """Return one change of units for several linear problems that differ in their dynamics only, such as modes.
 

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, Indices, known_entries
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import AbsorbedCost, absorbed_cost
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.candidate import Candidate, require_convex
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
 from lin_freq_ocp.methods.hybrid.search.cover import CoverNode
 from lin_freq_ocp.methods.hybrid.search.search import SearchLimits, SearchOutcome, SearchProgress

@@ -13,7 +13,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.base import memory
+from lin_freq_ocp.base import resources as memory
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.bound import TreeBound, tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
@@ -23,8 +23,7 @@ from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDER
 from lin_freq_ocp.methods.spectral.qp import BorderedQp, interior_point
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.program.backends.clarabel_ import solve as clarabel_solve
-from lin_freq_ocp.program.dense_rows import dense_rows
-from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.transcription import LinearTranscription, dense_rows
 from lin_freq_ocp.solving.hybrid import modes
 
 LOOK = 0.01

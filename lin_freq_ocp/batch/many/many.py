@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.batch.many.items import ERROR, UNSOLVED, Item, Part, solve_part
 from lin_freq_ocp.batch.many.order import tour
 from lin_freq_ocp.batch.many.repeated import Repeated
 from lin_freq_ocp.batch.sweep.grid import fingerprint, require_picklable
 from lin_freq_ocp.batch.sweep.tasks import Work, finished
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
 

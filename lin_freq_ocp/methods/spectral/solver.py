@@ -14,10 +14,8 @@ from lin_freq_ocp.base.arrays import Array, brief, known_entries, positive_numbe
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.interrupt import interrupts_noted
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
-from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, contradiction_at_ends, require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import Exchange, Outcome, Stop, deadline, first_working_set
 from lin_freq_ocp.methods.spectral.model import Lti, Units, lti_problem, natural_units, refusal, revised_units
@@ -37,7 +35,6 @@ from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_o
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.program.program import Residuals
 
 

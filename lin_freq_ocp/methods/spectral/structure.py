@@ -23,7 +23,7 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
-from lin_freq_ocp.base.memory import require_memory
+from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti

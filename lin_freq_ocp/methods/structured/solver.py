@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.memory import require_memory
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.base.resources import require_memory
+from lin_freq_ocp.methods.candidate import Candidate, require_convex
 from lin_freq_ocp.methods.structured.algorithm.active import solve_active
 from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds

@@ -14,7 +14,8 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.bound import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, require_convex
+from lin_freq_ocp.methods.candidate import require_convex
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
 from lin_freq_ocp.methods.hybrid.claims import AGREEMENT
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences

@@ -30,7 +30,6 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.methods.hybrid.search.weights import weighted
 from lin_freq_ocp.methods.hybrid.stage_normals import CONTROL, STATE, Normal, stage_normals
 from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness
@@ -41,6 +40,7 @@ from lin_freq_ocp.problem.sizes import measured_modes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import scaled_program
 
 ROUNDS = 12  # fits of weights, each with the adjoint of the last
 SAME_ADJOINT = 1e-9  # change of eta, relative to its largest entry, at which the rounds have converged

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.hybrid.claims import DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import Solution, backend
