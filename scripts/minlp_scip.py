@@ -44,7 +44,7 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Solut
     """
     started, convex = time.perf_counter(), program.program
     rows = convex.single_bounds()
-    if program.excluded or rows.excess > EXCLUDED:
+    if program.excluded or rows.violation > EXCLUDED:
         return NO_POINT
     units, origin = program.units, program.origin
     below, above = rows.below.copy(), rows.above.copy()

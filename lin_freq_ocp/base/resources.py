@@ -1,6 +1,7 @@
-"""How much memory may be used: large arrays are refused before they are allocated.
+"""What one solve may take of the machine: a share of its memory, and one BLAS thread.
 
-One BLAS thread while small matrices are at work: handing parts of them to other threads costs more than it saves.
+Large arrays are refused before they are allocated. While small matrices are at work, handing parts of them to other
+threads costs more than it saves.
 """
 
 from __future__ import annotations
@@ -17,48 +18,6 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from lin_freq_ocp.base.errors import UnsupportedError
-
-
-class _BlasThreads:
-    """Counts the users of one BLAS thread; the last to leave restores what the first found."""
-
-    def __init__(self) -> None:
-        self._lock, self._users, self._before = threading.Lock(), 0, list[tuple[Any, int]]()
-
-    def enter(self) -> None:
-        with self._lock:
-            self._users += 1
-            if self._users == 1:
-                threads = [(library, library.num_threads) for library in _blas_libraries()]
-                self._before = [(library, before) for library, before in threads if before != 1]
-                for library, _ in self._before:
-                    library.set_num_threads(1)
-
-    def leave(self) -> None:
-        with self._lock:
-            self._users -= 1
-            if not self._users:
-                for library, before in self._before:
-                    library.set_num_threads(before)
-
-
-_blas_threads = _BlasThreads()
-
-
-@contextmanager
-def one_blas_thread() -> Generator[None]:
-    """Let linear algebra use one thread, as long as any thread of this process is within."""
-    _blas_threads.enter()
-    try:
-        yield
-    finally:
-        _blas_threads.leave()
-
-
-@cache
-def _blas_libraries() -> list[Any]:
-    return ThreadpoolController().select(user_api="blas").lib_controllers
-
 
 SHARE = 0.5  # of the memory for one solve: estimates are good to a factor of two, and other programs need some
 GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container on Linux
@@ -93,3 +52,44 @@ def require_horizon(horizon: int, state_dim: int, control_dim: int) -> None:
         size,
         "Choose a shorter horizon or a longer sampling time.",
     )
+
+
+@contextmanager
+def one_blas_thread() -> Generator[None]:
+    """Let linear algebra use one thread, as long as any thread of this process is within."""
+    _blas_threads.enter()
+    try:
+        yield
+    finally:
+        _blas_threads.leave()
+
+
+class _BlasThreads:
+    """Counts the users of one BLAS thread; the last to leave restores what the first found."""
+
+    def __init__(self) -> None:
+        self._lock, self._users, self._before = threading.Lock(), 0, list[tuple[Any, int]]()
+
+    def enter(self) -> None:
+        with self._lock:
+            self._users += 1
+            if self._users == 1:
+                threads = [(library, library.num_threads) for library in _blas_libraries()]
+                self._before = [(library, before) for library, before in threads if before != 1]
+                for library, _ in self._before:
+                    library.set_num_threads(1)
+
+    def leave(self) -> None:
+        with self._lock:
+            self._users -= 1
+            if not self._users:
+                for library, before in self._before:
+                    library.set_num_threads(before)
+
+
+_blas_threads = _BlasThreads()
+
+
+@cache
+def _blas_libraries() -> list[Any]:
+    return ThreadpoolController().select(user_api="blas").lib_controllers

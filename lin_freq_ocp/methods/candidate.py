@@ -56,9 +56,9 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
     for t, end in zip((0, T), problem.ends, strict=True):
         for name, k, C, limit in _rows_at(problem, t):
             nearest = np.clip(np.where(C > 0, end.lower, end.upper), -NO_BOUND, NO_BOUND)
-            excess = np.where(C == 0, 0.0, C * nearest).sum(1) - limit
-            row = int(np.argmax(excess))
-            if excess[row] <= 0:
+            violation = np.where(C == 0, 0.0, C * nearest).sum(1) - limit
+            row = int(np.argmax(violation))
+            if violation[row] <= 0:
                 continue
             weights = {term.name: np.zeros(term.shape) for term in problem.terms}
             weights[name][k, row] = 1.0

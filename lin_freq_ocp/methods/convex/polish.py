@@ -1,6 +1,7 @@
-"""A solver's point made accurate: the equations of its active rows, solved directly.
+"""A solver's answers made accurate.
 
-Directions along which every constraint holds for ever, and the cost has no curvature.
+A point: the equations of its active rows are solved directly. A ray of unlimited descent: it is projected onto the
+directions along which every constraint holds for ever and the cost has no curvature.
 """
 
 from __future__ import annotations
@@ -19,6 +20,67 @@ from lin_freq_ocp.program.program import Program
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import stated_scaling
 
+PROXIMAL_WEIGHT = 1e-8  # on the diagonal: dependent rows and flat directions keep their values
+PROXIMAL_STEPS = 8  # of the proximal method of multipliers
+POLISH_ROUNDS = 4  # of adding violated rows, and of dropping rows whose multiplier has the wrong sign
+POLISHED_ROUNDING = 1e-12  # violations and multipliers, in a program scaled to order 1, that are zero
+
+
+def polish_point(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None:
+    """Return z and y with the active rows at their bounds, or None if that fails; the program has no cones.
+
+    A row is active if its multiplier is larger than its distance from the bound.
+    """
+    values = program.A @ z
+    equal = program.equality
+    above = ~equal & (y > program.upper - values)
+    below = ~equal & ~above & (-y > values - program.lower)
+    for _ in range(POLISH_ROUNDS):
+        solution = _solve_active(program, np.where(equal | above | below, y, 0.0), z, equal, above, below)
+        if solution is None:
+            return None
+        z, y = solution
+        values = program.A @ z
+        kept_above, kept_below = above & (y >= -POLISHED_ROUNDING), below & (y <= POLISHED_ROUNDING)
+        new_above = ~equal & (values > program.upper + POLISHED_ROUNDING)
+        new_below = ~equal & (values < program.lower - POLISHED_ROUNDING)
+        after = kept_above | new_above, (kept_below | new_below) & ~new_above
+        if np.array_equal(after[0], above) and np.array_equal(after[1], below):
+            break
+        above, below = after
+    return z, np.where(above, np.maximum(y, 0.0), np.where(below, np.minimum(y, 0.0), np.where(equal, y, 0.0)))
+
+
+def _solve_active(
+    program: Program, y: Array, z: Array, equal: Mask, above: Mask, below: Mask
+) -> tuple[Array, Array] | None:
+    """Return the optimum with some rows as equations, and its multipliers."""
+    rows = np.flatnonzero(equal | above | below)
+    A, target = sp.csc_array(program.A[rows]), np.where(below, program.lower, program.upper)[rows]
+    variables, count = len(z), len(rows)
+    weights = sp.diags_array(np.append(np.full(variables, PROXIMAL_WEIGHT), np.full(count, -PROXIMAL_WEIGHT)))
+    none = sp.csc_array((count, count))
+    matrix = sp.csc_array(sp.block_array([[program.P, A.T], [A, none]]) + weights)
+    try:
+        factor = splu(matrix)
+    except RuntimeError:  # exactly singular
+        return None
+    held = y[rows]
+    for _ in range(PROXIMAL_STEPS):
+        residual = np.concatenate([-(program.P @ z + program.q + A.T @ held), target - A @ z])
+        step = factor.solve(residual)
+        if not np.isfinite(step).all():
+            return None
+        z, held = z + step[:variables], held + step[variables:]
+    found = np.zeros_like(y)
+    found[rows] = held
+    return z, found
+
+
+def without_rounding(values: Array, units: Array, level: float) -> Array:
+    """Return values with exact zeros where they are below this part of their units."""
+    return np.where(np.abs(values) <= level * units, 0.0, values)
+
 
 def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:
     """Return the recession direction nearest to minus the slope of the cost, for the judge to verify; None without one.
@@ -36,13 +98,6 @@ def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:
             return None
         along = nearest_recession(program, along / np.abs(along).max())
     return transcription.direction(scaling.primal(along))
-
-
-def consecutive(cones: Sequence[slice], first: int) -> tuple[slice, ...]:
-    """Return slices of the same sizes, one after the other."""
-    sizes = [cone.stop - cone.start for cone in cones]
-    starts = first + np.cumsum([0, *sizes])
-    return tuple(slice(int(start), int(start) + size) for start, size in zip(starts, sizes, strict=False))
 
 
 def nearest_recession(program: Program, z: Array) -> Array:
@@ -77,63 +132,8 @@ def nearest_recession(program: Program, z: Array) -> Array:
     return z if solution.claim is not Claim.SOLVED or solution.z is None else size * solution.z
 
 
-PROXIMAL_WEIGHT = 1e-8  # on the diagonal: dependent rows and flat directions keep their values
-PROXIMAL_STEPS = 8  # of the proximal method of multipliers
-POLISH_ROUNDS = 4  # of adding violated rows, and of dropping rows whose multiplier has the wrong sign
-POLISHED_ROUNDING = 1e-12  # violations and multipliers, in a program scaled to order 1, that are zero
-
-
-def polish_point(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None:
-    """Return z and y with the active rows at their bounds, or None if that fails; the program has no cones.
-
-    A row is active if its multiplier is larger than its distance from the bound.
-    """
-    values = program.A @ z
-    equal = program.equality
-    above = ~equal & (y > program.upper - values)
-    below = ~equal & ~above & (-y > values - program.lower)
-    for _ in range(POLISH_ROUNDS):
-        solution = _solve_active(program, np.where(equal | above | below, y, 0.0), z, equal, above, below)
-        if solution is None:
-            return None
-        z, y = solution
-        values = program.A @ z
-        kept_above, kept_below = above & (y >= -POLISHED_ROUNDING), below & (y <= POLISHED_ROUNDING)
-        new_above = ~equal & (values > program.upper + POLISHED_ROUNDING)
-        new_below = ~equal & (values < program.lower - POLISHED_ROUNDING)
-        after = kept_above | new_above, (kept_below | new_below) & ~new_above
-        if np.array_equal(after[0], above) and np.array_equal(after[1], below):
-            break
-        above, below = after
-    return z, np.where(above, np.maximum(y, 0.0), np.where(below, np.minimum(y, 0.0), np.where(equal, y, 0.0)))
-
-
-def without_rounding(values: Array, units: Array, level: float) -> Array:
-    """Return values with exact zeros where they are below this part of their units."""
-    return np.where(np.abs(values) <= level * units, 0.0, values)
-
-
-def _solve_active(
-    program: Program, y: Array, z: Array, equal: Mask, above: Mask, below: Mask
-) -> tuple[Array, Array] | None:
-    """Return the optimum with some rows as equations, and its multipliers."""
-    rows = np.flatnonzero(equal | above | below)
-    A, target = sp.csc_array(program.A[rows]), np.where(below, program.lower, program.upper)[rows]
-    variables, count = len(z), len(rows)
-    weights = sp.diags_array(np.append(np.full(variables, PROXIMAL_WEIGHT), np.full(count, -PROXIMAL_WEIGHT)))
-    none = sp.csc_array((count, count))
-    matrix = sp.csc_array(sp.block_array([[program.P, A.T], [A, none]]) + weights)
-    try:
-        factor = splu(matrix)
-    except RuntimeError:  # exactly singular
-        return None
-    held = y[rows]
-    for _ in range(PROXIMAL_STEPS):
-        residual = np.concatenate([-(program.P @ z + program.q + A.T @ held), target - A @ z])
-        step = factor.solve(residual)
-        if not np.isfinite(step).all():
-            return None
-        z, held = z + step[:variables], held + step[variables:]
-    found = np.zeros_like(y)
-    found[rows] = held
-    return z, found
+def consecutive(cones: Sequence[slice], first: int) -> tuple[slice, ...]:
+    """Return slices of the same sizes, one after the other."""
+    sizes = [cone.stop - cone.start for cone in cones]
+    starts = first + np.cumsum([0, *sizes])
+    return tuple(slice(int(start), int(start) + size) for start, size in zip(starts, sizes, strict=False))

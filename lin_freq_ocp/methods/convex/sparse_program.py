@@ -1,12 +1,9 @@
-"""Transcribe to a scaled sparse program, hand it to a backend, measure the answer, and map it back.
+"""One sparse convex program: transcribed, scaled, solved by a backend, measured, and mapped back.
 
-Further answers to a convex program, for where the best is not proven.
-
-Small residuals of a program do not suffice if a component that should be zero holds rounding, which is judged by its
-own size, or if a far bound disturbed the solver. So answers are polished and rounded, and the program is solved in
-other units, with and without far bounds.
-
-Trajectories without cost or slope: solvers approach them only to the root of their tolerance.
+Where the best answer is not proven, others follow. Small residuals of a program do not suffice if a component that
+should be zero holds rounding, which is judged by its own size, or if a far bound disturbed the solver. So answers are
+polished and rounded, and the program is solved in other units, with and without far bounds. Trajectories without cost
+or slope are computed directly: solvers approach them only to the root of their tolerance.
 """
 
 from __future__ import annotations
@@ -44,6 +41,109 @@ from lin_freq_ocp.program.units import (
 
 ROUNDING_LEVELS = (1e-12, 1e-9)  # parts of the units of variables and duals that may be rounding: the judge decides
 LARGEST_ERROR = 1e-3  # relative residuals up to which versions of a point are judged
+FLAT = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
+GRACE = 0.25  # seconds beyond a time limit in which a solver may return a point
+REVISIONS = 2  # of the units by the answer
+# The sparse program needs a dense row for every frequency constraint, and its time grows with the entries of these
+# rows; the structured method needs none, but more time for a small problem. Measured by scripts/benchmark_choice.py.
+DENSE_ENTRIES = 3e4  # of dense rows, from which the structured method is the faster one; both take 0.2 s there
+PLAIN_ENTRIES = 1.2e5  # the same without compiled loops
+VARIABLES = 9e3  # of a program without dense rows, from which it is, by a little; compiled only
+
+
+def solve_convex(
+    problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
+) -> Candidate:
+    """Solve a problem with linear dynamics and a convex quadratic cost, in units in which it should be of order 1.
+
+    Where the answer shows other sizes, or is inaccurate, it is solved again in other units; the smallest residuals
+    count. UnsupportedError if the cost is not convex, the backend is unknown, or the program does not fit into memory.
+    """
+    return next(convex_candidates(problem, backend_name, tolerance, time_limit))
+
+
+def convex_candidates(
+    problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
+) -> Iterator[Candidate]:
+    """Yield what ``solve_convex`` returns, then other answers, until the time limit, for where the first is not proven.
+
+    After Ctrl-C the last is the first again, interrupted. Raises what ``solve_convex`` raises.
+    """
+    require_convex(problem)
+    absorbed = absorbed_cost(problem)
+    if absorbed is not None:
+        found = convex_candidates(absorbed.problem, backend_name, tolerance, time_limit)
+        yield from map(absorbed.candidate, found)
+        return
+    solver = backend(backend_name)
+    started = now()
+    rows = dense_rows(problem)
+    if time_limit is not None and rows.seconds > time_limit + GRACE:
+        program = f"a program of {rows.variables} variables with {rows.count} dense rows"
+        message = f"time limit of {time_limit:.3g} s; {program} needs about {rows.seconds:.2g} s"
+        yield Candidate("limit", message=message, seconds={"setup": 0.0, "solve": 0.0})
+        return
+    transcription = LinearTranscription(problem)
+    scaling = natural_scaling(transcription)
+    ready = now()
+    end = np.inf if time_limit is None else started + time_limit - rows.factorisation_seconds
+    if ready >= end + GRACE:
+        message = f"time limit of {time_limit:.3g} s, over before the solver began"
+        yield Candidate("limit", message=message, seconds={"setup": ready - started, "solve": 0.0})
+        return
+    interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
+    target = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
+    asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
+    solves = Solves(transcription, solver, tolerance, asked, end, target)
+    best = _best_attempt(solves, scaling)
+    seconds = {"setup": ready - started, "solve": now() - ready}
+    yield replace(best.candidate, seconds=seconds)
+    for candidate in other_candidates(solves, scaling, best):
+        yield replace(candidate, seconds={**seconds, "solve": now() - ready})
+
+
+def _best_attempt(solves: Solves, scaling: Scaling) -> Attempt:
+    """Return the best attempt: in the given units, in those of the answers, and in others if none is accurate."""
+    best = _revise_units(solves, solves.attempt(scaling))
+    allowed = max(SOLVED_TOLERANCE, solves.tolerance or 0.0)
+    for other in _other_attempts(solves, scaling):
+        if best.ended or best.error <= allowed or solves.over:
+            break
+        best = better_of(best, _revise_units(solves, other(best)))
+    return best
+
+
+def _revise_units(solves: Solves, attempt: Attempt) -> Attempt:
+    """Return the attempt, or a better one in units of its own answer."""
+    best = attempt
+    for _ in range(REVISIONS):
+        if best.ended or best.z is None or best.error <= solves.target or solves.over:
+            break
+        revised = revised_scaling(solves.transcription, best.scaling, best.z)
+        if revised is None:
+            break
+        second = solves.attempt(revised)
+        if not second.ended and second.error >= best.error:
+            break
+        best = better_of(best, second)
+    return best
+
+
+def _other_attempts(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Attempt]]:
+    """Return further solves, each from the best attempt so far."""
+    transcription = solves.transcription
+    ways: list[Callable[[Attempt], Attempt]] = [
+        lambda best: solves.attempt(_of_point(transcription, best, natural, per_time=True)),
+        lambda best: solves.attempt(stated_scaling(transcription)),
+        lambda best: solves.attempt(plain_scaling(transcription)),
+    ]
+    if solves.asked > DEFAULT_TOLERANCE:
+        ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
+    return ways
+
+
+def _of_point(transcription: LinearTranscription, best: Attempt, natural: Scaling, per_time: bool) -> Scaling:
+    return natural if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
 
 
 def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
@@ -118,9 +218,6 @@ def _rounded_versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Ite
         yield solves.measured(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
 
 
-FLAT = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
-
-
 def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
     """Return the trajectory of controls at their references, with multipliers of zero; None if it diverges.
 
@@ -176,111 +273,6 @@ def _slope(problem: OptimalControlProblem, at: Trajectory) -> float:
     usual = zip(problem.quadratic.gradient_magnitudes(*steady), steady, strict=True)
     most, least = (max(float(np.abs(g * size).max()) for g, size in pairs) for pairs in (usual, slopes))
     return least / most if most > 0 else np.inf
-
-
-GRACE = 0.25  # seconds beyond a time limit in which a solver may return a point
-REVISIONS = 2  # of the units by the answer
-
-# The sparse program needs a dense row for every frequency constraint, and its time grows with the entries of these
-# rows; the structured method needs none, but more time for a small problem. Measured by scripts/benchmark_choice.py.
-DENSE_ENTRIES = 3e4  # of dense rows, from which the structured method is the faster one; both take 0.2 s there
-PLAIN_ENTRIES = 1.2e5  # the same without compiled loops
-VARIABLES = 9e3  # of a program without dense rows, from which it is, by a little; compiled only
-
-
-def solve_convex(
-    problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
-) -> Candidate:
-    """Solve a problem with linear dynamics and a convex quadratic cost, in units in which it should be of order 1.
-
-    Where the answer shows other sizes, or is inaccurate, it is solved again in other units; the smallest residuals
-    count. UnsupportedError if the cost is not convex, the backend is unknown, or the program does not fit into memory.
-    """
-    return next(convex_candidates(problem, backend_name, tolerance, time_limit))
-
-
-def convex_candidates(
-    problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
-) -> Iterator[Candidate]:
-    """Yield what ``solve_convex`` returns, then other answers, until the time limit, for where the first is not proven.
-
-    After Ctrl-C the last is the first again, interrupted. Raises what ``solve_convex`` raises.
-    """
-    require_convex(problem)
-    absorbed = absorbed_cost(problem)
-    if absorbed is not None:
-        found = convex_candidates(absorbed.problem, backend_name, tolerance, time_limit)
-        yield from map(absorbed.candidate, found)
-        return
-    solver = backend(backend_name)
-    started = now()
-    rows = dense_rows(problem)
-    if time_limit is not None and rows.seconds > time_limit + GRACE:
-        program = f"a program of {rows.variables} variables with {rows.count} dense rows"
-        message = f"time limit of {time_limit:.3g} s; {program} needs about {rows.seconds:.2g} s"
-        yield Candidate("limit", message=message, seconds={"setup": 0.0, "solve": 0.0})
-        return
-    transcription = LinearTranscription(problem)
-    scaling = natural_scaling(transcription)
-    ready = now()
-    end = np.inf if time_limit is None else started + time_limit - rows.factorisation_seconds
-    if ready >= end + GRACE:
-        message = f"time limit of {time_limit:.3g} s, over before the solver began"
-        yield Candidate("limit", message=message, seconds={"setup": ready - started, "solve": 0.0})
-        return
-    interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
-    target = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
-    asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
-    solves = Solves(transcription, solver, tolerance, asked, end, target)
-    best = _best_attempt(solves, scaling)
-    seconds = {"setup": ready - started, "solve": now() - ready}
-    yield replace(best.candidate, seconds=seconds)
-    for candidate in other_candidates(solves, scaling, best):
-        yield replace(candidate, seconds={**seconds, "solve": now() - ready})
-
-
-def _best_attempt(solves: Solves, scaling: Scaling) -> Attempt:
-    """Return the best attempt: in the given units, in those of the answers, and in others if none is accurate."""
-    best = _revise_units(solves, solves.attempt(scaling))
-    allowed = max(SOLVED_TOLERANCE, solves.tolerance or 0.0)
-    for other in _other_attempts(solves, scaling):
-        if best.ended or best.error <= allowed or solves.over:
-            break
-        best = better_of(best, _revise_units(solves, other(best)))
-    return best
-
-
-def _other_attempts(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Attempt]]:
-    """Return further solves, each from the best attempt so far."""
-    transcription = solves.transcription
-    ways: list[Callable[[Attempt], Attempt]] = [
-        lambda best: solves.attempt(_of_point(transcription, best, natural, per_time=True)),
-        lambda best: solves.attempt(stated_scaling(transcription)),
-        lambda best: solves.attempt(plain_scaling(transcription)),
-    ]
-    if solves.asked > DEFAULT_TOLERANCE:
-        ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
-    return ways
-
-
-def _of_point(transcription: LinearTranscription, best: Attempt, natural: Scaling, per_time: bool) -> Scaling:
-    return natural if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
-
-
-def _revise_units(solves: Solves, attempt: Attempt) -> Attempt:
-    """Return the attempt, or a better one in units of its own answer."""
-    best = attempt
-    for _ in range(REVISIONS):
-        if best.ended or best.z is None or best.error <= solves.target or solves.over:
-            break
-        revised = revised_scaling(solves.transcription, best.scaling, best.z)
-        if revised is None:
-            break
-        second = solves.attempt(revised)
-        if not second.ended and second.error >= best.error:
-            break
-        best = better_of(best, second)
-    return best
 
 
 def structured_first(problem: OptimalControlProblem) -> str:

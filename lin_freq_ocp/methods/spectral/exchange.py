@@ -1,11 +1,8 @@
 """The exchange: a small QP over the working rows, signals by FFT, new rows, until none is violated.
 
-docs/spectral.md, 7 and 8. Every round corrects the defects of the true signals (section 6): its fixed point has true
-slacks in spite of errors of the small QP.
-
-Rounds on a model of all bounded values.
-
-A first working set from a cheaper problem: a shorter horizon, or samples held together (docs/spectral.md, 11).
+docs/spectral.md, 7, 8 and 11. Every round corrects the defects of the true signals (section 6): its fixed point has
+true slacks in spite of errors of the small QP. On short horizons, rounds on the tabulated values of all rows come
+first. On long ones, the first working set comes from a cheaper problem: a shorter horizon, or a coarser control.
 """
 
 from __future__ import annotations
@@ -48,88 +45,6 @@ from lin_freq_ocp.methods.spectral.structure import (
 )
 
 MODEL_ROUNDS = 12  # after which the true signals are evaluated
-
-
-def exchange_values(
-    whole: WholeHorizon,
-    violations: Violations,
-    start: ActiveSetDuals,
-    base: Array,
-    tolerance: float,
-    unconstrained: Array | None,
-    stop: Callable[[], str | None],
-) -> ActiveSetDuals:
-    """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
-
-    ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
-    """
-    index, sign, weights = start.indices, start.sign, start.weights
-    found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
-    none = np.zeros(0, dtype=np.intp)
-    (lower, upper), prices = violations.flat_bounds(), violations.flat_prices()
-    for count in range(1, MODEL_ROUNDS + 1):
-        values = base
-        violations.set_saturated(none, none)
-        if len(index):
-            d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
-            free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
-            most = None if prices is None else np.where(sign > 0, prices[1][index], prices[0][index])
-            response = None if prices is None else whole.free_response(index)
-            gram = whole.gram(index) * sign * sign[:, None]
-            weights, accurate = bounded_qp(gram, d, weights, free, stop, most, response)
-            found = ActiveSetDuals(index, sign, weights, count, accurate)
-            if not accurate:
-                break
-            values = base - whole.response(index, sign * weights)
-            if most is not None:
-                saturated = index[weights >= most]
-                violations.set_saturated(whole.t[saturated], whole.f[saturated])
-        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
-            break
-        kept = weights > 0
-        index, sign, weights = index[kept], sign[kept], weights[kept]
-        inside[:] = False
-        inside[index] = True
-        entering, side = violations.chosen(tolerance)
-        new = ~inside[entering]
-        added = np.count_nonzero(new)
-        if not added or len(index) + added > LOCAL_ROWS:
-            break
-        index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
-        weights = np.concatenate([weights, np.zeros(added)])
-    return found
-
-
-def batch_working_sets(
-    structure: Structure,
-    model: EndsModel,
-    values: Array,
-    first: Rows | None,
-    tolerance: float,
-    stop: Callable[[], str | None],
-    failed: Callable[[int], None],
-) -> tuple[Array, Mask, Rows | None]:
-    """Return the multipliers of all values with signs, (N, values), where they were found, and the last rows."""
-    whole, violations = model.whole, model.violations
-    weights, found, rows = np.zeros(values.shape), np.zeros(len(values), dtype=bool), first
-    none = np.zeros(0, dtype=np.intp)
-    for i, base in enumerate(values):
-        if stop():
-            break
-        if model.may_refute(base):
-            continue
-        start = ActiveSetDuals(none, np.zeros(0), np.zeros(0)) if rows is None else whole.duals(rows)
-        duals = exchange_values(whole, violations, start, base, tolerance, structure.unconstrained, stop)
-        if duals.accurate and violations.worst < tol.FINE_VIOLATION:
-            weights[i, duals.indices], found[i] = duals.sign * duals.weights, True
-            active = duals.weights > 0
-            index = duals.indices[active]
-            rows = Rows(whole.t[index], whole.f[index], duals.sign[active], duals.weights[active])
-        else:
-            failed(i)
-    return weights, found, rows
-
-
 INFEASIBLE = "no trajectory satisfies all constraints"
 MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual
 QP_SECONDS = 1e-10  # of a small QP, measured, over the cube of its rows ...
@@ -139,6 +54,14 @@ KEEP_ALL_AFTER = 30  # rounds after which no row is dropped: the exchange is the
 STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above tol.FINE_VIOLATION, add a row: no improvement
 RAY_ROUNDS = 8  # every so many rounds, and where the small QP is not accurate, a Farkas ray is computed
 LONGER_STEPS = 0.03  # factor on the proximal weight for longer steps
+GUESSED_HORIZON = 600  # from which a first guess costs less than the rounds it saves
+HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
+SPREAD = 2  # further samples on each side of an active coarse control
+DECAY_EXPONENT = 40.0  # the ends do not affect each other where the slowest mode decays by exp(-DECAY_EXPONENT)
+ON_CIRCLE = 1e-6  # |log |lambda|| of a mode that does not decay, and is not counted
+LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR where samples may be held instead
+HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
+LARGEST_SHORTENING = 10  # largest ratio of the horizons
 
 
 class Stop(Protocol):
@@ -147,6 +70,18 @@ class Stop(Protocol):
     def __call__(self, needed: float = 0.0) -> str | None:
         """Return why to stop, or None, if so many more seconds are needed."""
         ...
+
+
+def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
+    """Return a function that says why to stop, or None."""
+    end = np.inf if seconds is None else now() + seconds
+
+    def stop(needed: float = 0.0) -> str | None:
+        if interrupted():
+            return "interrupted"
+        return "time limit" if now() + needed > end else None
+
+    return stop
 
 
 @dataclass(eq=False)
@@ -420,31 +355,59 @@ class Exchange:
         return added
 
     def _outcome(self, status: str, message: str = "") -> Outcome:
-        self.violations.excess = np.zeros((0, 0))  # large, and measured again before it is used
+        self.violations.violation = np.zeros((0, 0))  # large, and measured again before it is used
         point, cost = (self.signals, self.multipliers, self.working), self._cost()
         return Outcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
 
 
-def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
-    """Return a function that says why to stop, or None."""
-    end = np.inf if seconds is None else now() + seconds
+def exchange_values(
+    whole: WholeHorizon,
+    violations: Violations,
+    start: ActiveSetDuals,
+    base: Array,
+    tolerance: float,
+    unconstrained: Array | None,
+    stop: Callable[[], str | None],
+) -> ActiveSetDuals:
+    """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
 
-    def stop(needed: float = 0.0) -> str | None:
-        if interrupted():
-            return "interrupted"
-        return "time limit" if now() + needed > end else None
-
-    return stop
-
-
-GUESSED_HORIZON = 600  # from which a first guess costs less than the rounds it saves
-HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
-SPREAD = 2  # further samples on each side of an active coarse control
-DECAY_EXPONENT = 40.0  # the ends do not affect each other where the slowest mode decays by exp(-DECAY_EXPONENT)
-ON_CIRCLE = 1e-6  # |log |lambda|| of a mode that does not decay, and is not counted
-LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR where samples may be held instead
-HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
-LARGEST_SHORTENING = 10  # largest ratio of the horizons
+    ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
+    """
+    index, sign, weights = start.indices, start.sign, start.weights
+    found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
+    none = np.zeros(0, dtype=np.intp)
+    (lower, upper), prices = violations.flat_bounds(), violations.flat_prices()
+    for count in range(1, MODEL_ROUNDS + 1):
+        values = base
+        violations.set_saturated(none, none)
+        if len(index):
+            d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
+            free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
+            most = None if prices is None else np.where(sign > 0, prices[1][index], prices[0][index])
+            response = None if prices is None else whole.free_response(index)
+            gram = whole.gram(index) * sign * sign[:, None]
+            weights, accurate = bounded_qp(gram, d, weights, free, stop, most, response)
+            found = ActiveSetDuals(index, sign, weights, count, accurate)
+            if not accurate:
+                break
+            values = base - whole.response(index, sign * weights)
+            if most is not None:
+                saturated = index[weights >= most]
+                violations.set_saturated(whole.t[saturated], whole.f[saturated])
+        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
+            break
+        kept = weights > 0
+        index, sign, weights = index[kept], sign[kept], weights[kept]
+        inside[:] = False
+        inside[index] = True
+        entering, side = violations.chosen(tolerance)
+        new = ~inside[entering]
+        added = np.count_nonzero(new)
+        if not added or len(index) + added > LOCAL_ROWS:
+            break
+        index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
+        weights = np.concatenate([weights, np.zeros(added)])
+    return found
 
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
@@ -545,3 +508,33 @@ def _refine_rows(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
     signs = np.concatenate([sign[last], sign[states], np.repeat(sign[controls], len(around))])
     _, unique = np.unique((times * len(lti.F) + rows) * 2 + (signs > 0), return_index=True)
     return Rows(times[unique], rows[unique], signs[unique])
+
+
+def batch_working_sets(
+    structure: Structure,
+    model: EndsModel,
+    values: Array,
+    first: Rows | None,
+    tolerance: float,
+    stop: Callable[[], str | None],
+    failed: Callable[[int], None],
+) -> tuple[Array, Mask, Rows | None]:
+    """Return the multipliers of all values with signs, (N, values), where they were found, and the last rows."""
+    whole, violations = model.whole, model.violations
+    weights, found, rows = np.zeros(values.shape), np.zeros(len(values), dtype=bool), first
+    none = np.zeros(0, dtype=np.intp)
+    for i, base in enumerate(values):
+        if stop():
+            break
+        if model.may_refute(base):
+            continue
+        start = ActiveSetDuals(none, np.zeros(0), np.zeros(0)) if rows is None else whole.duals(rows)
+        duals = exchange_values(whole, violations, start, base, tolerance, structure.unconstrained, stop)
+        if duals.accurate and violations.worst < tol.FINE_VIOLATION:
+            weights[i, duals.indices], found[i] = duals.sign * duals.weights, True
+            active = duals.weights > 0
+            index = duals.indices[active]
+            rows = Rows(whole.t[index], whole.f[index], duals.sign[active], duals.weights[active])
+        else:
+            failed(i)
+    return weights, found, rows

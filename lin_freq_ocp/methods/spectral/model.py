@@ -4,11 +4,9 @@
     subject to  x_{t+1} = A x_t + B u_t + d_t,   lower_t <= F y_t <= upper_t,   F = [I; C D],
                 ends fixed, free or in a box, per component,   stopped bins of u (length T) and of x (length T+1)
 
-A bound with a finite price is soft: the price times its excess joins the cost, and limits its multiplier.
-
-Units are powers of two: changing to them and back rounds nothing.
-
-The dynamics of a problem in the frequency domain: a recursion, or a response at every bin.
+A bound with a finite price is soft: the price times its violation joins the cost, and limits its multiplier. Where
+there is no recursion, the dynamics are the response of x_{t+1} at every bin. Units are powers of two: changing to them
+and back rounds nothing.
 """
 
 from __future__ import annotations
@@ -30,37 +28,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.problem.terms.term import TermKind
 
-
-def dynamics_of(problem: OptimalControlProblem) -> tuple[Array, Array, Array, ComplexArray | None]:
-    """Return A, B, d, and the response of x_{t+1} at every bin where there is no recursion, (n, m, bins)."""
-    T = problem.horizon
-    found = problem.dynamics.response(T)
-    if found is None:
-        return problem.linear.A, problem.linear.B, problem.linear.offset, None
-    n, m = problem.state_dim, problem.control_dim
-    ahead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
-    return np.zeros((n, n)), np.zeros((n, m)), found.base[1:], ahead * np.moveaxis(found.G, 0, -1)
-
-
 STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the border
-
-
-@dataclass(frozen=True, eq=False)
-class Bounds:
-    """A number for each bound, such as its price: of F y_t at t < T, (rows, T), and of x_T, (n,)."""
-
-    lower: Array
-    upper: Array
-    last_lower: Array
-    last_upper: Array
-
-    def times(self, factor: float) -> Bounds:
-        """Return multiples of the numbers at t < T."""
-        return replace(self, lower=factor * self.lower, upper=factor * self.upper)
-
-    def at(self, cut: Callable[[Array], Array]) -> Bounds:
-        """Return those at the times that a function keeps of arrays (rows, T)."""
-        return replace(self, lower=cut(self.lower), upper=cut(self.upper))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +53,7 @@ class Lti:
     last_lower: Array  # of x_T, (n,)
     last_upper: Array
     constant: float  # cost at x = 0, u = 0
-    prices: Bounds | None = None  # of a unit of excess, infinite for hard bounds; None if all are hard
+    prices: Bounds | None = None  # of a unit of violation, infinite for hard bounds; None if all are hard
     response: ComplexArray | None = None  # of x_{t+1} at every bin, (n, m, T//2 + 1), instead of A, B
     periodic: bool = False  # whether x_T = x_0: then the ends are free, and bounds on x_T are on x_0
 
@@ -147,6 +115,24 @@ class Lti:
         f, t = np.nonzero(self.lower == self.upper)
         elsewhere = (t > 0) | (f >= self.state_dim)
         return t[elsewhere], f[elsewhere]
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """A number for each bound, such as its price: of F y_t at t < T, (rows, T), and of x_T, (n,)."""
+
+    lower: Array
+    upper: Array
+    last_lower: Array
+    last_upper: Array
+
+    def times(self, factor: float) -> Bounds:
+        """Return multiples of the numbers at t < T."""
+        return replace(self, lower=factor * self.lower, upper=factor * self.upper)
+
+    def at(self, cut: Callable[[Array], Array]) -> Bounds:
+        """Return those at the times that a function keeps of arrays (rows, T)."""
+        return replace(self, lower=cut(self.lower), upper=cut(self.upper))
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,19 +296,15 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     )
 
 
-def _with_end_bound(tighter: np.ufunc, side: Array, last: Array) -> Array:
-    """Return bounds (rows, T) with those of x_T, (n,), on x_0, too."""
-    first = tighter(side[: len(last), 0], last)
-    if (first == side[: len(last), 0]).all():
-        return side
-    both = np.array(side)
-    both[: len(last), 0] = first
-    return both
-
-
-def _fixed_values(box: Box) -> Array:
-    """Return the values that a box fixes, NaN elsewhere."""
-    return np.where(box.fixed, box.lower, np.nan)
+def dynamics_of(problem: OptimalControlProblem) -> tuple[Array, Array, Array, ComplexArray | None]:
+    """Return A, B, d, and the response of x_{t+1} at every bin where there is no recursion, (n, m, bins)."""
+    T = problem.horizon
+    found = problem.dynamics.response(T)
+    if found is None:
+        return problem.linear.A, problem.linear.B, problem.linear.offset, None
+    n, m = problem.state_dim, problem.control_dim
+    ahead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
+    return np.zeros((n, n)), np.zeros((n, m)), found.base[1:], ahead * np.moveaxis(found.G, 0, -1)
 
 
 def _linear_terms(problem: OptimalControlProblem) -> Array | None:
@@ -365,6 +347,15 @@ def _bounds(problem: OptimalControlProblem, units: Units) -> tuple[Array, Array]
     return side(states.lower, controls.lower, absent), side(states.upper, controls.upper, joint)
 
 
+def _as_columns(bounds: Array, first: Array) -> Array:
+    """Return bounds (T, k) as columns (k, T), with ``first`` at t = 0; (k, 1) if they do not depend on time."""
+    if (bounds[1:] == first).all():
+        return first[:, None]
+    columns = np.array(bounds.T)
+    columns[:, 0] = first
+    return columns
+
+
 def _soft_bounds(
     problem: OptimalControlProblem, units: Units, lower: Array, upper: Array
 ) -> tuple[tuple[Array, Array, Array, Array], Bounds]:
@@ -394,13 +385,19 @@ def _soft_bounds(
     return (sides[0], sides[1], *last), prices
 
 
-def _as_columns(bounds: Array, first: Array) -> Array:
-    """Return bounds (T, k) as columns (k, T), with ``first`` at t = 0; (k, 1) if they do not depend on time."""
-    if (bounds[1:] == first).all():
-        return first[:, None]
-    columns = np.array(bounds.T)
-    columns[:, 0] = first
-    return columns
+def _with_end_bound(tighter: np.ufunc, side: Array, last: Array) -> Array:
+    """Return bounds (rows, T) with those of x_T, (n,), on x_0, too."""
+    first = tighter(side[: len(last), 0], last)
+    if (first == side[: len(last), 0]).all():
+        return side
+    both = np.array(side)
+    both[: len(last), 0] = first
+    return both
+
+
+def _fixed_values(box: Box) -> Array:
+    """Return the values that a box fixes, NaN elsewhere."""
+    return np.where(box.fixed, box.lower, np.nan)
 
 
 def _scaled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Array:

@@ -1,31 +1,11 @@
 """The small QP over the working rows: min lam'S lam / 2 + d'lam over 0 <= lam <= u, S often singular.
 
-docs/spectral.md, 6 and 12. u is the price of a soft row and infinite for a hard one; a row with lam = u > 0 is
-saturated: it is violated, and its slope S lam + d, which is its slack, is at most 0.
+docs/spectral.md, 6, 7 and 12. u is the price of a soft row and infinite for a hard one; a row with lam = u > 0 is
+saturated: it is violated, and its slope S lam + d, which is its slack, is at most 0. S is positive semidefinite, and
+numerically singular where a state or a control stays at a bound.
 
-S is positive semidefinite, and numerically singular where a state or a control stays at a bound. The exchange measures
-every answer by the signals that follow from it.
-
-Mehrotra's predictor-corrector for min lam'A lam / 2 + b'lam over 0 <= lam <= u, and a polish on the active rows.
-
-A lam + b = z - y with lam >= 0, z >= 0, lam'z = 0, and, where u is finite, room w = u - lam >= 0, y >= 0, w'y = 0.
-
-On saturated control arcs A has eigenvalues near 0 and 1, and multipliers are not unique: active-set methods cycle.
-There A is of low rank, the width of the pass band times the length of the arcs, or diag(unconstrained) - A >= 0 is,
-with the width of the stop band: each step is then a small system (docs/spectral.md, 6).
-
-Mehrotra (1992), On the implementation of a primal-dual interior point method.
-
-The small QP with the border variables kept, for borders of little curvature: free ends without cost, marginal modes.
-
-Eliminating a border variable of curvature h leaves S with entries 1/h, and entries below 1e-16 of those are lost.
-Here they are kept, with a proximal term: find the step p of (theta, y), weights l and slacks z with
-
-    K p + C (l - l_0) = r,   z - y = s_0 - C'p + S_W (l - l_0),   l >= 0,  z >= 0,  l'z = 0,
-
-and y >= 0 with y'(u - l) = 0 at upper bounds l <= u, by Mehrotra's predictor-corrector on the symmetric indefinite
-matrix [[K, C], [C', -(S_W + Z/L + Y/(U - L))]], then once more with the active rows as equations (docs/spectral.md, 7:
-soft borders).
+``bounded_qp`` tries block pivoting, then the interior point. ``BorderedQp`` keeps the bordering unknowns of little
+curvature, whose elimination would lose the digits of S. The exchange measures every answer by the signals that follow.
 """
 
 from __future__ import annotations
@@ -50,6 +30,99 @@ TO_BOUNDARY = 0.995  # fraction of the step to the boundary
 REFINED = 1e-8  # diagonal added to a thin factor below which solves are refined
 WARM = 1e-2  # least weight and slack of a warm start
 POLISHES = 3  # refinements of the polish: each squares the relative error of the factor
+DROPPINGS = 5  # passes that drop active rows of the wrong sign
+PIVOTING_ROWS = 300  # up to which block pivoting is tried first
+PIVOTING_STEPS = 12  # after which it has not converged
+PATIENCE = 2  # its steps in a row without fewer wrong rows
+
+
+def bounded_qp(
+    S: Array,
+    d: Array,
+    start: Array,
+    unconstrained: Array | None = None,
+    stop: Callable[[], str | None] = lambda: None,
+    upper: Array | None = None,
+    response: Array | None = None,
+) -> tuple[Array, bool]:
+    """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
+
+    ``upper`` is u, None if all of it is infinite. A row with a price that equations decide is saturated if it is
+    violated: its entry of S is rounding of zero, relative to its ``response`` without equations.
+
+    ``unconstrained`` is a diagonal with diag - S >= 0 of low rank, 1/R for control rows and zero for others, if any.
+    """
+    if upper is not None and response is not None:
+        decided = np.isfinite(upper) & (np.diagonal(S) < tol.DECIDED_SOFT * response)
+        if decided.any():
+            return _with_decided(S, d, start, unconstrained, stop, upper, decided)
+    unit = 1 / np.sqrt(np.maximum(np.diagonal(S), tol.TINY))
+    size = max(float((np.abs(d) * unit).max()), tol.TINY)
+    A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
+    A *= unit
+    most = None if upper is None else upper / unit / size
+    lam = block_pivoting(A, b, warm, most) if len(d) <= PIVOTING_ROWS else None
+    if lam is not None:
+        return _in_units(lam, unit * size, most, upper), True
+    thin = None if unconstrained is None else unconstrained * unit**2
+    lam, accurate = interior_point(A, b, thin, stop, warm, most)
+    return _in_units(lam, unit * size, most, upper), accurate
+
+
+def _with_decided(
+    S: Array,
+    d: Array,
+    start: Array,
+    unconstrained: Array | None,
+    stop: Callable[[], str | None],
+    upper: Array,
+    decided: Mask,
+) -> tuple[Array, bool]:
+    """Return the answer with rows that equations decide, (count,), at a bound of their multipliers."""
+    lam, rest, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
+    if rest.any():
+        free = None if unconstrained is None else unconstrained[rest]
+        target = d[rest] + S[np.ix_(rest, decided)] @ lam[decided]
+        lam[rest], accurate = bounded_qp(S[np.ix_(rest, rest)], target, start[rest], free, stop, upper[rest])
+    return lam, accurate
+
+
+def _in_units(lam: Array, units: Array, most: Array | None, upper: Array | None) -> Array:
+    """Return lam in the units of the problem, exactly at its upper bounds where it is there."""
+    return lam * units if most is None or upper is None else np.where(lam >= most, upper, lam * units)
+
+
+def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None) -> Array | None:
+    """Exchange all wrong rows at once; None if that does not converge, or if the rows are nearly dependent."""
+    fewest, patience, slope = len(b) + 1, PATIENCE, A @ start + b
+    saturated = np.zeros(len(b), dtype=bool) if upper is None else start >= upper
+    active = ((start > 0) | (slope < 0)) & ~saturated
+    for _ in range(PIVOTING_STEPS):
+        lam, rows, target = np.zeros(len(b)), active.nonzero()[0], b
+        if upper is not None and saturated.any():
+            lam[saturated] = upper[saturated]
+            target = b + A[:, saturated] @ lam[saturated]
+        if len(rows):
+            factor, solution, failed = dposv(A.take(rows, 0).take(rows, 1), target[rows], lower=1)
+            if failed or factor.diagonal().min() < tol.PIVOTING_PIVOT:
+                return None
+            lam[rows] = -solution
+        slope = A @ lam + b
+        wrong = np.where(active, lam < 0, slope < -tol.WRONG_SLOPE)
+        if upper is not None:
+            above = active & (lam > upper)
+            leaving = saturated & (slope > tol.WRONG_SLOPE)
+            wrong = above | leaving | (wrong & ~saturated)
+            saturated = (saturated & ~leaving) | above
+        count = np.count_nonzero(wrong)
+        if count == 0:
+            return lam
+        patience = PATIENCE if count < fewest else patience - 1
+        if patience < 0:
+            return None
+        fewest = min(fewest, count)
+        active ^= wrong
+    return None
 
 
 def interior_point(
@@ -60,7 +133,17 @@ def interior_point(
     start: Array | None = None,
     upper: Array | None = None,
 ) -> tuple[Array, bool]:
-    """Return (lam, whether it is accurate); what follows b is as in ``bounded_qp``."""
+    """Return (lam, whether it is accurate) by Mehrotra's predictor-corrector; what follows b is as in ``bounded_qp``.
+
+    A lam + b = z - y with lam >= 0, z >= 0, lam'z = 0, and, where u is finite, margin
+    w = u - lam >= 0, y >= 0, w'y = 0.
+
+    On saturated control arcs A has eigenvalues near 0 and 1, and multipliers are not unique: active-set methods cycle.
+    There A is of low rank, the width of the pass band times the length of the arcs, or diag(unconstrained) - A >= 0 is,
+    with the width of the stop band: each step is then a small system (docs/spectral.md, 6).
+
+    Mehrotra (1992), On the implementation of a primal-dual interior point method.
+    """
     system, ridge, count = _thin_factor(A, unconstrained) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
     lam, least = (np.ones(count), 1.0) if start is None or not start.any() else (start, WARM)
     caps = Caps(np.full(count, np.inf) if upper is None else upper)
@@ -156,6 +239,65 @@ class Caps:
         return active, np.where(saturated, self.upper, np.where(active, lam, 0.0))
 
 
+def predictor_corrector(
+    newton: Callable[[Array], tuple[Array, Array]],
+    weights: Array,
+    z: Array,
+    mu: float,
+    to_boundary: float = TO_BOUNDARY,
+) -> Step:
+    """Return the step from weights l > 0 and slacks z > 0 with mu = l'z / count.
+
+    ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target. The
+    step length is 0 where the products l z have vanished: no step makes them smaller.
+    """
+    other, dw = newton(-weights * z)
+    if mu < tol.TINY:
+        return Step(np.zeros_like(other), weights, z, 0.0)
+    dz = (-weights * z - z * dw) / weights
+    length = min(1.0, _reach(weights, dw), _reach(z, dz))
+    after = float((weights + length * dw) @ (z + length * dz)) / float(weights @ z)
+    target = after**3 * mu - weights * z - dw * dz
+    other, dw = newton(target)
+    dz = (target - z * dw) / weights
+    length = min(1.0, to_boundary * min(_reach(weights, dw), _reach(z, dz)))
+    return Step(length * other, weights + length * dw, z + length * dz, length)
+
+
+class Step(NamedTuple):
+    """The step of other unknowns, the new weights and slacks, and the step length."""
+
+    other: Array
+    weights: Array
+    z: Array
+    length: float
+
+
+def _reach(v: Array, dv: Array) -> float:
+    """Return the step at which the first entry of v + step dv becomes zero."""
+    return 1 / max(tol.TINY, float((-dv / v).max()))
+
+
+def _thin_factor(A: Array, unconstrained: Array | None) -> _Thin | None:
+    """Return A by a thin factor of itself or of diag(unconstrained) - A; None if neither is known to have a low rank.
+
+    The eigenvalues of A, relative to diag(unconstrained), are near 0 and 1: they add up to its rank.
+    """
+    if unconstrained is None or len(A) <= LOW_RANK_ROWS or not (unconstrained > 0).all():
+        return None
+    share = float((np.diagonal(A) / unconstrained).mean())
+    if min(share, 1 - share) > LARGEST_SHARE:
+        return None
+    base, sign = (np.zeros(len(A)), 1.0) if share < 1 - share else (unconstrained, -1.0)
+    factored = sign * A  # symmetric: its transpose is in the order that LAPACK overwrites
+    factored[np.diag_indices_from(A)] += base
+    factor, pivots, rank, _ = dpstrf(factored.T, tol=tol.RANK_TOLERANCE, lower=1, overwrite_a=1)
+    V = np.empty((len(A), rank), order="F")
+    V[pivots - 1] = np.tril(factor[:, :rank])
+    missed = base + sign * (V * V).sum(1) - np.diagonal(A)
+    return _Thin(base, sign, V) if np.abs(missed).max() < tol.LOW_RANK_ERROR else None
+
+
 class _Dense:
     """A itself, and factors of A + diag(w)."""
 
@@ -208,71 +350,19 @@ class _Thin:
         return (r - self._sign * (self._V @ inner)) / self._diagonal
 
 
-def _thin_factor(A: Array, unconstrained: Array | None) -> _Thin | None:
-    """Return A by a thin factor of itself or of diag(unconstrained) - A; None if neither is known to have a low rank.
-
-    The eigenvalues of A, relative to diag(unconstrained), are near 0 and 1: they add up to its rank.
-    """
-    if unconstrained is None or len(A) <= LOW_RANK_ROWS or not (unconstrained > 0).all():
-        return None
-    share = float((np.diagonal(A) / unconstrained).mean())
-    if min(share, 1 - share) > LARGEST_SHARE:
-        return None
-    base, sign = (np.zeros(len(A)), 1.0) if share < 1 - share else (unconstrained, -1.0)
-    factored = sign * A  # symmetric: its transpose is in the order that LAPACK overwrites
-    factored[np.diag_indices_from(A)] += base
-    factor, pivots, rank, _ = dpstrf(factored.T, tol=tol.RANK_TOLERANCE, lower=1, overwrite_a=1)
-    V = np.empty((len(A), rank), order="F")
-    V[pivots - 1] = np.tril(factor[:, :rank])
-    missed = base + sign * (V * V).sum(1) - np.diagonal(A)
-    return _Thin(base, sign, V) if np.abs(missed).max() < tol.LOW_RANK_ERROR else None
-
-
-class Step(NamedTuple):
-    """The step of other unknowns, the new weights and slacks, and the step length."""
-
-    other: Array
-    weights: Array
-    z: Array
-    length: float
-
-
-def predictor_corrector(
-    newton: Callable[[Array], tuple[Array, Array]],
-    weights: Array,
-    z: Array,
-    mu: float,
-    to_boundary: float = TO_BOUNDARY,
-) -> Step:
-    """Return the step from weights l > 0 and slacks z > 0 with mu = l'z / count.
-
-    ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target. The
-    step length is 0 where the products l z have vanished: no step makes them smaller.
-    """
-    other, dw = newton(-weights * z)
-    if mu < tol.TINY:
-        return Step(np.zeros_like(other), weights, z, 0.0)
-    dz = (-weights * z - z * dw) / weights
-    length = min(1.0, _reach(weights, dw), _reach(z, dz))
-    after = float((weights + length * dw) @ (z + length * dz)) / float(weights @ z)
-    target = after**3 * mu - weights * z - dw * dz
-    other, dw = newton(target)
-    dz = (target - z * dw) / weights
-    length = min(1.0, to_boundary * min(_reach(weights, dw), _reach(z, dz)))
-    return Step(length * other, weights + length * dw, z + length * dz, length)
-
-
-def _reach(v: Array, dv: Array) -> float:
-    """Return the step at which the first entry of v + step dv becomes zero."""
-    return 1 / max(tol.TINY, float((-dv / v).max()))
-
-
-DROPPINGS = 5  # passes that drop active rows of the wrong sign
-
-
 @dataclass(frozen=True, eq=False)
 class BorderedQp:
-    """The data: K (b, b), C (b, count), S_W (count, count), r (b,), s_0, l_0 and u (count,); theta comes first."""
+    """The small QP with the bordering unknowns kept: free ends without cost, marginal modes.
+
+    Eliminating an unknown of curvature h leaves S with entries 1/h, and entries below 1e-16 of those are lost. Here
+    they are kept, with a proximal term: find the step p of (theta, y), weights l and slacks z with
+
+        K p + C (l - l_0) = r,   z - y = s_0 - C'p + S_W (l - l_0),   l >= 0,  z >= 0,  l'z = 0,
+
+    and y >= 0 with y'(u - l) = 0 at upper bounds l <= u, by Mehrotra's predictor-corrector on the symmetric indefinite
+    matrix [[K, C], [C', -(S_W + Z/L + Y/(U - L))]], then once more with the active rows as equations (docs/spectral.md,
+    7: soft borders). K is (b, b), C (b, count), S_W (count, count), r (b,), s_0, l_0 and u (count,); theta comes first.
+    """
 
     size: int
     K: Array
@@ -392,98 +482,4 @@ def _bordered_polish(qp: BorderedQp, active: Mask, held: Array) -> tuple[Array, 
             wrong = np.where(exact >= qp.upper, slack > tol.POLISHED_SLACK, slack < -tol.POLISHED_SLACK)
             return None if wrong.any() else (p, np.clip(exact, 0.0, qp.upper))
         active, held = active & ~(below | above), np.where(above, qp.upper, held * ~active)
-    return None
-
-
-PIVOTING_ROWS = 300  # up to which block pivoting is tried first
-PIVOTING_STEPS = 12  # after which it has not converged
-PATIENCE = 2  # its steps in a row without fewer wrong rows
-
-
-def bounded_qp(
-    S: Array,
-    d: Array,
-    start: Array,
-    unconstrained: Array | None = None,
-    stop: Callable[[], str | None] = lambda: None,
-    upper: Array | None = None,
-    response: Array | None = None,
-) -> tuple[Array, bool]:
-    """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
-
-    ``upper`` is u, None if all of it is infinite. A row with a price that equations decide is saturated if it is
-    violated: its entry of S is rounding of zero, relative to its ``response`` without equations.
-
-    ``unconstrained`` is a diagonal with diag - S >= 0 of low rank, 1/R for control rows and zero for others, if any.
-    """
-    if upper is not None and response is not None:
-        decided = np.isfinite(upper) & (np.diagonal(S) < tol.DECIDED_SOFT * response)
-        if decided.any():
-            return _with_decided(S, d, start, unconstrained, stop, upper, decided)
-    unit = 1 / np.sqrt(np.maximum(np.diagonal(S), tol.TINY))
-    size = max(float((np.abs(d) * unit).max()), tol.TINY)
-    A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
-    A *= unit
-    most = None if upper is None else upper / unit / size
-    lam = block_pivoting(A, b, warm, most) if len(d) <= PIVOTING_ROWS else None
-    if lam is not None:
-        return _in_units(lam, unit * size, most, upper), True
-    thin = None if unconstrained is None else unconstrained * unit**2
-    lam, accurate = interior_point(A, b, thin, stop, warm, most)
-    return _in_units(lam, unit * size, most, upper), accurate
-
-
-def _with_decided(
-    S: Array,
-    d: Array,
-    start: Array,
-    unconstrained: Array | None,
-    stop: Callable[[], str | None],
-    upper: Array,
-    decided: Mask,
-) -> tuple[Array, bool]:
-    """Return the answer with rows that equations decide, (count,), at a bound of their multipliers."""
-    lam, rest, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
-    if rest.any():
-        free = None if unconstrained is None else unconstrained[rest]
-        target = d[rest] + S[np.ix_(rest, decided)] @ lam[decided]
-        lam[rest], accurate = bounded_qp(S[np.ix_(rest, rest)], target, start[rest], free, stop, upper[rest])
-    return lam, accurate
-
-
-def _in_units(lam: Array, units: Array, most: Array | None, upper: Array | None) -> Array:
-    """Return lam in the units of the problem, exactly at its upper bounds where it is there."""
-    return lam * units if most is None or upper is None else np.where(lam >= most, upper, lam * units)
-
-
-def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None) -> Array | None:
-    """Exchange all wrong rows at once; None if that does not converge, or if the rows are nearly dependent."""
-    fewest, patience, slope = len(b) + 1, PATIENCE, A @ start + b
-    saturated = np.zeros(len(b), dtype=bool) if upper is None else start >= upper
-    active = ((start > 0) | (slope < 0)) & ~saturated
-    for _ in range(PIVOTING_STEPS):
-        lam, rows, target = np.zeros(len(b)), active.nonzero()[0], b
-        if upper is not None and saturated.any():
-            lam[saturated] = upper[saturated]
-            target = b + A[:, saturated] @ lam[saturated]
-        if len(rows):
-            factor, solution, failed = dposv(A.take(rows, 0).take(rows, 1), target[rows], lower=1)
-            if failed or factor.diagonal().min() < tol.PIVOTING_PIVOT:
-                return None
-            lam[rows] = -solution
-        slope = A @ lam + b
-        wrong = np.where(active, lam < 0, slope < -tol.WRONG_SLOPE)
-        if upper is not None:
-            above = active & (lam > upper)
-            leaving = saturated & (slope > tol.WRONG_SLOPE)
-            wrong = above | leaving | (wrong & ~saturated)
-            saturated = (saturated & ~leaving) | above
-        count = np.count_nonzero(wrong)
-        if count == 0:
-            return lam
-        patience = PATIENCE if count < fewest else patience - 1
-        if patience < 0:
-            return None
-        fewest = min(fewest, count)
-        active ^= wrong
     return None

@@ -1,20 +1,8 @@
-"""Polyhedral sets, hard and soft, as joint rows, which the Fourier-domain method takes, and their multipliers.
+"""Reductions of constraints to those that the Fourier-domain method takes, and their multipliers.
 
-F x_t <= g for t < T is a row with D = 0, and F x_T <= g is one on the step before: F A x + F B u <= g - F d. There the
-adjoint of the rows' problem is eta', that of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
-
-Soft sets whose rows are bounds on single components, in the places of hard bounds (docs/spectral.md, 12).
-
-A row c y_f + d <= e with a price is a bound (e - d)/|c| on y_f with the price times |c|, upper where c > 0. It stands
-in the place of the hard bound of that component, side and time, which must be absent. Where an end fixes the component,
-the excess is a constant, and its subgradient is the price or zero.
-
-Soft stop bands by exact penalties: where the price of a bin exceeds its multiplier, the bin is zero.
-
-Derivation: docs/spectral.md, 12.
-
-A bound of zero with a price w costs w |uhat_k|, whose subgradients at uhat_k = 0 are all lambda with |lambda| <= w.
-With these bins removed, rho_k is such a subgradient if |rho_k| <= w: then nothing is gained by opening them.
+Polyhedral sets become joint rows (RowForm). Soft sets whose rows bound single components become soft bounds (SoftSet).
+Soft stop bands are removed like hard ones, and their multipliers are compared with their prices (SoftBins).
+docs/spectral.md, 12, derives soft bounds and soft bands.
 """
 
 from __future__ import annotations
@@ -35,11 +23,105 @@ from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
 
 SETS = (TermKind.STATE_SET, TermKind.CONTROL_SET)
+PRICE_ROUNDING = 1e-9  # part of a price, and of other forces on the component in a ray, that may be rounding
+FIELDS = {TermKind.CONTROL_SPECTRUM: "control_spectrum", TermKind.STATE_SPECTRUM: "state_spectrum"}
+AT_THE_END = " at the end"  # suffix of the names of rows on x_T
+
+
+@dataclass(frozen=True, eq=False)
+class RowForm:
+    """A given problem, the problem with its polyhedral sets as joint rows, and the sets that became rows.
+
+    F x_t <= g for t < T is a row with D = 0, and F x_T <= g is one on the step before: F A x + F B u <= g - F d. There
+    the adjoint of the rows' problem is eta', that of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
+    """
+
+    given: OptimalControlProblem
+    problem: OptimalControlProblem
+    polyhedra: tuple[LinearRows, ...]
+
+    def multipliers(self, found: Multipliers) -> Multipliers:
+        """Return multipliers of the given problem from those of the problem in rows."""
+        if not self.polyhedra:
+            return found
+        eta, stage, T = found.eta.copy(), dict(found.stage), self.given.horizon
+        for rows in self.polyhedra:
+            weights, before = np.zeros(rows.e.shape), rows.times < T
+            if before.any():
+                weights[before] = stage.pop(rows.name)[rows.times[before]]
+            if not before.all():
+                weights[~before] = stage.pop(rows.name + AT_THE_END)[-1:]
+                eta[-1] -= rows.C[0, :, : eta.shape[1]].T @ weights[~before][0]
+            stage[rows.name] = weights
+        return Multipliers(found.eta_C, eta, found.mu, found.nu, found.rho_u, found.rho_x, stage)
+
+
+def row_form(problem: OptimalControlProblem) -> RowForm:
+    """Return the problem with its polyhedral sets as joint rows.
+
+    Unchanged if it has none, or other sets too, or if all are soft sets that bounds can say.
+    """
+    sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
+    found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
+    recursion = problem.dynamics.response(problem.horizon) is None
+    others = len(found) < len(sets) or soft_sets(problem) is not None
+    if others or not recursion or problem.linear.time_varying:
+        return RowForm(problem, problem, ())
+    polyhedra = tuple(rows for rows, _ in found)
+    try:
+        rows = [joint for given, term in found for joint in _stage_rows(problem, given, _price(term))]
+        changed = replace(
+            problem,
+            state_set=problem.state_boxes,
+            control_set=problem.control_tube,
+            initial_state=problem.initial_box,
+            terminal_state=problem.terminal_box,
+            stage_rows=[*problem.stage_rows, *rows],
+        )
+    except ProblemError:  # a row on x_T that no control and no state before it can change
+        return RowForm(problem, problem, ())
+    return RowForm(problem, changed, polyhedra)
+
+
+def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
+    """Return the rows of a polyhedral set that is the same at all its times, with one price; else None."""
+    if term.kind not in SETS or not term.penalty.polyhedral or len(np.unique(term.penalty.weights)) > 1:
+        return None
+    hard = term if term.hard else replace(term, penalty=term.penalty.softened(HARD))
+    rows = hard.polyhedron(problem.state_dim, problem.control_dim)
+    if rows is None or len(rows.C) > 1:
+        return None
+    return rows if len(set(rows.times)) == len(rows.times) else None
+
+
+def _price(term: Term) -> float | None:
+    """Return the price of a unit of violation; None for what must hold."""
+    return None if term.hard else float(np.max(term.penalty.weights))
+
+
+def _stage_rows(problem: OptimalControlProblem, given: LinearRows, price: float | None) -> list[StageRows]:
+    T, n, dynamics = problem.horizon, problem.state_dim, problem.linear
+    before, rows = given.times < T, list[StageRows]()
+    C, D = given.C[0, :, :n], given.C[0, :, n:]
+    if before.any():
+        e = np.full((T, given.e.shape[1]), np.inf)
+        e[given.times[before]] = given.e[before]
+        rows.append(StageRows(C, D, e, given.name, price))
+    if not before.all():
+        e = np.full((T, given.e.shape[1]), np.inf)
+        e[-1] = given.e[~before][0] - C @ dynamics.at(T - 1)[2]
+        rows.append(StageRows(C @ dynamics.A, C @ dynamics.B, e, given.name + AT_THE_END, price))
+    return rows
 
 
 @dataclass(frozen=True, eq=False)
 class SoftSet:
-    """The rows of a soft set as bounds sign y_f <= limit of the components f of (x, u), in the user's units."""
+    """The rows of a soft set as bounds sign y_f <= limit of the components f of (x, u), in the user's units.
+
+    A row c y_f + d <= e with a price is a bound (e - d)/|c| on y_f with the price times |c|, upper where c > 0. It
+    takes the place of the hard bound of that component, side and time, which must be absent. Where an end fixes the
+    component, the violation is a constant, and its subgradient is the price or zero.
+    """
 
     name: str
     times: Indices  # (groups,)
@@ -49,7 +131,7 @@ class SoftSet:
     limit: Array  # (groups, dim), inf where there is none
     price: Array  # (groups, dim), per unit of y_f
     constant: Mask  # (groups, dim): where an end fixes y_f
-    excess: Array  # (groups, dim), of constant rows
+    violation: Array  # (groups, dim), of constant rows
 
     def multipliers(self, forces: Array, eta_C: float) -> Array:
         """Return the multipliers of the rows from the forces on all components, (T+1, n+m), and subtract theirs there.
@@ -57,7 +139,7 @@ class SoftSet:
         Where no end fixes the component, a force is that of this set alone.
         """
         own = np.maximum(self.sign * forces[self.times[:, None], self.f], 0.0)
-        paid = np.where(self.excess > 0, eta_C * self.price, 0.0)
+        paid = np.where(self.violation > 0, eta_C * self.price, 0.0)
         found = np.where(self.constant, paid, np.where(np.isfinite(self.limit), own, 0.0))
         np.subtract.at(forces, (self.times[:, None], self.f[None]), self.sign * found)
         return sealed(found / self.size)
@@ -77,13 +159,13 @@ def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
     sign, size = np.sign(coefficient), np.abs(coefficient)
     limit = (term.penalty.bounds(shape)[1] - constant) / size
     fixed = np.zeros((len(times), len(f)), dtype=bool)
-    excess = np.zeros(fixed.shape)
+    violation = np.zeros(fixed.shape)
     if term.kind == TermKind.STATE_SET:
         for t, end in zip((0, problem.horizon), problem.ends, strict=True):
             here = times == t
             fixed[here] = end.fixed[f]
-            excess[here] = sign * np.where(end.fixed, end.lower, 0.0)[f] - limit[here]
-    return SoftSet(term.name, times, f, sign, size, limit, weights * size, fixed, excess)
+            violation[here] = sign * np.where(end.fixed, end.lower, 0.0)[f] - limit[here]
+    return SoftSet(term.name, times, f, sign, size, limit, weights * size, fixed, violation)
 
 
 def soft_sets(problem: OptimalControlProblem) -> tuple[SoftSet, ...] | None:
@@ -133,13 +215,14 @@ def priced_bounds(problem: OptimalControlProblem, sets: list[SoftSet] | tuple[So
     return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(*sides, *prices)
 
 
-PRICE_ROUNDING = 1e-9  # part of a price, and of other forces on the component in a ray, that may be rounding
-FIELDS = {TermKind.CONTROL_SPECTRUM: "control_spectrum", TermKind.STATE_SPECTRUM: "state_spectrum"}
-
-
 @dataclass(frozen=True, eq=False)
 class SoftBins:
-    """A given problem, the same with its soft bins removed from the spectra, and the terms that these were."""
+    """A given problem, the same with its soft bins removed from the spectra, and the terms of these bins.
+
+    The penalty is exact: where the price of a bin exceeds its multiplier, the bin is zero. A bound of zero with a price
+    w costs w |uhat_k|, whose subgradients at uhat_k = 0 are all lambda with |lambda| <= w. With these bins removed,
+    rho_k is such a subgradient if |rho_k| <= w: then nothing is gained by opening them.
+    """
 
     given: OptimalControlProblem
     problem: OptimalControlProblem
@@ -205,88 +288,3 @@ def _plain(form: SpectrumForm) -> bool:
 def _pairs(values: ComplexArray) -> Array:
     """Return (Re, Im) of values (bins,), (bins, 2)."""
     return sealed(np.stack([values.real, values.imag], axis=1))
-
-
-AT_THE_END = " at the end"  # suffix of the names of rows on x_T
-
-
-@dataclass(frozen=True, eq=False)
-class RowForm:
-    """A given problem, the problem with its polyhedral sets as joint rows, and the sets that became rows."""
-
-    given: OptimalControlProblem
-    problem: OptimalControlProblem
-    polyhedra: tuple[LinearRows, ...]
-
-    def multipliers(self, found: Multipliers) -> Multipliers:
-        """Return multipliers of the given problem from those of the problem in rows."""
-        if not self.polyhedra:
-            return found
-        eta, stage, T = found.eta.copy(), dict(found.stage), self.given.horizon
-        for rows in self.polyhedra:
-            weights, before = np.zeros(rows.e.shape), rows.times < T
-            if before.any():
-                weights[before] = stage.pop(rows.name)[rows.times[before]]
-            if not before.all():
-                weights[~before] = stage.pop(rows.name + AT_THE_END)[-1:]
-                eta[-1] -= rows.C[0, :, : eta.shape[1]].T @ weights[~before][0]
-            stage[rows.name] = weights
-        return Multipliers(found.eta_C, eta, found.mu, found.nu, found.rho_u, found.rho_x, stage)
-
-
-def row_form(problem: OptimalControlProblem) -> RowForm:
-    """Return the problem with its polyhedral sets as joint rows.
-
-    Unchanged if it has none, or other sets too, or if all are soft sets that bounds can say.
-    """
-    sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
-    found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
-    recursion = problem.dynamics.response(problem.horizon) is None
-    others = len(found) < len(sets) or soft_sets(problem) is not None
-    if others or not recursion or problem.linear.time_varying:
-        return RowForm(problem, problem, ())
-    polyhedra = tuple(rows for rows, _ in found)
-    try:
-        rows = [joint for given, term in found for joint in _stage_rows(problem, given, _price(term))]
-        changed = replace(
-            problem,
-            state_set=problem.state_boxes,
-            control_set=problem.control_tube,
-            initial_state=problem.initial_box,
-            terminal_state=problem.terminal_box,
-            stage_rows=[*problem.stage_rows, *rows],
-        )
-    except ProblemError:  # a row on x_T that no control and no state before it can change
-        return RowForm(problem, problem, ())
-    return RowForm(problem, changed, polyhedra)
-
-
-def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
-    """Return the rows of a polyhedral set that is the same at all its times, with one price; else None."""
-    if term.kind not in SETS or not term.penalty.polyhedral or len(np.unique(term.penalty.weights)) > 1:
-        return None
-    hard = term if term.hard else replace(term, penalty=term.penalty.softened(HARD))
-    rows = hard.polyhedron(problem.state_dim, problem.control_dim)
-    if rows is None or len(rows.C) > 1:
-        return None
-    return rows if len(set(rows.times)) == len(rows.times) else None
-
-
-def _price(term: Term) -> float | None:
-    """Return the price of a unit of excess; None for what must hold."""
-    return None if term.hard else float(np.max(term.penalty.weights))
-
-
-def _stage_rows(problem: OptimalControlProblem, given: LinearRows, price: float | None) -> list[StageRows]:
-    T, n, dynamics = problem.horizon, problem.state_dim, problem.linear
-    before, rows = given.times < T, list[StageRows]()
-    C, D = given.C[0, :, :n], given.C[0, :, n:]
-    if before.any():
-        e = np.full((T, given.e.shape[1]), np.inf)
-        e[given.times[before]] = given.e[before]
-        rows.append(StageRows(C, D, e, given.name, price))
-    if not before.all():
-        e = np.full((T, given.e.shape[1]), np.inf)
-        e[-1] = given.e[~before][0] - C @ dynamics.at(T - 1)[2]
-        rows.append(StageRows(C @ dynamics.A, C @ dynamics.B, e, given.name + AT_THE_END, price))
-    return rows

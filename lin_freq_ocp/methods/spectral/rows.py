@@ -1,15 +1,9 @@
-"""The pointwise rows that hold with equality for now, and how they act on each other (docs/spectral.md, 5).
+"""Pointwise rows: which a point violates, which hold with equality, and how they act on each other.
 
-Which rows a point violates, and which of them enter the working set (docs/spectral.md, 7).
-
-Rows near the working rows, whose values after a step follow from kernels: rounds without FFTs (docs/spectral.md, 7).
-
-Between two evaluations of all signals, the small QP is repeated with the rows that its own step violates.
-
-Rounds on a model of all bounded values, on short horizons: a round then costs little but its FFTs.
-
-With the border eliminated, the values v of all bounded rows at all times are v = v_0 - S mu (docs/spectral.md, 5), with
-S for all of them, and mu their multipliers, positive at upper and negative at lower bounds.
+docs/spectral.md, 5 and 7. Row f at time t is F_f y_t. A round measures all rows by FFTs (Violations) and keeps the few
+that hold with equality for now (WorkingSet). Two classes save FFTs between rounds: on long horizons, kernels give the
+values of rows near the working rows (Neighbourhood); on short ones, the responses of all bounded values are tabulated
+(WholeHorizon).
 """
 
 from __future__ import annotations
@@ -30,141 +24,13 @@ STATE_PEAKS = 40  # violated local maxima of states that enter in one round: sam
 NEARLY_ACTIVE = 0.05  # relative distance inside a control's bound up to which samples enter: arcs grow faster
 SMALL_VIOLATION = 0.3  # largest relative violation with which nearly active samples are significant
 LARGEST_SCALE = 1e3  # largest size, in units of what they bound, that violations are relative to
-ABSENT = -1.0  # excess of a row that cannot be violated
-
-
-class Violations:
-    """Excess over the bounds, relative to them, of every bounded row of F at every time; negative inside.
-
-    ``rows`` are the rows of F with a bound at some time, ``excess`` (bounded, T) is theirs at t < T, ``last`` (n,) that
-    of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations fix: they cannot be violated,
-    nor can saturated rows, which may exceed their bounds.
-    """
-
-    def __init__(self, lti: Lti):
-        self.lti, n = lti, lti.state_dim
-        self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
-        self.lower, self.upper = _select_bounds(lti.lower, self.rows), _select_bounds(lti.upper, self.rows)
-        self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
-        largest = np.zeros(len(lti.F))
-        largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
-        self.free_end = np.isnan(lti.end)
-        ends = np.where(self.free_end, [lti.last_lower, lti.last_upper], 0.0)
-        largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
-        self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
-        self._row_scale = self.scale[self.rows, None]
-        t, f = lti.fixed_points
-        f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
-        t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
-        index = np.full(len(lti.F), -1)
-        index[self.rows] = np.arange(len(self.rows))
-        bounded = index[f] >= 0
-        self.fixed = index[f[bounded]], t[bounded]
-        self.fixed_keys = f * lti.horizon + t
-        self.excess, self.last, self.worst = np.zeros((0, 0)), np.zeros(n), 0.0
-        self._index, none = index, np.zeros(0, dtype=np.intp)
-        self.set_saturated(none, none)
-
-    def set_saturated(self, t: Indices, f: Indices) -> None:
-        """Take the rows f of F at times t, at T of components of x_T, as saturated, and no others."""
-        inner = t < self.lti.horizon
-        self._saturated = self._index[f[inner]], t[inner]
-        self._saturated_last = f[~inner]
-
-    def measure(self, y: Array, last: Array) -> float:
-        """Measure a point, y (n+m, T) and last = x_T; return the worst excess."""
-        return self.measure_values(self.values(y), last)
-
-    def values(self, y: Array) -> Array:
-        """Return F y of the bounded rows, shape (bounded, T)."""
-        return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
-
-    def measure_values(self, values: Array, last: Array) -> float:
-        """Measure what ``values`` returned, and last = x_T; return the worst excess."""
-        lti, n = self.lti, self.lti.state_dim
-        below = self.lower - values
-        self.excess = np.subtract(values, self.upper, out=self.excess if self.excess.size else None)
-        self.above = self.excess >= below
-        np.maximum(self.excess, below, out=self.excess)
-        self.excess /= self._row_scale
-        self.excess[self.fixed] = ABSENT
-        self.excess[self._saturated] = ABSENT
-        over = np.maximum(last - lti.last_upper, lti.last_lower - last) / self.scale[:n]
-        over[self._saturated_last] = ABSENT
-        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > lti.last_upper
-        self.worst = max(float(self.excess.max(initial=ABSENT)), float(self.last.max()))
-        return self.worst
-
-    def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
-        """Return (t, f, sign) of the rows to add: peaks of states, every (nearly) active sample of the others."""
-        i, t = self._chosen_entries(tolerance)
-        ends = np.flatnonzero(self.last > tolerance / 2)
-        sign = np.concatenate([np.where(self.above[i, t], 1.0, -1.0), np.where(self.last_above[ends], 1.0, -1.0)])
-        times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
-        return times, np.concatenate([self.rows[i], ends]), sign
-
-    def chosen(self, tolerance: float) -> tuple[Indices, Array]:
-        """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
-        i, t = self._chosen_entries(tolerance)
-        index, above = i * self.lti.horizon + t, self.above[i, t]
-        if self.free_end.any():
-            ends = np.flatnonzero(self.last > tolerance / 2)
-            index = np.concatenate([index, self.excess.size + ends])
-            above = np.concatenate([above, self.last_above[ends]])
-        return index, np.where(above, 1.0, -1.0)
-
-    def flat_bounds(self) -> tuple[Array, Array]:
-        """Return lower and upper bounds over the same."""
-        lti = self.lti
-        return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
-
-    def flat_prices(self) -> tuple[Array, Array] | None:
-        """Return the prices of lower and upper bounds over the same; None if all are hard."""
-        prices = self.lti.prices
-        if prices is None:
-            return None
-        lower, upper = prices.lower[self.rows], prices.upper[self.rows]
-        return np.append(lower, prices.last_lower), np.append(upper, prices.last_upper)
-
-    def _chosen_entries(self, tolerance: float) -> tuple[Indices, Indices]:
-        """Return (i, t) of the entries of ``excess`` that enter: of states with saturated samples, not only peaks."""
-        threshold = np.where(self.state_rows, tolerance / 2, entering_violation(self.worst, tolerance))
-        i, t = np.nonzero(self.excess > threshold[:, None])
-        states = self.state_rows[i]
-        if len(self._saturated[0]):
-            states &= ~np.isin(i, self._saturated[0])
-        if not states.any():
-            return i, t
-        here, last = self.excess[i, t], self.lti.horizon - 1
-        beside = np.maximum(self.excess[i, np.maximum(t - 1, 0)], self.excess[i, np.minimum(t + 1, last)])
-        peaks = states & (here >= beside)
-        if np.count_nonzero(peaks) > STATE_PEAKS:
-            peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
-        kept = peaks | ~states
-        return i[kept], t[kept]
-
-
-def _select_bounds(bounds: Array, rows: Indices) -> Array:
-    """Return some rows of bounds (rows, T), without memory where they do not depend on time."""
-    if bounds.strides[1] == 0:
-        return np.broadcast_to(bounds[rows, :1], (len(rows), bounds.shape[1]))
-    return bounds[rows]
-
-
-def entering_violation(worst: float, tolerance: float) -> float:
-    """Return the excess from which samples of controls and stage rows enter."""
-    return -min(2 * worst, NEARLY_ACTIVE) if worst < SMALL_VIOLATION else tolerance / 2
-
-
-def _largest_finite(bounds: Array) -> Array:
-    """Return the largest finite |bound| of every row, 0 where there is none; bounds (rows, T)."""
-    if bounds.size and bounds.strides[1] == 0:
-        bounds = bounds[:, :1]
-    return np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(1, initial=0.0)
-
-
+ABSENT = -1.0  # violation of a row that cannot be violated
 LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
 COPIES = 6  # dense matrices of the size of the working set that a small QP has at the same time
+NEIGHBOURHOOD_HORIZON = 10_000  # from which kernels cost less than FFTs
+NEIGHBOURHOOD_WINDOW = 24  # samples on each side of a working row
+MOST_NEIGHBOURS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
+MOST_VALUES = 10_000  # bounded values up to which the border's effect on all of them is computed at once
 
 
 class Rows(NamedTuple):
@@ -189,6 +55,136 @@ def bounded_rows(rows: Rows, lti: Lti) -> Rows:
     kept &= (rows.t > 0) | (rows.f >= lti.state_dim) | np.isnan(lti.start[rows.f % lti.state_dim])
     weights = None if rows.weights is None else rows.weights[kept]
     return Rows(rows.t[kept], rows.f[kept], rows.sign[kept], weights)
+
+
+class Violations:
+    """Violation of the bounds, relative to them, of every bounded row of F at every time; negative inside.
+
+    ``rows`` are the rows of F with a bound at some time, ``violation`` (bounded, T) is theirs at t < T, ``last`` (n,)
+    that of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations fix. Neither these nor
+    saturated rows, whose prices are paid, count as violated.
+    """
+
+    def __init__(self, lti: Lti):
+        self.lti, n = lti, lti.state_dim
+        self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
+        self.lower, self.upper = _select_bounds(lti.lower, self.rows), _select_bounds(lti.upper, self.rows)
+        self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
+        largest = np.zeros(len(lti.F))
+        largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
+        self.free_end = np.isnan(lti.end)
+        ends = np.where(self.free_end, [lti.last_lower, lti.last_upper], 0.0)
+        largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
+        self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
+        self._row_scale = self.scale[self.rows, None]
+        t, f = lti.fixed_points
+        f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
+        t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
+        index = np.full(len(lti.F), -1)
+        index[self.rows] = np.arange(len(self.rows))
+        bounded = index[f] >= 0
+        self.fixed = index[f[bounded]], t[bounded]
+        self.fixed_keys = f * lti.horizon + t
+        self.violation, self.last, self.worst = np.zeros((0, 0)), np.zeros(n), 0.0
+        self._index, none = index, np.zeros(0, dtype=np.intp)
+        self.set_saturated(none, none)
+
+    def set_saturated(self, t: Indices, f: Indices) -> None:
+        """Take the rows f of F at times t, at T of components of x_T, as saturated, and no others."""
+        inner = t < self.lti.horizon
+        self._saturated = self._index[f[inner]], t[inner]
+        self._saturated_last = f[~inner]
+
+    def measure(self, y: Array, last: Array) -> float:
+        """Measure a point, y (n+m, T) and last = x_T; return the worst violation."""
+        return self.measure_values(self.values(y), last)
+
+    def values(self, y: Array) -> Array:
+        """Return F y of the bounded rows, shape (bounded, T)."""
+        return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
+
+    def measure_values(self, values: Array, last: Array) -> float:
+        """Measure what ``values`` returned, and last = x_T; return the worst violation."""
+        lti, n = self.lti, self.lti.state_dim
+        below = self.lower - values
+        self.violation = np.subtract(values, self.upper, out=self.violation if self.violation.size else None)
+        self.above = self.violation >= below
+        np.maximum(self.violation, below, out=self.violation)
+        self.violation /= self._row_scale
+        self.violation[self.fixed] = ABSENT
+        self.violation[self._saturated] = ABSENT
+        over = np.maximum(last - lti.last_upper, lti.last_lower - last) / self.scale[:n]
+        over[self._saturated_last] = ABSENT
+        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > lti.last_upper
+        self.worst = max(float(self.violation.max(initial=ABSENT)), float(self.last.max()))
+        return self.worst
+
+    def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
+        """Return (t, f, sign) of the rows to add: peaks of states, every (nearly) active sample of the others."""
+        i, t = self._chosen_entries(tolerance)
+        ends = np.flatnonzero(self.last > tolerance / 2)
+        sign = np.concatenate([np.where(self.above[i, t], 1.0, -1.0), np.where(self.last_above[ends], 1.0, -1.0)])
+        times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
+        return times, np.concatenate([self.rows[i], ends]), sign
+
+    def chosen(self, tolerance: float) -> tuple[Indices, Array]:
+        """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
+        i, t = self._chosen_entries(tolerance)
+        index, above = i * self.lti.horizon + t, self.above[i, t]
+        if self.free_end.any():
+            ends = np.flatnonzero(self.last > tolerance / 2)
+            index = np.concatenate([index, self.violation.size + ends])
+            above = np.concatenate([above, self.last_above[ends]])
+        return index, np.where(above, 1.0, -1.0)
+
+    def flat_bounds(self) -> tuple[Array, Array]:
+        """Return lower and upper bounds over the same."""
+        lti = self.lti
+        return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
+
+    def flat_prices(self) -> tuple[Array, Array] | None:
+        """Return the prices of lower and upper bounds over the same; None if all are hard."""
+        prices = self.lti.prices
+        if prices is None:
+            return None
+        lower, upper = prices.lower[self.rows], prices.upper[self.rows]
+        return np.append(lower, prices.last_lower), np.append(upper, prices.last_upper)
+
+    def _chosen_entries(self, tolerance: float) -> tuple[Indices, Indices]:
+        """Return (i, t) of the entries of ``violation`` that enter; states with saturated samples: not only peaks."""
+        threshold = np.where(self.state_rows, tolerance / 2, entering_violation(self.worst, tolerance))
+        i, t = np.nonzero(self.violation > threshold[:, None])
+        states = self.state_rows[i]
+        if len(self._saturated[0]):
+            states &= ~np.isin(i, self._saturated[0])
+        if not states.any():
+            return i, t
+        here, last = self.violation[i, t], self.lti.horizon - 1
+        beside = np.maximum(self.violation[i, np.maximum(t - 1, 0)], self.violation[i, np.minimum(t + 1, last)])
+        peaks = states & (here >= beside)
+        if np.count_nonzero(peaks) > STATE_PEAKS:
+            peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
+        kept = peaks | ~states
+        return i[kept], t[kept]
+
+
+def entering_violation(worst: float, tolerance: float) -> float:
+    """Return the violation from which samples of controls and stage rows enter."""
+    return -min(2 * worst, NEARLY_ACTIVE) if worst < SMALL_VIOLATION else tolerance / 2
+
+
+def _select_bounds(bounds: Array, rows: Indices) -> Array:
+    """Return some rows of bounds (rows, T), without memory where they do not depend on time."""
+    if bounds.strides[1] == 0:
+        return np.broadcast_to(bounds[rows, :1], (len(rows), bounds.shape[1]))
+    return bounds[rows]
+
+
+def _largest_finite(bounds: Array) -> Array:
+    """Return the largest finite |bound| of every row, 0 where there is none; bounds (rows, T)."""
+    if bounds.size and bounds.strides[1] == 0:
+        bounds = bounds[:, :1]
+    return np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(1, initial=0.0)
 
 
 class WorkingSet:
@@ -334,9 +330,15 @@ class WorkingSet:
         return result * sign
 
 
-NEIGHBOURHOOD_HORIZON = 10_000  # from which kernels cost less than FFTs
-NEIGHBOURHOOD_WINDOW = 24  # samples on each side of a working row
-MOST_NEIGHBOURS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
+def neighbourhood_of(border: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
+    """Return the samples around the working rows; None if there are none, many or soft, or the horizon is short."""
+    T, inner = violations.lti.horizon, working.inner
+    if T < NEIGHBOURHOOD_HORIZON or violations.lti.prices is not None:
+        return None
+    window = np.arange(-NEIGHBOURHOOD_WINDOW, NEIGHBOURHOOD_WINDOW + 1)
+    times = (working.t[inner, None] + window).clip(0, T - 1)
+    keys = np.unique((working.f[inner, None] * T + times).ravel())
+    return Neighbourhood(border, violations, keys % T, keys // T) if 0 < len(keys) <= MOST_NEIGHBOURS else None
 
 
 class Neighbourhood:
@@ -362,36 +364,32 @@ class Neighbourhood:
         acting = np.flatnonzero(inner & (change != 0))
         values -= border.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
         above, below = values - self._upper, self._lower - values
-        excess = np.maximum(above, below) / self._scale
-        chosen = np.flatnonzero(self._selected(excess, tolerance))
+        violation = np.maximum(above, below) / self._scale
+        chosen = np.flatnonzero(self._selected(violation, tolerance))
         return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
 
-    def _selected(self, excess: Array, tolerance: float) -> Mask:
+    def _selected(self, violation: Array, tolerance: float) -> Mask:
         """Return violated peaks of states, and violated or nearly active samples of the others."""
-        worst = float(excess.max(initial=0.0))
+        worst = float(violation.max(initial=0.0))
         if worst <= tolerance:
-            return np.zeros(len(excess), dtype=bool)
-        chosen = excess > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
+            return np.zeros(len(violation), dtype=bool)
+        chosen = violation > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
         if self._is_state.any():
             follows = np.append(False, (np.diff(self.t) == 1) & (np.diff(self.f) == 0))
-            rises = np.append(True, np.diff(excess) >= 0) | ~follows
-            falls = np.append(np.append(True, np.diff(excess) <= 0)[1:], True) | ~np.append(follows[1:], False)
+            rises = np.append(True, np.diff(violation) >= 0) | ~follows
+            falls = np.append(np.append(True, np.diff(violation) <= 0)[1:], True) | ~np.append(follows[1:], False)
             chosen &= ~self._is_state | (rises & falls)
         return chosen
 
 
-def neighbourhood_of(border: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
-    """Return the samples around the working rows; None if there are none, many or soft, or the horizon is short."""
-    T, inner = violations.lti.horizon, working.inner
-    if T < NEIGHBOURHOOD_HORIZON or violations.lti.prices is not None:
-        return None
-    window = np.arange(-NEIGHBOURHOOD_WINDOW, NEIGHBOURHOOD_WINDOW + 1)
-    times = (working.t[inner, None] + window).clip(0, T - 1)
-    keys = np.unique((working.f[inner, None] * T + times).ravel())
-    return Neighbourhood(border, violations, keys % T, keys // T) if 0 < len(keys) <= MOST_NEIGHBOURS else None
+class ActiveSetDuals(NamedTuple):
+    """Values with multipliers: flat indices, signs as in Rows, weights >= 0 (undefined if not ``accurate``)."""
 
-
-MOST_VALUES = 10_000  # bounded values up to which the border's effect on all of them is computed at once
+    indices: Indices
+    sign: Array
+    weights: Array
+    rounds: int = 0
+    accurate: bool = True
 
 
 class WholeHorizon:
@@ -469,13 +467,3 @@ class WholeHorizon:
         values = (self.through[:, index] @ mu) @ self.coupling
         values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self._border.lti.horizon).ravel()
         return values
-
-
-class ActiveSetDuals(NamedTuple):
-    """Values with multipliers: flat indices, signs as in Rows, weights >= 0 (undefined if not ``accurate``)."""
-
-    indices: Indices
-    sign: Array
-    weights: Array
-    rounds: int = 0
-    accurate: bool = True

@@ -1,12 +1,12 @@
-"""All y_k = (x_k, u_k) that the dynamics and the stop bands allow at each bin (docs/spectral.md, 2 and 3).
+"""All y_k = (x_k, u_k) that the dynamics and the stop bands allow at each bin (docs/spectral.md, 2, 3 and 5).
 
     F_k y_k = z w + d_k,  F_k = [zI - A, -B_allowed]   <=>   y_k = N_k v_k + (particular response to z w + d_k) + border
 
 N_k spans the regular part of the null space of F_k, with N_k^* M N_k = I. The particular response P_k is M-orthogonal
 to it. Far from eigenvalues of A, N = [(zI - A)^{-1} B; I]; near them both come from a singular value decomposition
-of F_k, and directions of small cost or of small singular values become border directions, one complex unknown each.
-
-Circulant kernels: how a unit force on one row at one time moves another row at another (docs/spectral.md, 5).
+of F_k, and directions of small cost or of small singular values become bordering directions, one complex unknown each.
+The inverse transform of F_f N N^* F_g' is a circulant kernel: how a unit force on row g moves row f, by their distance
+in time.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
 
 MOST_BORDER = 128  # directions of small cost beyond which only the smallest become border unknowns: they are dense
+SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
 
 
 class Resolvent:
@@ -278,9 +279,6 @@ def _flat() -> UnsupportedError:
         "method 'spectral': the cost does not see some direction that the bands allow (R singular); "
         "give every control a cost, or use method 'convex'."
     )
-
-
-SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
 
 
 class Kernels:

@@ -1,15 +1,7 @@
-"""What a solve needs, once per problem (Structure) and once per set of data (Data); docs/spectral.md, 1 to 5.
+"""What a solve needs: of the problem (Structure), and of its ends, linear terms, offsets and bounds (Data).
 
-Proofs of infeasibility: multipliers of rows and equations that no trajectory can satisfy (docs/spectral.md, 10).
-
-A ray (l >= 0, y), with l = 0 on soft rows, proves it if forces G'l + E'y move nothing (N^* ghat = 0, and no slope in
-theta) and the constraints, weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at any point c
-that satisfies the dynamics.
-
-A problem between other ends: what a solve begins with, as affine functions of the fixed end components.
-
-With p = (x_0, x_T) where they are fixed, the spectrum without forces, the right-hand sides of the bordered system, and
-all bounded values without multipliers are (value at p = 0) + (one response per component) p: no bin is solved again.
+From both follow the optimal point for given bordering unknowns and forces, its defect in the equations, rays that prove
+data infeasible, and the same data between other ends (docs/spectral.md, 1 to 5 and 10).
 """
 
 from __future__ import annotations
@@ -32,6 +24,8 @@ from lin_freq_ocp.methods.spectral.rows import MOST_VALUES, Violations, WholeHor
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, Kernels
 
 TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
+MOST_TABULATED = 2500  # bounded values of which all responses are tabulated: 50 MB, in 0.1 s
+KEPT_RAYS = 8  # of infeasible problems between other ends
 
 
 class Structure:
@@ -114,23 +108,6 @@ def data_of(structure: Structure, lti: Lti) -> Data:
     return Data(lti, base, linear, h, border.right_hand_side(lti, jump))
 
 
-class UnconstrainedPoint(NamedTuple):
-    """The point without working rows: theta and multipliers of the equations together, and all bounded values."""
-
-    step: Array
-    values: Array
-
-
-def unconstrained_point(
-    structure: Structure, data: Data, violations: Violations, whole: WholeHorizon
-) -> UnconstrainedPoint:
-    """Return the point without working rows, to the accuracy of K_b."""
-    theta = np.zeros(structure.border.size)
-    at, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
-    step = structure.border.inverse @ np.concatenate([-data.h, equation_residual(structure, data, theta, at)])
-    return UnconstrainedPoint(step, np.append(violations.values(at.y), at.last) + step @ whole.coupling)
-
-
 @dataclass(frozen=True, eq=False)
 class Signals:
     """A point: it satisfies the dynamics and the control bands to rounding."""
@@ -197,12 +174,58 @@ def equation_residual(structure: Structure, data: Data, theta: Array, at: Signal
     return residual
 
 
+class UnconstrainedPoint(NamedTuple):
+    """The point without working rows: theta and multipliers of the equations together, and all bounded values."""
+
+    step: Array
+    values: Array
+
+
+def unconstrained_point(
+    structure: Structure, data: Data, violations: Violations, whole: WholeHorizon
+) -> UnconstrainedPoint:
+    """Return the point without working rows, to the accuracy of K_b."""
+    theta = np.zeros(structure.border.size)
+    at, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
+    step = structure.border.inverse @ np.concatenate([-data.h, equation_residual(structure, data, theta, at)])
+    return UnconstrainedPoint(step, np.append(violations.values(at.y), at.last) + step @ whole.coupling)
+
+
+def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Array]:
+    """Return the point c without forces, and the residual of the equations there."""
+    theta = np.zeros(structure.border.size)
+    c, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
+    return c, equation_residual(structure, data, theta, c)
+
+
 @dataclass(frozen=True, eq=False)
 class Ray:
-    """A Farkas ray, verified within this method: weights of the working rows, and multipliers of the equations."""
+    """A Farkas ray, verified within this method: weights l of the working rows, and multipliers y of the equations.
+
+    A ray (l >= 0, y), with l = 0 on soft rows, proves infeasibility if forces G'l + E'y move nothing (N^* ghat = 0, and
+    no slope in theta) and the constraints, weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at
+    any point c that satisfies the dynamics.
+    """
 
     working: WorkingSet
     multipliers: Array
+
+
+def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
+    """Return the ray if it proves that these data are infeasible."""
+    border, lti = structure.border, data.lti
+    force, _ = forces(structure, lti, y, working)
+    size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
+    moved = sum(np.conj(structure.spaces.N[i]) * force[i] for i in range(len(lti.M)))
+    stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size)
+    slope = np.abs(border.E.T @ y + working.coupling[: border.size] @ working.weights).max(initial=0.0)
+    stationarity = max(stationarity, float(slope) / size)
+    c, residual = _point_without_forces(structure, data)
+    limits = working.limits(lti)
+    value = float(working.weights @ (limits - working.values(c.y, c.last)) + y @ residual)
+    terms = float(working.weights @ np.abs(limits) + np.abs(y) @ np.abs(data.e)) + 1e-300
+    proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
+    return Ray(working, y) if proven else None
 
 
 def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | None:
@@ -260,37 +283,22 @@ def regularised_ray(
     return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
 
 
-def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
-    """Return the ray if it proves that these data are infeasible."""
-    border, lti = structure.border, data.lti
-    force, _ = forces(structure, lti, y, working)
-    size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
-    moved = sum(np.conj(structure.spaces.N[i]) * force[i] for i in range(len(lti.M)))
-    stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size)
-    slope = np.abs(border.E.T @ y + working.coupling[: border.size] @ working.weights).max(initial=0.0)
-    stationarity = max(stationarity, float(slope) / size)
-    c, residual = _point_without_forces(structure, data)
-    limits = working.limits(lti)
-    value = float(working.weights @ (limits - working.values(c.y, c.last)) + y @ residual)
-    terms = float(working.weights @ np.abs(limits) + np.abs(y) @ np.abs(data.e)) + 1e-300
-    proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
-    return Ray(working, y) if proven else None
-
-
-def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Array]:
-    """Return the point c without forces, and the residual of the equations there."""
-    theta = np.zeros(structure.border.size)
-    c, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
-    return c, equation_residual(structure, data, theta, c)
-
-
-MOST_TABULATED = 2500  # bounded values of which all responses are tabulated: 50 MB, in 0.1 s
-
-KEPT_RAYS = 8  # of infeasible problems between other ends
+def ends_model(structure: Structure, lti: Lti) -> EndsModel | None:
+    """Return the model, or None where x_0 has free components, or values are many."""
+    violations = Violations(lti)
+    if np.isnan(lti.start).any() or len(violations.rows) * lti.horizon > MOST_TABULATED:
+        return None
+    whole = structure.whole_horizon(violations.rows)
+    return None if whole is None else EndsModel(structure, lti, violations, whole)
 
 
 class EndsModel:
-    """Data and unforced values for any fixed ends of ``lti``; its bounds are measured by ``violations``."""
+    """Data and unconstrained points for any fixed ends of ``lti``; its bounds are measured by ``violations``.
+
+    With p = (x_0, x_T) where they are fixed, the spectrum without forces, the right-hand sides of the bordered system,
+    and all bounded values without multipliers are affine in p: (value at p = 0) + (one response per component) p. No
+    bin is solved again.
+    """
 
     def __init__(self, structure: Structure, lti: Lti, violations: Violations, whole: WholeHorizon):
         self.lti, self.violations, self.whole, self._structure = lti, violations, whole, structure
@@ -352,15 +360,6 @@ class EndsModel:
         rows = ray.working
         index = self.whole.flat_indices(rows.t, rows.f)
         return float(rows.weights @ (rows.limits(self.lti) - rows.sign * values[index])) < 0
-
-
-def ends_model(structure: Structure, lti: Lti) -> EndsModel | None:
-    """Return the model, or None where x_0 has free components, or values are many."""
-    violations = Violations(lti)
-    if np.isnan(lti.start).any() or len(violations.rows) * lti.horizon > MOST_TABULATED:
-        return None
-    whole = structure.whole_horizon(violations.rows)
-    return None if whole is None else EndsModel(structure, lti, violations, whole)
 
 
 def _affine(values: Sequence[Array]) -> Array:

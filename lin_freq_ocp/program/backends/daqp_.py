@@ -111,7 +111,7 @@ def _dense(program: Program, rows: SingleBounds, curvature: float) -> _Dense | N
     A, shift = rows.A.toarray()[:, free], rows.A @ fixed
     lower, upper = rows.lower - shift, rows.upper - shift
     empty = ~A.any(axis=1)
-    if rows.excess > EXCLUDED or (np.maximum(lower, -upper)[empty] > EXCLUDED).any():
+    if rows.violation > EXCLUDED or (np.maximum(lower, -upper)[empty] > EXCLUDED).any():
         return None
     added, binaries = _regularisation(program), program.binaries
     hessian, gradient = program.P.toarray() + np.diag(added), program.q.copy()

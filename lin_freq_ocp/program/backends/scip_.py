@@ -56,7 +56,7 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     """Solve; the best point found is returned also when a limit or Ctrl-C ended the search."""
     started = now()
     rows = program.single_bounds()
-    if rows.excess > EXCLUDED:
+    if rows.violation > EXCLUDED:
         return NO_POINT
     model, variables = convex_model(program, rows)
     set_objective(model, program, variables)
