@@ -133,17 +133,15 @@ def _other_attempts(solves: Solves, natural: Scaling) -> list[Callable[[Attempt]
     """Return further solves, each from the best attempt so far."""
     transcription = solves.transcription
     ways: list[Callable[[Attempt], Attempt]] = [
-        lambda best: solves.attempt(_of_point(transcription, best, natural, per_time=True)),
+        lambda best: solves.attempt(
+            natural if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time=True)
+        ),
         lambda best: solves.attempt(stated_scaling(transcription)),
         lambda best: solves.attempt(plain_scaling(transcription)),
     ]
     if solves.asked > DEFAULT_TOLERANCE:
         ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
     return ways
-
-
-def _of_point(transcription: LinearTranscription, best: Attempt, natural: Scaling, per_time: bool) -> Scaling:
-    return natural if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
 
 
 def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candidate]:

@@ -325,14 +325,12 @@ class Exchange:
 
     def _cost(self) -> float:
         if self._known_cost is None:
-            self._known_cost = self._computed_cost()
+            lti, at = self.data.lti, self.signals
+            last = 0.5 * at.last @ lti.P @ at.last + lti.p @ at.last
+            linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))
+            stages = 0.5 * np.einsum("it,it->", lti.M @ at.y, at.y)
+            self._known_cost = float(stages + linear + last) + lti.constant
         return self._known_cost
-
-    def _computed_cost(self) -> float:
-        lti, at = self.data.lti, self.signals
-        last = 0.5 * at.last @ lti.P @ at.last + lti.p @ at.last
-        linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))
-        return float(0.5 * np.einsum("it,it->", lti.M @ at.y, at.y) + linear + last) + lti.constant
 
     def _cost_size(self) -> float:
         """Return what differences in cost are relative to."""

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import matrix_balance
+from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign
 from lin_freq_ocp.base.errors import UnsupportedError
@@ -207,7 +208,8 @@ def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
     states oscillate against each other. In such units A would be nearly defective.
     """
     sizes = stated.copy()
-    for mine in _coupled_groups(A):
+    count, group = connected_components(A != 0, connection="strong")
+    for mine in (np.flatnonzero(group == i) for i in range(count)):
         coupling = A[np.ix_(mine, mine)] * ~np.eye(len(mine), dtype=bool)
         balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
         known, ratio = given[mine], sizes[mine] / balanced
@@ -215,15 +217,6 @@ def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
         wrong = np.abs(np.log(ratio / level)) > np.log(tol.MUCH_LARGER)
         sizes[mine] = np.where(wrong & ~known, level * balanced, sizes[mine])
     return sizes
-
-
-def _coupled_groups(A: Array) -> list[Indices]:
-    """Return the strongly connected components of the graph of A."""
-    reached = (A != 0) | np.eye(len(A), dtype=bool)
-    for _ in range(len(A).bit_length()):
-        reached = reached @ reached
-    mutual = reached & reached.T
-    return [np.flatnonzero(row) for i, row in enumerate(mutual) if np.argmax(row) == i]
 
 
 def _control_sizes(tube: Box, stated: Array) -> Array:
@@ -255,7 +248,12 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     x, u = units.x, units.u
-    A, B, d, response = dynamics_of(problem)
+    found = problem.dynamics.response(T)
+    if found is None:
+        A, B, d, response = problem.linear.A, problem.linear.B, problem.linear.offset, None
+    else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion
+        lead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
+        A, B, d, response = np.zeros((n, n)), np.zeros((n, len(u))), found.base[1:], lead * np.moveaxis(found.G, 0, -1)
     y = np.concatenate([x, u])
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]
@@ -271,6 +269,8 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         last_lower, last_upper = np.full(n, -np.inf), np.full(n, np.inf)
     start, end = (_fixed_values(box) / x for box in problem.ends)
     p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
+    referred = cost.x_ref.any() or cost.u_ref.any()
+    constant = cost.value(np.zeros((T + 1, n)), np.zeros((T, len(u)))) if referred else 0.0
     return Lti(
         A=A * x / x[:, None],
         B=B * u / x[:, None],
@@ -289,22 +289,11 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         upper=upper,
         last_lower=last_lower,
         last_upper=last_upper,
-        constant=_cost_at_zero(problem) / units.cost,
+        constant=constant / units.cost,
         prices=prices,
         periodic=periodic,
         response=None if response is None else response * (u / x[:, None])[:, :, None],
     )
-
-
-def dynamics_of(problem: OptimalControlProblem) -> tuple[Array, Array, Array, ComplexArray | None]:
-    """Return A, B, d, and the response of x_{t+1} at every bin where there is no recursion, (n, m, bins)."""
-    T = problem.horizon
-    found = problem.dynamics.response(T)
-    if found is None:
-        return problem.linear.A, problem.linear.B, problem.linear.offset, None
-    n, m = problem.state_dim, problem.control_dim
-    ahead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
-    return np.zeros((n, n)), np.zeros((n, m)), found.base[1:], ahead * np.moveaxis(found.G, 0, -1)
 
 
 def _linear_terms(problem: OptimalControlProblem) -> Array | None:
@@ -318,15 +307,6 @@ def _linear_terms(problem: OptimalControlProblem) -> Array | None:
         return None
     times = max(len(in_x), len(in_u))
     return np.vstack([np.broadcast_to(part.T, (part.shape[1], times)) for part in (in_x, in_u)])
-
-
-def _cost_at_zero(problem: OptimalControlProblem) -> float:
-    cost = problem.quadratic
-    if not (cost.x_ref.any() or cost.u_ref.any()):
-        return 0.0
-    return cost.value(
-        np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
-    )
 
 
 def _bounds(problem: OptimalControlProblem, units: Units) -> tuple[Array, Array]:

@@ -68,7 +68,10 @@ def recover(structure: Structure, data: Data, outcome: Outcome, spectrum: Comple
         working, y, eta_C = ray.working, ray.multipliers, 0.0
         gradient, _ = forces(structure, lti, y, working)
     eta_hat = _adjoint_spectrum(structure, y, gradient)
-    band = _through_controls(lti, eta_hat) - gradient[n:]
+    through_controls = (
+        lti.B.T @ eta_hat if lti.response is None else np.einsum("imk,ik->mk", lti.response.conj(), eta_hat)
+    )
+    band = through_controls - gradient[n:]
     stationarity = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon
     band[lti.passed] = 0.0
     eta, on_rows = fft.irfft(eta_hat, lti.horizon), _row_multipliers(structure, working, y)
@@ -79,11 +82,6 @@ def recover(structure: Structure, data: Data, outcome: Outcome, spectrum: Comple
     found = Recovered(eta_C, eta, on_rows, band, stationarity, rho_x)
     _set_ends(border, lti, outcome, found, on_bands)
     return found
-
-
-def _through_controls(lti: Lti, eta: ComplexArray) -> ComplexArray:
-    """Return B'eta at every bin, (m, bins)."""
-    return lti.B.T @ eta if lti.response is None else np.einsum("imk,ik->mk", lti.response.conj(), eta)
 
 
 def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) -> ComplexArray:

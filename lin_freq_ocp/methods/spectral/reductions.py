@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, sealed
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, sealed
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.problem.terms.maps import SpectrumForm
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
@@ -69,7 +68,12 @@ def row_form(problem: OptimalControlProblem) -> RowForm:
         return RowForm(problem, problem, ())
     polyhedra = tuple(rows for rows, _ in found)
     try:
-        rows = [joint for given, term in found for joint in _stage_rows(problem, given, _price(term))]
+        prices = [None if term.hard else float(np.max(term.penalty.weights)) for _, term in found]
+        rows = [
+            joint
+            for (given, _), price in zip(found, prices, strict=True)
+            for joint in _stage_rows(problem, given, price)
+        ]
         changed = replace(
             problem,
             state_set=problem.state_boxes,
@@ -94,12 +98,8 @@ def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None
     return rows if len(set(rows.times)) == len(rows.times) else None
 
 
-def _price(term: Term) -> float | None:
-    """Return the price of a unit of violation; None for what must hold."""
-    return None if term.hard else float(np.max(term.penalty.weights))
-
-
 def _stage_rows(problem: OptimalControlProblem, given: LinearRows, price: float | None) -> list[StageRows]:
+    """Return the joint rows of a polyhedral set, with the price of a unit of violation; None for a hard set."""
     T, n, dynamics = problem.horizon, problem.state_dim, problem.linear
     before, rows = given.times < T, list[StageRows]()
     C, D = given.C[0, :, :n], given.C[0, :, n:]
@@ -250,7 +250,8 @@ class SoftBins:
                     "takes soft bins whose price keeps them zero. Use method 'structured'."
                 )
             forces[bins, component] -= own
-            stage[term.name] = _pairs(own if found.eta_C else np.zeros_like(own))
+            paid = own if found.eta_C else np.zeros_like(own)
+            stage[term.name] = sealed(np.stack([paid.real, paid.imag], axis=1))
         rho_u, rho_x = (sealed(forces) for forces, *_ in rho.values())
         return Multipliers(found.eta_C, found.eta, found.mu, found.nu, rho_u, rho_x, stage)
 
@@ -274,17 +275,7 @@ def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
     if term.kind not in FIELDS or term.hard:
         return False
     form = term.map.spectrum_form(problem.state_dim, problem.control_dim)
-    return form is not None and term.shape == (len(form.bins), 2) and _plain(form) and not term.penalty.sizes().any()
-
-
-def _plain(form: SpectrumForm) -> bool:
-    return (
-        form.points == len(form.window)
-        and bool((form.window == 1).all())
-        and bool((form.row[form.row != 0] == 1).all())
-    )
-
-
-def _pairs(values: ComplexArray) -> Array:
-    """Return (Re, Im) of values (bins,), (bins, 2)."""
-    return sealed(np.stack([values.real, values.imag], axis=1))
+    if form is None or term.shape != (len(form.bins), 2) or form.points != len(form.window):
+        return False
+    plain = (form.window == 1).all() and (form.row[form.row != 0] == 1).all()
+    return bool(plain) and not term.penalty.sizes().any()

@@ -11,7 +11,6 @@ in time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -84,8 +83,11 @@ class NearBins:
         self.null = np.zeros((len(k), n + m, m), dtype=np.complex128)
         self.cost = np.full((len(k), m), np.inf)
         real = (k == 0) | (2 * k == lti.horizon)
-        for which, passed, is_real in _equal_groups(np.vstack([lti.passed[:, k], real])):
-            self._decompose(lti, which, passed, z[k[which]].real if is_real else z[k[which]])
+        # bins that share a mask of passed controls are decomposed at once, in real arithmetic where z is real
+        masks, mask_of = np.unique(np.vstack([lti.passed[:, k], real]), axis=1, return_inverse=True)
+        for i, (*passed, is_real) in enumerate(masks.T):
+            which = np.flatnonzero(mask_of.ravel() == i)
+            self._decompose(lti, which, np.array(passed), z[k[which]].real if is_real else z[k[which]])
         largest = np.maximum(1.0, self.sigma[:, :1])
         self.sigma[self.sigma < tol.ZERO_SINGULAR_VALUE * largest] = 0.0
         resolved = lti.horizon * distance[k, None] > tol.RESOLVED_PHASE
@@ -93,7 +95,7 @@ class NearBins:
         self._inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.good)
 
     def _decompose(self, lti: Lti, which: Indices, passed: Mask, z: Array | ComplexArray) -> None:
-        """Fill in bins that share a passed mask, in real arithmetic where z is real."""
+        """Fill in bins that share a mask of passed controls."""
         n = lti.state_dim
         allowed = np.concatenate([np.ones(n, dtype=bool), passed])
         F = z[:, None, None] * np.eye(n, len(lti.M)) - np.hstack([lti.A, lti.B])
@@ -119,15 +121,6 @@ class NearBins:
         return np.einsum("kij,kj->ik", self.left, projected)
 
 
-def _equal_groups(labels: Mask) -> Iterator[tuple[Indices, Mask, bool]]:
-    """Yield (bins, mask, real) of the bins that share a column of labels, a mask of passed controls above ``real``."""
-    groups: dict[bytes, list[int]] = {}
-    for i, label in enumerate(labels.T):
-        groups.setdefault(label.tobytes(), []).append(i)
-    for group in groups.values():
-        yield np.array(group), labels[:-1, group[0]], bool(labels[-1, group[0]])
-
-
 @dataclass(frozen=True, eq=False)
 class Singular:
     """A compatibility equation sigma xi = L^*(z w + d_k), xi the coefficient of border direction ``direction``."""
@@ -151,7 +144,9 @@ class BinSpaces:
         self.z = np.exp(2j * np.pi * bins / lti.horizon)
         self.weight = np.where((bins == 0) | (2 * bins == lti.horizon), 1.0, 2.0)
         self.resolvent = Resolvent(lti.A)
-        distance = self._distance()
+        distance = np.full(len(self.z), np.inf)  # to the nearest eigenvalue
+        for eigenvalue in self.resolvent.eigenvalues:
+            np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
         close = np.flatnonzero(distance < tol.NEAR_RADIUS)
         with np.errstate(all="ignore"):
             size = self.resolvent.size(self.z[close])
@@ -159,13 +154,6 @@ class BinSpaces:
         self.N = self._far_null_spaces()
         self.singular: list[Singular] = []
         self._set_border()
-
-    def _distance(self) -> Array:
-        """Return the distance of each bin to the nearest eigenvalue of A, (bins,)."""
-        distance = np.full(len(self.z), np.inf)
-        for eigenvalue in self.resolvent.eigenvalues:
-            np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
-        return distance
 
     def _far_null_spaces(self) -> ComplexArray:
         """Return N normalised at far bins, zero at near ones."""
@@ -189,14 +177,27 @@ class BinSpaces:
         if m == 1:  # several are checked below
             unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
             if (H[:, 0, 0].real <= unseen)[passed[0]].any():
-                raise _flat()
+                raise _flat_cost()
         H[:, np.arange(m), np.arange(m)] += ~passed.T
-        return _inverse_factor(H)
+        sizes = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
+        if not (sizes > 0).all():
+            raise _flat_cost()
+        if m == 1:
+            return np.asarray(1 / sizes[:, :, None], dtype=np.complex128)
+        try:
+            factor = np.linalg.cholesky(H / (sizes[:, :, None] * sizes[:, None]))
+        except np.linalg.LinAlgError:
+            raise _flat_cost() from None
+        if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
+            raise _flat_cost()
+        return np.asarray(np.linalg.inv(factor) / sizes[:, None], dtype=np.complex128)
 
     def _set_border(self) -> None:
         """Choose the border directions among those of the near bins, and complete N by the others."""
-        near = self.near
-        regular = near.cost > self._border_threshold()
+        near, unit = self.near, self.lti.curvature_unit
+        costs = near.cost[np.isfinite(near.cost)]
+        smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf
+        regular = near.cost > unit * max(tol.LEAST_HESSIAN, min(tol.SMALL_HESSIAN, smallest / unit))
         scaled = near.null / np.sqrt(np.where(regular, near.cost, np.inf))[:, None, :]
         self.N[:, :, near.k] = scaled.transpose(1, 2, 0)
         small, column = np.nonzero(~regular)
@@ -208,12 +209,6 @@ class BinSpaces:
         at = self.N[:, :, self.border_bin]
         seen = np.einsum("iak,ik->ak", at.conj(), self.lti.M @ border)
         self.border_vector: ComplexArray = border - np.einsum("iak,ak->ik", at, seen)
-
-    def _border_threshold(self) -> float:
-        costs = self.near.cost[np.isfinite(self.near.cost)]
-        unit = self.lti.curvature_unit
-        smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf
-        return unit * max(tol.LEAST_HESSIAN, min(tol.SMALL_HESSIAN, smallest / unit))
 
     @cached_property
     def adjoint_map(self) -> ComplexArray:
@@ -258,23 +253,7 @@ class BinSpaces:
                 row -= response * v
 
 
-def _inverse_factor(H: ComplexArray) -> ComplexArray:
-    """Return L^{-1} with H = L L^*, per bin, (bins, m, m)."""
-    units = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
-    if not (units > 0).all():
-        raise _flat()
-    if H.shape[1] == 1:
-        return np.asarray(1 / units[:, :, None], dtype=np.complex128)
-    try:
-        factor = np.linalg.cholesky(H / (units[:, :, None] * units[:, None]))
-    except np.linalg.LinAlgError:
-        raise _flat() from None
-    if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
-        raise _flat()
-    return np.asarray(np.linalg.inv(factor) / units[:, None], dtype=np.complex128)
-
-
-def _flat() -> UnsupportedError:
+def _flat_cost() -> UnsupportedError:
     return UnsupportedError(
         "method 'spectral': the cost does not see some direction that the bands allow (R singular); "
         "give every control a cost, or use method 'convex'."
