@@ -149,7 +149,7 @@ def draw_kernels(ax: Axes, structure: Structure, solution: lfo.solvers.SpectralS
         "K / largest |K|",
         [Note("what a unit force on u at s takes away at t; dots: entries of the QP")],
     )
-    T = structure.border.lti.horizon
+    T = structure.kkt.lti.horizon
     lag = np.arange(-T // 2, T // 2 + 1)
     on_force = solution.active.t[solution.active.f == FORCE]
     styles = ((POSITION, STATE, "s", (0, (5, 1.6))), (FORCE, CONTROL, "o", "solid"))

@@ -24,7 +24,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
 from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Solution
-from lin_freq_ocp.program.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
+from lin_freq_ocp.program.backends.scip_ import convex_model, decide_claim, run_scip, seconds_left, set_objective
 
 FUNCTIONS = {"exp": exp, "log": log, "sqrt": sqrt, "sin": sin, "cos": cos}
 # Of a row of order 1. A binary that is 1 up to SCIP's 1e-6 relaxes it by 1e-2 then; above, indicators do it.
@@ -55,10 +55,10 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Solut
     model, z = convex_model(convex, replace(rows, below=below, above=above))
     deltas = _add_dynamics(model, program, z)
     set_objective(model, convex, z)
-    found = optimised(model, [*z, *deltas], remaining(time_limit, started), gap)
+    found = run_scip(model, [*z, *deltas], seconds_left(time_limit, started), gap)
     if found is None:
-        return undecided(
-            lambda free: solve(replace(program, program=free), remaining(time_limit, started), gap), convex
+        return decide_claim(
+            lambda free: solve(replace(program, program=free), seconds_left(time_limit, started), gap), convex
         )
     return found
 

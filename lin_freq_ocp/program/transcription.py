@@ -100,8 +100,8 @@ class LinearTranscription:
         problem, rows = self.problem, self.program.rows
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         mu, nu = np.zeros((T + 1, n)), np.zeros((T, m))
-        mu[_bounded_entries(problem.state_tube)] = y[rows[Block.STATE_SET]]
-        nu[_bounded_entries(problem.control_tube)] = y[rows[Block.CONTROL_SET]]
+        mu[_bounded_components(problem.state_tube)] = y[rows[Block.STATE_SET]]
+        nu[_bounded_components(problem.control_tube)] = y[rows[Block.CONTROL_SET]]
         return Multipliers(
             eta_C=eta_C,
             eta=y[rows[Block.DYNAMICS]].reshape(T, n),
@@ -210,12 +210,12 @@ def _sparse_matrix(parts: Sequence[tuple[Array, Indices, Indices]], shape: tuple
     return sp.csc_array((values, (i, j)), shape=shape)
 
 
-def _bounded_entries(tube: Box) -> Mask:
+def _bounded_components(tube: Box) -> Mask:
     return np.isfinite(tube.lower) | np.isfinite(tube.upper)
 
 
 def _box_rows(tube: Box, size: int, columns: int, first: int) -> tuple[sp.csc_array, Array, Array]:
-    bounded = _bounded_entries(tube)
+    bounded = _bounded_components(tube)
     chosen = np.flatnonzero(bounded.ravel())
     matrix = sp.csc_array(
         (np.ones(len(chosen)), (np.arange(len(chosen)), first + chosen)), shape=(len(chosen), columns)

@@ -112,8 +112,8 @@ class Exchange:
         violations: Violations | None = None,
         first_point: UnconstrainedPoint | None = None,
     ):
-        self.structure, self.data, self.border = structure, data, structure.border
-        self.working = WorkingSet(self.border)
+        self.structure, self.data, self.kkt = structure, data, structure.kkt
+        self.working = WorkingSet(self.kkt)
         self.violations = violations or Violations(data.lti)
         self.whole = structure.whole_horizon(self.violations.rows)
         self.first_point = None if self.whole is None else first_point
@@ -123,10 +123,10 @@ class Exchange:
             if self.first.weights is not None:
                 prices = self.working.prices(data.lti)
                 self.working.weights = self.first.weights if prices is None else np.minimum(self.first.weights, prices)
-        self.theta, self.multipliers = np.zeros(self.border.size), np.zeros(len(data.e))
+        self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
         self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
-        self.unconstrained, self.soft = structure.unconstrained, self.border.soft
+        self.unconstrained, self.soft = structure.unconstrained, self.kkt.soft
         self.ray: Ray | None = None
         self._known_cost: float | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
@@ -158,78 +158,23 @@ class Exchange:
             return self._outcome("optimal")
         return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
 
-    def refuted(self, ray: Ray) -> Outcome:
-        """Return the outcome for a known ray."""
-        self.ray = ray
-        self._evaluate()
-        return self._outcome("infeasible", INFEASIBLE)
-
-    def _optimal(self, added: int) -> bool:
-        """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
-        worst, slope = self.violations.worst, self._relative_slope()
-        level = worst < tol.NEARLY_FEASIBLE and slope < self.slope_tolerance and self._flat()
-        far = float(np.abs(self.theta).max(initial=0.0))
-        moving = self.soft and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
-        if self.soft and worst < tol.NEARLY_FEASIBLE and not level:
-            self.proximal = max(self.proximal * LONGER_STEPS, self.border.least_proximal)
-        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moving
-        self.stalled = 0 if improving else self.stalled + 1
-        self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
-        self.farthest = max(self.farthest, far)
-        if self.stalled >= STALLED_ROUNDS:
-            return self._accurate()
-        return worst < self.tolerance and level and self._complementary(tol.SLACK_TOLERANCE)
-
-    def _accurate(self) -> bool:
-        """Whether a point that no longer improves is accepted."""
-        flat = self._relative_slope() < tol.ACCEPTED_SLOPE or self._cannot_decrease()
-        return self.violations.worst < tol.ACCEPTED_VIOLATION and flat and self._complementary(tol.ACCEPTED_SLACK)
-
-    def _evaluate(self) -> None:
-        self.__dict__.pop("signals", None)  # large: given back before the next are made
-        self.__dict__.pop("spectrum", None)
-        point = self.theta, self.multipliers, self.working
-        self.signals, self.spectrum = signals(self.structure, self.data, *point)
-        self._known_cost = None
-        self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
-        saturated = self.working.saturated(self.data.lti)
-        self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
-        self.violations.measure(self.signals.y, self.signals.last)
-        self.values = self.working.values(self.signals.y, self.signals.last)
-        on_rows = self.working.coupling[: self.border.size] @ self.working.weights
-        self.slope = self.data.h + self.border.H @ self.theta + self.border.E.T @ self.multipliers + on_rows
-
     def _step(self, ask: bool) -> None:
         """Correct the defects of the present point, with the best weights of the working rows."""
-        working, border = self.working, self.border
+        working, kkt = self.working, self.kkt
         whole = None if ask or self.whole is None else self._whole_step(self.whole)
         step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self._defects(), ask)
         self.ray = ray
         if ray is not None:
             return
         working.weights = new
-        self.theta = self.theta + step[: border.size]
-        self.multipliers = self.multipliers + step[border.size :]
+        self.theta = self.theta + step[: kkt.size]
+        self.multipliers = self.multipliers + step[kkt.size :]
         self._evaluate()
         if self._relative_residual() > tol.EQUATION_CONFLICT:
             self.ray = equation_ray(self.structure, self.data, self.residual)
 
-    def _defects(self) -> Array:
-        """Return the right-hand side of the bordered system: what the slope and the equations lack."""
-        return np.concatenate([-self.slope, self.residual])
-
-    def _without_rows(self, whole: WholeHorizon) -> UnconstrainedPoint:
-        """Return the step to the point without working rows, and its values."""
-        working, step = self.working, self.border.inverse @ self._defects()
-        base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
-        if len(working):
-            indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
-            base += whole.response(indices, mu)
-            step += whole.through[:, indices] @ mu
-        return UnconstrainedPoint(step, base)
-
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
-        """Return the step of the border and weights from rounds on all values; None if a small QP was inaccurate."""
+        """Return the bordering step and weights from rounds on all values; None if a small QP was inaccurate."""
         working, known = self.working, self.first_point is not None
         (step, base), self.first_point = self.first_point or self._without_rows(whole), None
         start, self.first = whole.duals(self.first or Rows(*working.rows(), working.weights)), None
@@ -245,8 +190,18 @@ class Exchange:
         working.replace(rows, whole.coupling[:, found.indices] * found.sign)
         return step - whole.through[:, found.indices] @ (found.sign * found.weights), found.weights, None
 
+    def _without_rows(self, whole: WholeHorizon) -> UnconstrainedPoint:
+        """Return the step to the point without working rows, and its values."""
+        working, step = self.working, self.kkt.inverse @ self._defects()
+        base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
+        if len(working):
+            indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
+            base += whole.response(indices, mu)
+            step += whole.through[:, indices] @ mu
+        return UnconstrainedPoint(step, base)
+
     def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the step of the border, weights and perhaps a ray, with the border eliminated.
+        """Return the bordering step, weights and perhaps a ray, with the bordering unknowns eliminated.
 
         Rows near the working rows that the step violates enter at once, and the step is computed again.
         """
@@ -256,7 +211,7 @@ class Exchange:
             converged = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
             if converged or not 0 < len(working) <= LOCAL_ROWS:
                 break
-            near = near or neighbourhood_of(self.border, self.violations, working)
+            near = near or neighbourhood_of(self.kkt, self.violations, working)
             if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
                 break
             self.values = working.values(self.signals.y, self.signals.last)
@@ -266,7 +221,7 @@ class Exchange:
         return step, new, ray
 
     def _eliminated_step(self, right: Array, guess: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
-        working, inverse = self.working, self.border.inverse
+        working, inverse = self.working, self.kkt.inverse
         step = inverse @ right
         if not len(working):
             return step, working.weights, None
@@ -283,45 +238,100 @@ class Exchange:
         return step - Z @ (new - working.weights), new, ray
 
     def _soft_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for a border of little curvature: kept in the small QP, with a proximal term."""
-        working, border = self.working, self.border
+        """Return the same for bordering unknowns of little curvature: kept in the small QP, with a proximal term."""
+        working, kkt = self.working, self.kkt
         if not len(working):
-            return border.inverse_with(self.proximal) @ right, working.weights, None
-        K = border.proximal_matrix(self.proximal)
+            return kkt.inverse_with(self.proximal) @ right, working.weights, None
+        K = kkt.proximal_matrix(self.proximal)
         slack = working.limits(self.data.lti) - self.values
         prices = working.prices(self.data.lti)
         upper = np.full(len(working), np.inf) if prices is None else prices
-        qp = BorderedQp(border.size, K, working.coupling, working.gram, right, slack, working.weights, upper)
+        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, slack, working.weights, upper)
         step, new, accurate = qp.solve(self.stop)
         if not (ask or not accurate) or self.stop():
             return step, new, None
         return step, new, regularised_ray(self.structure, self.data, working, self.stop)
+
+    def _defects(self) -> Array:
+        """Return the right-hand side of the bordered system: what the slope and the equations lack."""
+        return np.concatenate([-self.slope, self.residual])
+
+    def _evaluate(self) -> None:
+        self.__dict__.pop("signals", None)  # large: given back before the next are made
+        self.__dict__.pop("spectrum", None)
+        point = self.theta, self.multipliers, self.working
+        self.signals, self.spectrum = signals(self.structure, self.data, *point)
+        self._known_cost = None
+        self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
+        saturated = self.working.saturated(self.data.lti)
+        self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
+        self.violations.measure(self.signals.y, self.signals.last)
+        self.values = self.working.values(self.signals.y, self.signals.last)
+        on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
+        self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.multipliers + on_rows
+
+    def _exchange_rows(self, count: int) -> int:
+        """Drop rows without multiplier, add violated ones; return how many are new."""
+        entering = self.violations.entering(self.tolerance)
+        if count <= KEEP_ALL_AFTER:
+            self.working.keep(self.working.weights > 0)
+        added = self.working.add(*entering)
+        self.values = self.working.values(self.signals.y, self.signals.last)
+        return added
+
+    def _optimal(self, added: int) -> bool:
+        """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
+        worst, slope = self.violations.worst, self._relative_slope()
+        level = worst < tol.NEARLY_FEASIBLE and slope < self.slope_tolerance and self._flat()
+        far = float(np.abs(self.theta).max(initial=0.0))
+        moving = self.soft and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
+        if self.soft and worst < tol.NEARLY_FEASIBLE and not level:
+            self.proximal = max(self.proximal * LONGER_STEPS, self.kkt.least_proximal)
+        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moving
+        self.stalled = 0 if improving else self.stalled + 1
+        self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
+        self.farthest = max(self.farthest, far)
+        if self.stalled >= STALLED_ROUNDS:
+            return self._accurate()
+        return worst < self.tolerance and level and self._complementary(tol.SLACK_TOLERANCE)
+
+    def _accurate(self) -> bool:
+        """Whether a point that no longer improves is accepted."""
+        flat = self._relative_slope() < tol.ACCEPTED_SLOPE or self._cannot_decrease()
+        return self.violations.worst < tol.ACCEPTED_VIOLATION and flat and self._complementary(tol.ACCEPTED_SLACK)
+
+    def _complementary(self, allowed: float) -> bool:
+        """Whether the equations hold, and all rows with a multiplier hold with equality."""
+        if self._relative_residual() >= tol.EQUATION_TOLERANCE:
+            return False
+        slack = self.working.weights @ np.maximum(0.0, self.working.limits(self.data.lti) - self.values)
+        return bool(slack <= allowed * self._cost_size())
+
+    def _flat(self) -> bool:
+        """Whether the cost hardly decreases along the bordering unknowns, without working rows or by such moves."""
+        slope, kkt = self.slope, self.kkt
+        if not kkt.size:
+            return True
+        gain = abs(float(slope @ kkt.inverse[: kkt.size, : kkt.size] @ slope))
+        return gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
+
+    def _cannot_decrease(self) -> bool:
+        """Whether moves of the bordering unknowns as large as the point, and as 1, hardly decrease the cost."""
+        decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
+        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self._cost()), tol.SMALL_COST * self.data.lti.cost_level)
 
     def _relative_residual(self) -> float:
         return float(np.abs(self.residual).max(initial=0.0)) / max(1.0, float(np.abs(self.signals.y).max()))
 
     def _relative_slope(self) -> float:
         """Return the largest derivative in theta, relative to the terms that it is the sum of."""
-        if not self.border.size:
+        if not self.kkt.size:
             return 0.0
-        border, working = self.border, self.working
-        terms = np.abs(self.data.h) + np.abs(working.coupling[: border.size]) @ working.weights
-        terms += np.abs(border.H) @ np.abs(self.theta) + np.abs(border.E.T) @ np.abs(self.multipliers)
+        kkt, working = self.kkt, self.working
+        terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
+        terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.multipliers)
         least = tol.LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
-
-    def _cannot_decrease(self) -> bool:
-        """Whether moves of the border variables as large as the point, and as 1, hardly decrease the cost."""
-        decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
-        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self._cost()), tol.SMALL_COST * self.data.lti.cost_level)
-
-    def _flat(self) -> bool:
-        """Whether the cost hardly decreases along the border variables, without working rows or by such moves."""
-        slope, border = self.slope, self.border
-        if not border.size:
-            return True
-        gain = abs(float(slope @ border.inverse[: border.size, : border.size] @ slope))
-        return gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
 
     def _cost(self) -> float:
         if self._known_cost is None:
@@ -336,26 +346,16 @@ class Exchange:
         """Return what differences in cost are relative to."""
         return max(self.data.lti.cost_level, abs(self._cost()))
 
-    def _complementary(self, allowed: float) -> bool:
-        """Whether the equations hold, and all rows with a multiplier hold with equality."""
-        if self._relative_residual() >= tol.EQUATION_TOLERANCE:
-            return False
-        slack = self.working.weights @ np.maximum(0.0, self.working.limits(self.data.lti) - self.values)
-        return bool(slack <= allowed * self._cost_size())
-
-    def _exchange_rows(self, count: int) -> int:
-        """Drop rows without multiplier, add violated ones; return how many are new."""
-        entering = self.violations.entering(self.tolerance)
-        if count <= KEEP_ALL_AFTER:
-            self.working.keep(self.working.weights > 0)
-        added = self.working.add(*entering)
-        self.values = self.working.values(self.signals.y, self.signals.last)
-        return added
-
     def _outcome(self, status: str, message: str = "") -> Outcome:
         self.violations.violation = np.zeros((0, 0))  # large, and measured again before it is used
         point, cost = (self.signals, self.multipliers, self.working), self._cost()
         return Outcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
+
+    def refuted(self, ray: Ray) -> Outcome:
+        """Return the outcome for a known ray."""
+        self.ray = ray
+        self._evaluate()
+        return self._outcome("infeasible", INFEASIBLE)
 
 
 def exchange_values(
@@ -454,11 +454,11 @@ def _shorten(lti: Lti, T: int) -> Lti:
     """Return the problem without its middle; bands keep their frequencies."""
     head, tail = slice(0, T // 2), slice(lti.horizon - (T - T // 2), lti.horizon)
 
-    def cut(signal: Array) -> Array:
+    def without_middle(signal: Array) -> Array:
         return np.hstack([signal[:, head], signal[:, tail]])
 
     bins = np.round(np.arange(T // 2 + 1) * (lti.horizon / T)).astype(int).clip(0, lti.horizon // 2)
-    return _without_equations(lti, T, lti.passed[:, bins], cut)
+    return _without_equations(lti, T, lti.passed[:, bins], without_middle)
 
 
 def _hold_samples(lti: Lti) -> Lti:
@@ -476,9 +476,9 @@ def _hold_samples(lti: Lti) -> Lti:
     return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
 
 
-def _without_equations(lti: Lti, T: int, passed: Mask, cut: Callable[[Array], Array]) -> Lti:
+def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array], Array]) -> Lti:
     """Return the problem at another horizon, without state bands and without values that bounds fix."""
-    lower, upper = cut(lti.lower), cut(lti.upper)
+    lower, upper = sample(lti.lower), sample(lti.upper)
     fixed = lower == upper
     return replace(
         lti,
@@ -487,9 +487,9 @@ def _without_equations(lti: Lti, T: int, passed: Mask, cut: Callable[[Array], Ar
         state_stop=np.zeros(((T + 1) // 2 + 1, lti.state_dim), dtype=bool),
         lower=np.where(fixed, -np.inf, lower),
         upper=np.where(fixed, np.inf, upper),
-        linear=None if lti.linear is None else cut(lti.linear),
-        offset=None if lti.offset is None else cut(lti.offset),
-        prices=None if lti.prices is None else lti.prices.at(cut),
+        linear=None if lti.linear is None else sample(lti.linear),
+        offset=None if lti.offset is None else sample(lti.offset),
+        prices=None if lti.prices is None else lti.prices.at(sample),
     )
 
 

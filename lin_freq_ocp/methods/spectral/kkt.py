@@ -1,8 +1,8 @@
 """The bordered KKT system: the few unknowns and equations that belong to no single bin (docs/spectral.md, 4).
 
-Border variables theta: the free components of x_0 and x_T, then real coordinates of the border directions, each with a
-signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that bounds
-fix, compatibility at singular bins, state bands. Together:
+Bordering unknowns theta: the free components of x_0 and x_T, then real coordinates of the bordering directions, each
+with a signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that
+bounds fix, compatibility at singular bins, state bands. Together:
 
     K_b = [[H, E'], [E, -G_EE]].
 """
@@ -26,7 +26,7 @@ LARGEST_BORDER = 3000  # rows of the matrix beyond which its dense decomposition
 
 
 class BorderedSystem:
-    """Border variables, equations, and the pseudo-inverse of K_b.
+    """Bordering unknowns, equations, and the pseudo-inverse of K_b.
 
     theta holds the components free_start of x_0 and free_end of x_T (at at_start and at_end), with ends = dw/dtheta
     (n, free ends), w = x_0 - x_T, then coordinates of vectors (n+m, q) at bins (q,). The equations' points F_f y_t are
@@ -43,17 +43,6 @@ class BorderedSystem:
         self._set_band_rows()
         self.E = np.vstack([self.point_rows, self.singular_rows, self.band_rows])
         self._decompose()
-
-    def _require_size(self) -> None:
-        """Raise UnsupportedError before anything of the border's size is made, if it is too large."""
-        lti, fixed = self.lti, len(self.lti.fixed_points[0])
-        singular = int(sum(self.spaces.weight[equation.k] for equation in self.spaces.singular))
-        equations = lti.state_dim + fixed + singular + 2 * int(lti.state_stop.sum())
-        if self.size + equations > LARGEST_BORDER:
-            raise UnsupportedError(
-                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points ({fixed} by "
-                f"bounds) or bins of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
-            )
 
     def _set_variables(self) -> None:
         lti, T, n = self.lti, self.lti.horizon, self.lti.state_dim
@@ -76,6 +65,17 @@ class BorderedSystem:
         self.ends_count, self.size = ends, ends + len(self.bins)
         self.amplitude = T / self.spaces.weight[self.bins]
 
+    def _require_size(self) -> None:
+        """Raise UnsupportedError before any matrix of the system's size is made, if it is too large."""
+        lti, fixed = self.lti, len(self.lti.fixed_points[0])
+        singular = int(sum(self.spaces.weight[equation.k] for equation in self.spaces.singular))
+        equations = lti.state_dim + fixed + singular + 2 * int(lti.state_stop.sum())
+        if self.size + equations > LARGEST_BORDER:
+            raise UnsupportedError(
+                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points ({fixed} by "
+                f"bounds) or bins of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
+            )
+
     def _set_hessian(self) -> None:
         lti, e, w = self.lti, self.ends_count, self.spaces.weight
         W, v = self.end_responses, self.vectors
@@ -88,44 +88,6 @@ class BorderedSystem:
         same = self.bins[:, None] == self.bins
         self.H[e:, e:] = np.where(same, (v.conj().T @ lti.M @ v).real * self.amplitude, 0.0)
         self.H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
-
-    def gradient(self, spectrum: ComplexArray) -> Array:
-        """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""
-        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.weight).real
-        at_bins = (self.vectors.conj() * spectrum[:, self.bins]).sum(0).real
-        return np.concatenate([over_bins / self.lti.horizon, at_bins])
-
-    def values(self, t: Indices, f: Indices) -> Array:
-        """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
-        rows, T = self.lti.F[f], self.lti.horizon
-        at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
-        phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
-        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
-
-    def everywhere(self, rows: Indices) -> Array:
-        """Return how the border moves F_f y_t of the given rows at all t < T: (size + equations, len(rows), T)."""
-        F = self.lti.F[rows]
-        signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
-        moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
-        if self.size:
-            moved[:, : self.size] = np.tensordot(F, signals, 1)
-        moved[:, self.size : self.size + len(self.point_t)] = -self._point_responses(rows)
-        if len(self.bands):
-            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
-        return moved.swapaxes(0, 1)
-
-    def _point_responses(self, rows: Indices) -> Array:
-        """Return what F_f y_t of some rows, at all t < T, lose by unit forces on the points: (len(rows), points, T)."""
-        responses = self.kernels.table[rows[:, None], self.point_f]
-        for i in np.flatnonzero(self.point_t):
-            responses[:, i] = np.roll(responses[:, i], self.point_t[i], axis=-1)
-        return responses
-
-    def add(self, theta: Array, spectrum: ComplexArray) -> None:
-        """Add the responses to theta to the spectrum (n+m, bins), in place."""
-        for a in range(self.ends_count):
-            spectrum += theta[a] * self.end_responses[:, a]
-        np.add.at(spectrum.T, self.bins, (self.vectors * (self.amplitude * theta[self.ends_count :])).T)
 
     def _set_points(self) -> None:
         n = self.lti.start_points
@@ -187,25 +149,6 @@ class BorderedSystem:
         phase = np.exp((2j * np.pi / T) * (np.outer(self.bins, np.arange(T)) % T))
         return (self.vectors[:, :, None] * phase).real
 
-    def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
-        """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
-        spaces, n = self.spaces, lti.start_points
-        start = np.where(np.isnan(lti.start), 0.0, lti.start)
-        points = start[:n], lti.lower[self.point_f[n:], self.point_t[n:]]
-        singular = [
-            scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
-            for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)
-        ]
-        fixed_end = np.where(np.isnan(lti.end), 0.0, lti.end)
-        bands = -self.bands[:, -1] * fixed_end[self.band_component]
-        return np.concatenate([*points, *singular, bands])
-
-    def responses(self, t: Indices, f: Indices) -> Array:
-        """Return what the equations' left sides lose by unit forces on F_f y_t, shape (equations, len(t)), t < T."""
-        at_points = self.kernels.gram(self.point_t, self.point_f, t, f)
-        at_bands = np.einsum("ri,idr->dr", self.lti.F[f], self.band_responses[:, :, t])
-        return np.vstack([at_points, np.zeros((len(self.singular_rows), len(t))), at_bands])
-
     def _decompose(self) -> None:
         points, first_band = len(self.point_t), len(self.point_t) + len(self.singular_rows)
         G = np.zeros((len(self.E), len(self.E)))
@@ -222,20 +165,15 @@ class BorderedSystem:
         self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
         try:
             self.inverse = self.inverse_with(0.0)
-            self.soft = self._is_soft()
+            # soft: an unknown responds so much to a force that the digits of other responses are lost
+            response = np.abs(self.inverse.diagonal()[: self.size])
+            of_ends, inside = response[: self.ends_count].max(initial=0.0), response[self.ends_count :].max(initial=0.0)
+            stiff_ends = of_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal)
+            self.soft = not (stiff_ends and inside <= tol.SOFT_RESPONSE / unit)
         except np.linalg.LinAlgError:
             self.soft = True
         if self.soft:
             self.inverse = self.inverse_with(self.least_proximal)
-
-    def _is_soft(self) -> bool:
-        """Whether a border variable responds so much to a force that the digits of other responses are lost."""
-        unit, e = self.lti.curvature_unit, self.ends_count
-        response = np.abs(self.inverse.diagonal()[: self.size])
-        at_ends, inside = response[:e].max(initial=0.0), response[e:].max(initial=0.0)
-        return not (
-            at_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal) and inside <= tol.SOFT_RESPONSE / unit
-        )
 
     def proximal_matrix(self, proximal: float) -> Array:
         """Return K_b with a proximal weight on theta."""
@@ -243,16 +181,16 @@ class BorderedSystem:
         matrix[diagonal, diagonal] += proximal
         return matrix
 
+    def inverse_with(self, proximal: float) -> Array:
+        """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
+        return self._inverse_of(self.proximal_matrix(proximal))
+
     @cached_property
     def regularised(self) -> Array:
         """The inverse of K_b with a unit Hessian in place of H."""
         matrix = self.matrix.copy()
         matrix[: self.size, : self.size] = self.lti.curvature_unit * np.eye(self.size)
         return self._inverse_of(matrix)
-
-    def inverse_with(self, proximal: float) -> Array:
-        """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
-        return self._inverse_of(self.proximal_matrix(proximal))
 
     def _inverse_of(self, matrix: Array) -> Array:
         n = self.size
@@ -264,6 +202,59 @@ class BorderedSystem:
         else:
             inverse = _equilibrated_inverse(matrix)
         return (inverse + inverse.T) / 2
+
+    def gradient(self, spectrum: ComplexArray) -> Array:
+        """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""
+        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.weight).real
+        at_bins = (self.vectors.conj() * spectrum[:, self.bins]).sum(0).real
+        return np.concatenate([over_bins / self.lti.horizon, at_bins])
+
+    def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
+        """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
+        spaces, n = self.spaces, lti.start_points
+        start = np.where(np.isnan(lti.start), 0.0, lti.start)
+        points = start[:n], lti.lower[self.point_f[n:], self.point_t[n:]]
+        singular = [
+            scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
+            for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)
+        ]
+        fixed_end = np.where(np.isnan(lti.end), 0.0, lti.end)
+        bands = -self.bands[:, -1] * fixed_end[self.band_component]
+        return np.concatenate([*points, *singular, bands])
+
+    def values(self, t: Indices, f: Indices) -> Array:
+        """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
+        rows, T = self.lti.F[f], self.lti.horizon
+        at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
+        phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
+        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
+
+    def values_at_all_times(self, rows: Indices) -> Array:
+        """Return how unknowns and equations move F_f y_t at all t < T: (size + equations, len(rows), T)."""
+        F = self.lti.F[rows]
+        signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
+        moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
+        if self.size:
+            moved[:, : self.size] = np.tensordot(F, signals, 1)
+        by_points = self.kernels.table[rows[:, None], self.point_f]  # unit forces at t = 0, (len(rows), points, T) ...
+        for i in np.flatnonzero(self.point_t):  # ... which act later at the other points
+            by_points[:, i] = np.roll(by_points[:, i], self.point_t[i], axis=-1)
+        moved[:, self.size : self.size + len(self.point_t)] = -by_points
+        if len(self.bands):
+            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
+        return moved.swapaxes(0, 1)
+
+    def responses(self, t: Indices, f: Indices) -> Array:
+        """Return what the equations' left sides lose by unit forces on F_f y_t, shape (equations, len(t)), t < T."""
+        at_points = self.kernels.gram(self.point_t, self.point_f, t, f)
+        at_bands = np.einsum("ri,idr->dr", self.lti.F[f], self.band_responses[:, :, t])
+        return np.vstack([at_points, np.zeros((len(self.singular_rows), len(t))), at_bands])
+
+    def add(self, theta: Array, spectrum: ComplexArray) -> None:
+        """Add the responses to theta to the spectrum (n+m, bins), in place."""
+        for a in range(self.ends_count):
+            spectrum += theta[a] * self.end_responses[:, a]
+        np.add.at(spectrum.T, self.bins, (self.vectors * (self.amplitude * theta[self.ends_count :])).T)
 
 
 def _null_space(rows: Array, gram: Array) -> Array:

@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.problem.terms.term import TermKind
 
-STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the border
+STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the bordered system
 
 
 @dataclass(frozen=True, eq=False)

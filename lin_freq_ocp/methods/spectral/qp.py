@@ -341,11 +341,11 @@ class _Thin:
 
     def solve(self, r: Array) -> Array:
         """Return (A + diag(w))^{-1} r, refined once where the diagonal is tiny."""
-        x = self._once(r)
+        x = self._solve_unrefined(r)
         tiny = self._diagonal.min() < REFINED
-        return x + self._once(r - self.times(x) - (self._diagonal - self._base) * x) if tiny else x
+        return x + self._solve_unrefined(r - self.times(x) - (self._diagonal - self._base) * x) if tiny else x
 
-    def _once(self, r: Array) -> Array:
+    def _solve_unrefined(self, r: Array) -> Array:
         inner = dpotrs(self._lower, self._V.T @ (r / self._diagonal), lower=1)[0]
         return (r - self._sign * (self._V @ inner)) / self._diagonal
 
@@ -361,7 +361,7 @@ class BorderedQp:
 
     and y >= 0 with y'(u - l) = 0 at upper bounds l <= u, by Mehrotra's predictor-corrector on the symmetric indefinite
     matrix [[K, C], [C', -(S_W + Z/L + Y/(U - L))]], then once more with the active rows as equations (docs/spectral.md,
-    7: soft borders). K is (b, b), C (b, count), S_W (count, count), r (b,), s_0, l_0 and u (count,); theta comes first.
+    7: soft unknowns). K is (b, b), C (b, count), S_W (count, count), r (b,), s_0, l_0, u (count,); theta comes first.
     """
 
     size: int

@@ -68,53 +68,54 @@ def recover(structure: Structure, data: Data, outcome: Outcome, spectrum: Comple
         working, y, eta_C = ray.working, ray.multipliers, 0.0
         gradient, _ = forces(structure, lti, y, working)
     eta_hat = _adjoint_spectrum(structure, y, gradient)
-    through_controls = (
-        lti.B.T @ eta_hat if lti.response is None else np.einsum("imk,ik->mk", lti.response.conj(), eta_hat)
-    )
+    if lti.response is None:
+        through_controls = lti.B.T @ eta_hat
+    else:
+        through_controls = np.einsum("imk,ik->mk", lti.response.conj(), eta_hat)
     band = through_controls - gradient[n:]
     stationarity = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon
     band[lti.passed] = 0.0
     eta, on_rows = fft.irfft(eta_hat, lti.horizon), _row_multipliers(structure, working, y)
-    border = structure.border
-    on_bands, rho_x = y[len(y) - len(border.bands) :], np.zeros(lti.state_stop.shape, dtype=np.complex128)
-    for i in border.band_components:
-        rho_x[:, i] = bin_multipliers(lti.state_samples, lti.state_stop[:, i], on_bands[border.band_component == i])
+    kkt = structure.kkt
+    on_bands, rho_x = y[len(y) - len(kkt.bands) :], np.zeros(lti.state_stop.shape, dtype=np.complex128)
+    for i in kkt.band_components:
+        rho_x[:, i] = bin_multipliers(lti.state_samples, lti.state_stop[:, i], on_bands[kkt.band_component == i])
     found = Recovered(eta_C, eta, on_rows, band, stationarity, rho_x)
-    _set_ends(border, lti, outcome, found, on_bands)
+    _set_ends(kkt, lti, outcome, found, on_bands)
     return found
 
 
 def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) -> ComplexArray:
     """Return the spectrum of eta, (n, bins)."""
-    spaces, border, n = structure.spaces, structure.border, structure.border.lti.state_dim
+    spaces, kkt, n = structure.spaces, structure.kkt, structure.kkt.lti.state_dim
     with np.errstate(all="ignore"):
         eta = -spaces.resolvent.apply_adjoint(spaces.z, gradient[:n])
     eta[:, spaces.near.k] = -spaces.near.adjoint(gradient[:, spaces.near.k])
-    row = len(border.point_t)
-    for scale, singular in zip(border.singular_scale, spaces.singular, strict=True):
+    row = len(kkt.point_t)
+    for scale, singular in zip(kkt.singular_scale, spaces.singular, strict=True):
         weight = spaces.weight[singular.k]
         value = y[row] if weight == 1 else y[row] + 1j * y[row + 1]
-        eta[:, singular.k] += singular.left * (scale * border.lti.horizon / weight * value)
+        eta[:, singular.k] += singular.left * (scale * kkt.lti.horizon / weight * value)
         row += int(weight)
     return eta
 
 
 def _row_multipliers(structure: Structure, working: WorkingSet, y: Array) -> Array:
     """Return the multipliers of F y_t at t < T and of x_T, (rows, T+1)."""
-    border, lti, n = structure.border, structure.border.lti, structure.border.lti.start_points
+    kkt, lti, n = structure.kkt, structure.kkt.lti, structure.kkt.lti.start_points
     on_rows = np.zeros((len(lti.F), lti.horizon + 1))
     np.add.at(on_rows, (working.f, working.t), working.sign * working.weights)
-    fixed = slice(n, len(border.point_t))
-    np.add.at(on_rows, (border.point_f[fixed], border.point_t[fixed]), y[fixed])
+    fixed = slice(n, len(kkt.point_t))
+    np.add.at(on_rows, (kkt.point_f[fixed], kkt.point_t[fixed]), y[fixed])
     return on_rows
 
 
-def _set_ends(border: BorderedSystem, lti: Lti, outcome: Outcome, found: Recovered, on_bands: Array) -> None:
+def _set_ends(kkt: BorderedSystem, lti: Lti, outcome: Outcome, found: Recovered, on_bands: Array) -> None:
     """Set mu_0, mu_T where ends are fixed by transversality: any vector is normal there."""
     n, at, eta, on_rows = lti.state_dim, outcome.signals, found.eta, found.on_rows
     first, last = np.zeros(n), np.zeros(n)
-    np.add.at(first, border.band_component, on_bands * border.bands[:, 0])
-    np.add.at(last, border.band_component, on_bands * border.bands[:, -1])
+    np.add.at(first, kkt.band_component, on_bands * kkt.bands[:, 0])
+    np.add.at(last, kkt.band_component, on_bands * kkt.bands[:, -1])
     first += lti.F[len(lti.M) :, :n].T @ on_rows[len(lti.M) :, 0]
     if found.eta_C:
         first += lti.M[:n] @ at.y[:, 0] + (0.0 if lti.linear is None else lti.linear[:n, 0])
@@ -234,7 +235,7 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: Units,
     forces = found.on_rows[: n + m].T * np.concatenate([x, u])
     on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in soft_sets(problem) or ()}
     on_ends: dict[str, Array] = {}
-    if structure.border.lti.periodic:
+    if structure.kkt.lti.periodic:
         on_ends[Periodic.name] = _of_the_period(problem, found.eta[:, -1] * x, forces[:, :n])
     weights = found.on_rows[n + m :, :-1] * (units.cost / units.rows)[:, None]
     splits = np.cumsum([rows.e.shape[-1] for rows in problem.stage_rows])[:-1]
@@ -279,8 +280,8 @@ class Together:
 
 def takes_batches(structure: Structure) -> bool:
     """Whether a problem has neither joint or soft rows nor state bands."""
-    lti = structure.border.lti
-    return len(lti.F) == len(lti.M) and lti.prices is None and not len(structure.border.bands)
+    lti = structure.kkt.lti
+    return len(lti.F) == len(lti.M) and lti.prices is None and not len(structure.kkt.bands)
 
 
 def solve_together(
@@ -309,18 +310,18 @@ class _BatchRecovery:
     """Signals and multipliers of all problems, in the units of the method, time or bins last."""
 
     def __init__(self, structure: Structure, model: EndsModel, p: Array, step: Array, weights: Array):
-        self._structure, self._lti, border = structure, model.lti, structure.border
+        self._structure, self._lti, kkt = structure, model.lti, structure.kkt
         lti, (n, T) = self._lti, (self._lti.state_dim, self._lti.horizon)
-        self._theta, self._equations = np.split(step, [border.size], axis=1)
+        self._theta, self._equations = np.split(step, [kkt.size], axis=1)
         self._on_rows = self._row_multipliers(model, weights)
         pulses = self._on_rows[:, :, :T].copy()
-        pulses[:, border.point_f[:n], border.point_t[:n]] += self._equations[:, :n]
+        pulses[:, kkt.point_f[:n], kkt.point_t[:n]] += self._equations[:, :n]
         force = fft.rfft(pulses)
         spectrum = self._spectrum(model.spectra(p), force)
         self._y = fft.irfft(spectrum, T)
         self._last = np.zeros((len(p), n))
         self._last[:, ~np.isnan(lti.end)] = p[:, 1 + n :]
-        self._last[:, border.free_end] = self._theta[:, border.at_end]
+        self._last[:, kkt.free_end] = self._theta[:, kkt.at_end]
         gradient = lti.M @ spectrum + force
         if model.linear is not None:
             gradient += model.linear
@@ -331,31 +332,31 @@ class _BatchRecovery:
 
     def _row_multipliers(self, model: EndsModel, weights: Array) -> Array:
         """Return the multipliers of F y_t at t < T and of x_T, (N, rows, T+1)."""
-        lti, border, whole, n = self._lti, self._structure.border, model.whole, self._lti.state_dim
+        lti, kkt, whole, n = self._lti, self._structure.kkt, model.whole, self._lti.state_dim
         on_rows = np.zeros((len(weights), len(lti.F), lti.horizon + 1))
         on_rows[:, whole.rows, :-1] = weights[:, :-n].reshape(len(weights), -1, lti.horizon)
         on_rows[:, :n, -1] = weights[:, -n:]
-        fixed = slice(n, len(border.point_t))
-        on_rows[:, border.point_f[fixed], border.point_t[fixed]] += self._equations[:, fixed]
+        fixed = slice(n, len(kkt.point_t))
+        on_rows[:, kkt.point_f[fixed], kkt.point_t[fixed]] += self._equations[:, fixed]
         return on_rows
 
     def _spectrum(self, base: ComplexArray, force: ComplexArray) -> ComplexArray:
         """Return the spectrum of y, (N, n+m, bins)."""
-        spaces, border = self._structure.spaces, self._structure.border
+        spaces, kkt = self._structure.spaces, self._structure.kkt
         v = np.einsum("iak,Nik->Nak", spaces.N.conj(), force)
         spectrum = base - np.einsum("iak,Nak->Nik", spaces.N, v)
-        theta, ends = self._theta, border.ends_count
-        spectrum += np.einsum("Na,iak->Nik", theta[:, :ends], border.end_responses)
-        for q, k in enumerate(border.bins):
-            spectrum[:, :, k] += (border.amplitude[q] * theta[:, ends + q])[:, None] * border.vectors[:, q]
+        theta, ends = self._theta, kkt.ends_count
+        spectrum += np.einsum("Na,iak->Nik", theta[:, :ends], kkt.end_responses)
+        for q, k in enumerate(kkt.bins):
+            spectrum[:, :, k] += (kkt.amplitude[q] * theta[:, ends + q])[:, None] * kkt.vectors[:, q]
         return spectrum
 
     def _adjoint(self, gradient: ComplexArray) -> ComplexArray:
         """Return the spectrum of eta, (N, n, bins)."""
-        border, spaces = self._structure.border, self._structure.spaces
+        kkt, spaces = self._structure.kkt, self._structure.spaces
         eta = np.einsum("ijk,Njk->Nik", spaces.adjoint_map, gradient)
-        row = len(border.point_t)
-        for scale, singular in zip(border.singular_scale, spaces.singular, strict=True):
+        row = len(kkt.point_t)
+        for scale, singular in zip(kkt.singular_scale, spaces.singular, strict=True):
             weight = int(spaces.weight[singular.k])
             value = self._equations[:, row] + (1j * self._equations[:, row + 1] if weight == 2 else 0.0)
             eta[:, :, singular.k] += (scale * self._lti.horizon / weight) * value[:, None] * singular.left

@@ -250,7 +250,7 @@ class SoftBins:
                     "takes soft bins whose price keeps them zero. Use method 'structured'."
                 )
             forces[bins, component] -= own
-            paid = own if found.eta_C else np.zeros_like(own)
+            paid = np.asarray(own if found.eta_C else np.zeros_like(own), dtype=np.complex128)
             stage[term.name] = sealed(np.stack([paid.real, paid.imag], axis=1))
         rho_u, rho_x = (sealed(forces) for forces, *_ in rho.values())
         return Multipliers(found.eta_C, found.eta, found.mu, found.nu, rho_u, rho_x, stage)

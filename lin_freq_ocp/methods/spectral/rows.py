@@ -30,7 +30,7 @@ COPIES = 6  # dense matrices of the size of the working set that a small QP has 
 NEIGHBOURHOOD_HORIZON = 10_000  # from which kernels cost less than FFTs
 NEIGHBOURHOOD_WINDOW = 24  # samples on each side of a working row
 MOST_NEIGHBOURS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
-MOST_VALUES = 10_000  # bounded values up to which the border's effect on all of them is computed at once
+MOST_VALUES = 10_000  # bounded values up to which the effect of bordering unknowns on all of them is computed at once
 
 
 class Rows(NamedTuple):
@@ -137,19 +137,6 @@ class Violations:
             above = np.concatenate([above, self.last_above[ends]])
         return index, np.where(above, 1.0, -1.0)
 
-    def flat_bounds(self) -> tuple[Array, Array]:
-        """Return lower and upper bounds over the same."""
-        lti = self.lti
-        return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
-
-    def flat_prices(self) -> tuple[Array, Array] | None:
-        """Return the prices of lower and upper bounds over the same; None if all are hard."""
-        prices = self.lti.prices
-        if prices is None:
-            return None
-        lower, upper = prices.lower[self.rows], prices.upper[self.rows]
-        return np.append(lower, prices.last_lower), np.append(upper, prices.last_upper)
-
     def _chosen_entries(self, tolerance: float) -> tuple[Indices, Indices]:
         """Return (i, t) of the entries of ``violation`` that enter; states with saturated samples: not only peaks."""
         threshold = np.where(self.state_rows, tolerance / 2, entering_violation(self.worst, tolerance))
@@ -166,6 +153,19 @@ class Violations:
             peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
         kept = peaks | ~states
         return i[kept], t[kept]
+
+    def flat_bounds(self) -> tuple[Array, Array]:
+        """Return lower and upper bounds over the same."""
+        lti = self.lti
+        return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
+
+    def flat_prices(self) -> tuple[Array, Array] | None:
+        """Return the prices of lower and upper bounds over the same; None if all are hard."""
+        prices = self.lti.prices
+        if prices is None:
+            return None
+        lower, upper = prices.lower[self.rows], prices.upper[self.rows]
+        return np.append(lower, prices.last_lower), np.append(upper, prices.last_upper)
 
 
 def entering_violation(worst: float, tolerance: float) -> float:
@@ -195,22 +195,78 @@ class WorkingSet:
     ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count).
     """
 
-    def __init__(self, border: BorderedSystem):
-        self._border = border
+    def __init__(self, kkt: BorderedSystem):
+        self._kkt = kkt
         self.t: Indices = np.zeros(0, dtype=np.intp)
         self.f: Indices = np.zeros(0, dtype=np.intp)
         self.sign: Array = np.zeros(0)
         self.weights: Array = np.zeros(0)
-        self.coupling: Array = np.zeros((len(border.matrix), 0))
+        self.coupling: Array = np.zeros((len(kkt.matrix), 0))
         self._known_gram: Array | None = None
-        self._present = np.zeros((2, len(border.lti.F), border.lti.horizon + 1), dtype=bool)
+        self._present = np.zeros((2, len(kkt.lti.F), kkt.lti.horizon + 1), dtype=bool)
 
     def __len__(self) -> int:
         return len(self.t)
 
     @property
+    def inner(self) -> Mask:
+        """Which rows act at t < T."""
+        return self.t < self._kkt.lti.horizon
+
+    def rows(self) -> tuple[Indices, Indices, Array]:
+        """Return (t, f, sign)."""
+        return self.t, self.f, self.sign
+
+    def weighted(self, weights: Array) -> WorkingSet:
+        """Return the same rows with other multipliers."""
+        other = copy(self)
+        other.weights = weights
+        return other
+
+    def add(self, t: Indices, f: Indices, sign: Array) -> int:
+        """Add the rows that are new, with weight 0; return how many."""
+        new = ~self._present[(sign > 0).astype(np.intp), f, t]
+        t, f, sign = t[new], f[new], sign[new]
+        if not len(t):
+            return 0
+        self._mark(t, f, sign, True)
+        self.coupling, self._known_gram = np.hstack([self.coupling, self._coupling(t, f, sign)]), None
+        self.t, self.f = np.concatenate([self.t, t]), np.concatenate([self.f, f])
+        self.sign, self.weights = np.concatenate([self.sign, sign]), np.concatenate([self.weights, np.zeros(len(t))])
+        return len(t)
+
+    def _coupling(self, t: Indices, f: Indices, sign: Array) -> Array:
+        kkt, inner = self._kkt, t < self._kkt.lti.horizon
+        result = np.zeros((len(self.coupling), len(t)))
+        result[: kkt.size, inner] = kkt.values(t[inner], f[inner]).T
+        result[kkt.size :, inner] = -kkt.responses(t[inner], f[inner])
+        free = np.flatnonzero(~inner)
+        result[kkt.at_end[np.searchsorted(kkt.free_end, f[free])], free] = 1.0
+        return result * sign
+
+    def keep(self, kept: Mask) -> None:
+        """Drop all rows but these."""
+        if not kept.all():
+            self._mark(self.t[~kept], self.f[~kept], self.sign[~kept], False)
+            self.t, self.f = self.t[kept], self.f[kept]
+            self.sign, self.weights = self.sign[kept], self.weights[kept]
+            self.coupling = self.coupling[:, kept]
+            self._known_gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
+
+    def replace(self, rows: Rows, coupling: Array) -> None:
+        """Take other rows, with their coupling."""
+        self._mark(self.t, self.f, self.sign, False)
+        self.t, self.f, self.sign = rows.t, rows.f, rows.sign
+        self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
+        self.coupling, self._known_gram = coupling, None
+        self._mark(self.t, self.f, self.sign, True)
+
+    def _mark(self, t: Indices, f: Indices, sign: Array, present: bool) -> None:
+        self._present[(sign > 0).astype(np.intp), f, t] = present
+
+    @property
     def gram(self) -> Array:
-        """S_W without the border's part, (count, count)."""
+        """S_W without the part of the bordering unknowns, (count, count)."""
         if self._known_gram is None:
             require_memory(
                 f"method 'spectral' with {len(self)} working rows (samples at a bound)",
@@ -219,7 +275,7 @@ class WorkingSet:
             )
             inner = self.inner
             t, f, sign = self.t[inner], self.f[inner], self.sign[inner]
-            gram = self._border.kernels.gram(t, f, t, f)
+            gram = self._kkt.kernels.gram(t, f, t, f)
             gram *= sign[:, None]
             gram *= sign
             if not inner.all():
@@ -236,50 +292,6 @@ class WorkingSet:
         S += self.gram
         return Z, S
 
-    @property
-    def inner(self) -> Mask:
-        """Which rows act at t < T."""
-        return self.t < self._border.lti.horizon
-
-    def rows(self) -> tuple[Indices, Indices, Array]:
-        """Return (t, f, sign)."""
-        return self.t, self.f, self.sign
-
-    def weighted(self, weights: Array) -> WorkingSet:
-        """Return the same rows with other multipliers."""
-        other = copy(self)
-        other.weights = weights
-        return other
-
-    def keep(self, kept: Mask) -> None:
-        """Drop all rows but these."""
-        if not kept.all():
-            self._mark(self.t[~kept], self.f[~kept], self.sign[~kept], False)
-            self.t, self.f = self.t[kept], self.f[kept]
-            self.sign, self.weights = self.sign[kept], self.weights[kept]
-            self.coupling = self.coupling[:, kept]
-            self._known_gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
-
-    def add(self, t: Indices, f: Indices, sign: Array) -> int:
-        """Add the rows that are new, with weight 0; return how many."""
-        new = ~self._present[(sign > 0).astype(np.intp), f, t]
-        t, f, sign = t[new], f[new], sign[new]
-        if not len(t):
-            return 0
-        self._mark(t, f, sign, True)
-        self.coupling, self._known_gram = np.hstack([self.coupling, self._coupling(t, f, sign)]), None
-        self.t, self.f = np.concatenate([self.t, t]), np.concatenate([self.f, f])
-        self.sign, self.weights = np.concatenate([self.sign, sign]), np.concatenate([self.weights, np.zeros(len(t))])
-        return len(t)
-
-    def replace(self, rows: Rows, coupling: Array) -> None:
-        """Take other rows, with their coupling."""
-        self._mark(self.t, self.f, self.sign, False)
-        self.t, self.f, self.sign = rows.t, rows.f, rows.sign
-        self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
-        self.coupling, self._known_gram = coupling, None
-        self._mark(self.t, self.f, self.sign, True)
-
     def limits(self, lti: Lti) -> Array:
         """Return the right-hand sides of the rows, shape (count,)."""
         return self.sign * self._of_bounds(Bounds(lti.lower, lti.upper, lti.last_lower, lti.last_upper))
@@ -287,18 +299,6 @@ class WorkingSet:
     def prices(self, lti: Lti) -> Array | None:
         """Return the largest multipliers of the rows, (count,), infinite for hard rows; None if all are hard."""
         return None if lti.prices is None else self._of_bounds(lti.prices)
-
-    def free_response(self) -> Array:
-        """Return how far a unit force moves each row without equations, (count,); x_T moves by itself."""
-        inner = self.inner
-        free = np.full(len(self), 1 / self._border.lti.curvature_unit)
-        free[inner] = self._border.kernels.free_response(self.f[inner])
-        return free
-
-    def saturated(self, lti: Lti) -> Mask:
-        """Return which rows have their price as multiplier, (count,)."""
-        prices = self.prices(lti)
-        return np.zeros(len(self), dtype=bool) if prices is None else self.weights >= prices
 
     def _of_bounds(self, bounds: Bounds) -> Array:
         """Return the entries of the rows in arrays for all bounds, (count,)."""
@@ -309,28 +309,28 @@ class WorkingSet:
         found[~inner] = np.where(upper[~inner], bounds.last_upper[last], bounds.last_lower[last])
         return found
 
+    def saturated(self, lti: Lti) -> Mask:
+        """Return which rows have their price as multiplier, (count,)."""
+        prices = self.prices(lti)
+        return np.zeros(len(self), dtype=bool) if prices is None else self.weights >= prices
+
     def values(self, y: Array, last: Array) -> Array:
         """Return sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
         inner = self.inner
         result = np.empty(len(self))
-        result[inner] = np.einsum("ri,ir->r", self._border.lti.F[self.f[inner]], y[:, self.t[inner]])
+        result[inner] = np.einsum("ri,ir->r", self._kkt.lti.F[self.f[inner]], y[:, self.t[inner]])
         result[~inner] = last[self.f[~inner]]
         return self.sign * result
 
-    def _mark(self, t: Indices, f: Indices, sign: Array, present: bool) -> None:
-        self._present[(sign > 0).astype(np.intp), f, t] = present
-
-    def _coupling(self, t: Indices, f: Indices, sign: Array) -> Array:
-        border, inner = self._border, t < self._border.lti.horizon
-        result = np.zeros((len(self.coupling), len(t)))
-        result[: border.size, inner] = border.values(t[inner], f[inner]).T
-        result[border.size :, inner] = -border.responses(t[inner], f[inner])
-        free = np.flatnonzero(~inner)
-        result[border.at_end[np.searchsorted(border.free_end, f[free])], free] = 1.0
-        return result * sign
+    def free_response(self) -> Array:
+        """Return how far a unit force moves each row without equations, (count,); x_T moves by itself."""
+        inner = self.inner
+        free = np.full(len(self), 1 / self._kkt.lti.curvature_unit)
+        free[inner] = self._kkt.kernels.free_response(self.f[inner])
+        return free
 
 
-def neighbourhood_of(border: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
+def neighbourhood_of(kkt: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
     """Return the samples around the working rows; None if there are none, many or soft, or the horizon is short."""
     T, inner = violations.lti.horizon, working.inner
     if T < NEIGHBOURHOOD_HORIZON or violations.lti.prices is not None:
@@ -338,37 +338,37 @@ def neighbourhood_of(border: BorderedSystem, violations: Violations, working: Wo
     window = np.arange(-NEIGHBOURHOOD_WINDOW, NEIGHBOURHOOD_WINDOW + 1)
     times = (working.t[inner, None] + window).clip(0, T - 1)
     keys = np.unique((working.f[inner, None] * T + times).ravel())
-    return Neighbourhood(border, violations, keys % T, keys // T) if 0 < len(keys) <= MOST_NEIGHBOURS else None
+    return Neighbourhood(kkt, violations, keys % T, keys // T) if 0 < len(keys) <= MOST_NEIGHBOURS else None
 
 
 class Neighbourhood:
     """Rows F_f y_t, t < T, with both their bounds, in the order of f, then t."""
 
-    def __init__(self, border: BorderedSystem, violations: Violations, t: Indices, f: Indices):
+    def __init__(self, kkt: BorderedSystem, violations: Violations, t: Indices, f: Indices):
         lti = violations.lti
         bounded = np.isfinite(lti.lower[f, t]) | np.isfinite(lti.upper[f, t])
         free = bounded & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
         t, f = t[free], f[free]
-        self._border, self.t, self.f = border, t, f
+        self._kkt, self.t, self.f = kkt, t, f
         self._lower, self._upper, self._scale = lti.lower[f, t], lti.upper[f, t], violations.scale[f]
         self._is_state = ~lti.F[f, lti.state_dim :].any(1)
-        self._coupling = np.hstack([border.values(t, f), -border.responses(t, f).T])
+        self._coupling = np.hstack([kkt.values(t, f), -kkt.responses(t, f).T])
 
     def entering(
         self, y: Array, working: WorkingSet, step: Array, weights: Array, tolerance: float
     ) -> tuple[Indices, Indices, Array]:
-        """Return (t, f, sign) of the rows that a border step with new weights violates, to add to the working rows."""
-        border, inner = self._border, working.inner
-        values = np.einsum("ri,ir->r", border.lti.F[self.f], y[:, self.t]) + self._coupling @ step
+        """Return (t, f, sign) of the rows to add: those that a bordering step with new weights violates."""
+        kkt, inner = self._kkt, working.inner
+        values = np.einsum("ri,ir->r", kkt.lti.F[self.f], y[:, self.t]) + self._coupling @ step
         change = working.sign * (weights - working.weights)
         acting = np.flatnonzero(inner & (change != 0))
-        values -= border.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
+        values -= kkt.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
         above, below = values - self._upper, self._lower - values
         violation = np.maximum(above, below) / self._scale
-        chosen = np.flatnonzero(self._selected(violation, tolerance))
+        chosen = np.flatnonzero(self._select(violation, tolerance))
         return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
 
-    def _selected(self, violation: Array, tolerance: float) -> Mask:
+    def _select(self, violation: Array, tolerance: float) -> Mask:
         """Return violated peaks of states, and violated or nearly active samples of the others."""
         worst = float(violation.max(initial=0.0))
         if worst <= tolerance:
@@ -398,23 +398,23 @@ class WholeHorizon:
     ``coupling`` (size + equations, values) is as in WorkingSet, ``through`` is K_b^{-1} times that.
     """
 
-    def __init__(self, border: BorderedSystem, rows: Indices):
-        lti, T, n = border.lti, border.lti.horizon, border.lti.state_dim
-        self._border, self.rows, self._inner = border, rows, len(rows) * T
+    def __init__(self, kkt: BorderedSystem, rows: Indices):
+        lti, T, n = kkt.lti, kkt.lti.horizon, kkt.lti.state_dim
+        self._kkt, self.rows, self._inner = kkt, rows, len(rows) * T
         self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
         self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
         self._row_index = np.zeros(len(lti.F), dtype=np.intp)
         self._row_index[rows] = np.arange(len(rows))
-        self.coupling = np.zeros((len(border.matrix), len(self.t)))
-        self.coupling[:, : self._inner] = border.everywhere(rows).reshape(-1, self._inner)
-        self.coupling[border.at_end, self._inner + border.free_end] = 1.0
-        self.through = border.inverse @ self.coupling
-        self._spaces = border.kernels.of_rows(rows)
+        self.coupling = np.zeros((len(kkt.matrix), len(self.t)))
+        self.coupling[:, : self._inner] = kkt.values_at_all_times(rows).reshape(-1, self._inner)
+        self.coupling[kkt.at_end, self._inner + kkt.free_end] = 1.0
+        self.through = kkt.inverse @ self.coupling
+        self._spaces = kkt.kernels.of_rows(rows)
         self.tabulated = False
 
     def flat_indices(self, t: Indices, f: Indices) -> Indices:
         """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
-        T = self._border.lti.horizon
+        T = self._kkt.lti.horizon
         return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
 
     def duals(self, rows: Rows) -> ActiveSetDuals:
@@ -426,7 +426,7 @@ class WholeHorizon:
     @cached_property
     def table(self) -> Array:
         """S of all values, (values, values): for many solves, if they are few enough."""
-        T, kernels = self._border.lti.horizon, self._border.kernels.table
+        T, kernels = self._kkt.lti.horizon, self._kkt.kernels.table
         S = self.coupling.T @ self.through
         lags = np.arange(T)[:, None] - np.arange(T)
         for i, f in enumerate(self.rows):
@@ -443,15 +443,15 @@ class WholeHorizon:
         S = (S + S.T) / 2
         inner = index < self._inner
         if inner.all():
-            return S + self._border.kernels.gram(t, f, t, f)
-        S[np.ix_(inner, inner)] += self._border.kernels.gram(t[inner], f[inner], t[inner], f[inner])
+            return S + self._kkt.kernels.gram(t, f, t, f)
+        S[np.ix_(inner, inner)] += self._kkt.kernels.gram(t[inner], f[inner], t[inner], f[inner])
         return S
 
     def free_response(self, index: Indices) -> Array:
         """Return how far a unit force moves each of some values without equations; x_T moves by itself."""
-        free = np.full(len(index), 1 / self._border.lti.curvature_unit)
+        free = np.full(len(index), 1 / self._kkt.lti.curvature_unit)
         inner = index < self._inner
-        free[inner] = self._border.kernels.free_response(self.f[index[inner]])
+        free[inner] = self._kkt.kernels.free_response(self.f[index[inner]])
         return free
 
     def response(self, index: Indices, mu: Array) -> Array:
@@ -465,5 +465,5 @@ class WholeHorizon:
         acting = pulses.any(1)
         answer = (self._spaces[acting].conj() * fft.rfft(pulses[acting])[:, None]).sum(0)
         values = (self.through[:, index] @ mu) @ self.coupling
-        values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self._border.lti.horizon).ravel()
+        values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self._kkt.lti.horizon).ravel()
         return values

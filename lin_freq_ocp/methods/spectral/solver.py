@@ -125,6 +125,31 @@ class SpectralSolver:
         """Restore the state, with a new lock."""
         self.__dict__.update(state, _turn=threading.Lock())
 
+    def _set_up(self, units: Units) -> None:
+        """Compute everything that does not depend on data, in the given units."""
+        started = now()
+        with one_blas_thread():
+            self._units, self._lti = units, lti_problem(self.problem, units)
+            try:
+                self._structure = Structure(self._lti)
+            except np.linalg.LinAlgError as error:
+                raise UnsupportedError(
+                    f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
+                ) from None
+        self._coarser: dict[int, Structure] = {}
+        self._solves = 0
+        self._ends_model: EndsModel | None = None
+        self._last_rows: Rows | None = None
+        self.setup_seconds = now() - started
+
+    @classmethod
+    def _in_units(cls, problem: OptimalControlProblem, units: Units) -> SpectralSolver:
+        """Return a solver for the same problem, set up in other units."""
+        solver = cls.__new__(cls)
+        solver.problem = problem
+        solver._set_up(units)
+        return solver
+
     def solve(
         self,
         initial_state: ArrayLike | ConvexSet | None = None,
@@ -164,7 +189,7 @@ class SpectralSolver:
                 positive_number(field, value)
         with self._turn:
             started = now()
-            problem, lti = self._with(initial_state, terminal_state, references, bounds)
+            problem, lti = self._changed_problem(initial_state, terminal_state, references, bounds)
             ray = contradiction_at_ends(problem)
             if ray is not None:
                 message, both = ("an end lies outside the state set", {"setup": 0.0, "solve": now() - started})
@@ -172,134 +197,11 @@ class SpectralSolver:
             if warm_start is not None:
                 self._require_own(warm_start)
             first = None if warm_start is None else warm_start.active
-            return self._solved(problem, lti, first, tolerance or tol.VIOLATION_TOLERANCE, time_limit, started)
-
-    def solve_together(self, initial_states: Array) -> Together | None:
-        """Solve from many initial states, each from the working rows of the one before, and all signals at once.
-
-        Parameters
-        ----------
-        initial_states : (N, n)
-
-        Returns
-        -------
-        Together or None
-            Claims without residuals, for a judge. None where joint rows, state bands, or more than 2500 bounded values
-            prevent it.
-        """
-        if not takes_batches(self._structure) or np.isnan(self._lti.start).any():
-            return None
-        if self._last_rows is None:
-            self._last_rows = self.solve(initial_state=initial_states[0]).active  # which may revise the units
-        with self._turn, one_blas_thread(), np.errstate(all="ignore"), interrupts_noted() as interrupt:
-            self._ends_model = self._ends_model or ends_model(self._structure, self._lti)
-            if self._ends_model is None:
-                return None
-            stop, rows = deadline(None, interrupt.is_set), self._last_rows
-            state, starts = (self._structure, self._ends_model, self._units), initial_states / self._units.x
-
-            def failed(i: int) -> None:
-                self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tol.VIOLATION_TOLERANCE, stop)
-
-            answer = solve_together(*state, initial_states, rows, tol.VIOLATION_TOLERANCE, stop, failed)
-            self._last_rows = answer.rows
-            return replace(answer, interrupted=interrupt.is_set())
-
-    def _solved(
-        self,
-        problem: OptimalControlProblem,
-        lti: Lti,
-        first: Rows | None,
-        allowed: float,
-        limit: float | None,
-        started: float,
-    ) -> SpectralSolution:
-        """Solve, in revised units if the first turn out to be wrong; the caller holds the lock."""
-        with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
-            stop = deadline(limit, interrupt.is_set)
-            answer = self._exchange(lti, first, allowed, stop)
-            y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
-            units = revised_units(self._units, y) if optimal else None
-            if units is not None:
-                better = SpectralSolver._in_units(self.problem, units)
-                second = better._exchange(lti_problem(problem, units), None, allowed, stop)
-                if second.outcome.status == "optimal":
-                    self.__dict__.update(better.__dict__)
-                    answer = second
-            return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
-
-    @classmethod
-    def _in_units(cls, problem: OptimalControlProblem, units: Units) -> SpectralSolver:
-        """Return a solver for the same problem, set up in other units."""
-        solver = cls.__new__(cls)
-        solver.problem = problem
-        solver._set_up(units)
-        return solver
-
-    def _set_up(self, units: Units) -> None:
-        """Compute everything that does not depend on data, in the given units."""
-        started = now()
-        with one_blas_thread():
-            self._units, self._lti = units, lti_problem(self.problem, units)
-            try:
-                self._structure = Structure(self._lti)
-            except np.linalg.LinAlgError as error:
-                raise UnsupportedError(
-                    f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
-                ) from None
-        self._coarser: dict[int, Structure] = {}
-        self._solves = 0
-        self._ends_model: EndsModel | None = None
-        self._last_rows: Rows | None = None
-        self.setup_seconds = now() - started
-
-    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> Answer:
-        if first is None:
-            first = first_working_set(lti, stop, self._coarser)
-        model = self._model_between(lti)
-        known = None if model is None else model.at(lti)
-        if model is None or known is None:
-            exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
-            answer = self._measured(exchange, exchange.run())
-        else:
-            exchange = Exchange(self._structure, known[0], first, tolerance, stop, model.violations, known[1])
-            ray = model.refuting(*known)
-            answer = self._measured(exchange, exchange.run() if ray is None else exchange.refuted(ray))
-            if ray is None and answer.outcome.ray is not None:
-                model.keep(answer.outcome.ray)
-        if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
-            exchange.slope_tolerance = tol.STRICT_SLOPE
-            second = self._measured(exchange, exchange.run())
-            answer = second if second.accurate else answer
-        return answer
-
-    def _model_between(self, lti: Lti) -> EndsModel | None:
-        """Return the model of other ends, from the second solve on, if the problem differs in nothing else."""
-        self._solves += 1
-        if self._solves == 1 or lti.lower is not self._lti.lower or lti.linear is not self._lti.linear:
-            return None
-        if self._solves == 2:
-            self._ends_model = ends_model(self._structure, self._lti)
-        return self._ends_model
-
-    def _measured(self, exchange: Exchange, outcome: Outcome) -> Answer:
-        found = recover(self._structure, exchange.data, outcome, exchange.spectrum)
-        del exchange.spectrum  # large; further rounds make another
-        return Answer(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
-
-    def _require_own(self, warm_start: SpectralSolution) -> None:
-        if not isinstance(warm_start, SpectralSolution):
-            raise ProblemError("warm_start", type(warm_start).__name__, "a SpectralSolution", "What solve() returned.")
-        got, shape = (
-            given and (given.horizon, given.state_dim, given.control_dim, sum(rows.rows for rows in given.stage_rows))
-            for given in (warm_start.problem, self.problem)
-        )
-        if got != shape:
-            raise ProblemError(
-                "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
+            return self._solve_in_best_units(
+                problem, lti, first, tolerance or tol.VIOLATION_TOLERANCE, time_limit, started
             )
 
-    def _with(
+    def _changed_problem(
         self,
         initial_state: ArrayLike | ConvexSet | None,
         terminal_state: ArrayLike | ConvexSet | None,
@@ -342,6 +244,75 @@ class SpectralSolver:
             )
         return problem, lti
 
+    def _require_own(self, warm_start: SpectralSolution) -> None:
+        if not isinstance(warm_start, SpectralSolution):
+            raise ProblemError("warm_start", type(warm_start).__name__, "a SpectralSolution", "What solve() returned.")
+        got, shape = (
+            given and (given.horizon, given.state_dim, given.control_dim, sum(rows.rows for rows in given.stage_rows))
+            for given in (warm_start.problem, self.problem)
+        )
+        if got != shape:
+            raise ProblemError(
+                "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
+            )
+
+    def _solve_in_best_units(
+        self,
+        problem: OptimalControlProblem,
+        lti: Lti,
+        first: Rows | None,
+        allowed: float,
+        limit: float | None,
+        started: float,
+    ) -> SpectralSolution:
+        """Solve, in revised units if the first turn out to be wrong; the caller holds the lock."""
+        with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
+            stop = deadline(limit, interrupt.is_set)
+            answer = self._exchange(lti, first, allowed, stop)
+            y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
+            units = revised_units(self._units, y) if optimal else None
+            if units is not None:
+                better = SpectralSolver._in_units(self.problem, units)
+                second = better._exchange(lti_problem(problem, units), None, allowed, stop)
+                if second.outcome.status == "optimal":
+                    self.__dict__.update(better.__dict__)
+                    answer = second
+            return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
+
+    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> Answer:
+        if first is None:
+            first = first_working_set(lti, stop, self._coarser)
+        model = self._model_between(lti)
+        known = None if model is None else model.at(lti)
+        if model is None or known is None:
+            exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
+            answer = self._measured_answer(exchange, exchange.run())
+        else:
+            exchange = Exchange(self._structure, known[0], first, tolerance, stop, model.violations, known[1])
+            ray = model.refuting(*known)
+            answer = self._measured_answer(exchange, exchange.run() if ray is None else exchange.refuted(ray))
+            if ray is None and answer.outcome.ray is not None:
+                model.keep(answer.outcome.ray)
+        if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
+            exchange.slope_tolerance = tol.STRICT_SLOPE
+            second = self._measured_answer(exchange, exchange.run())
+            answer = second if second.accurate else answer
+        return answer
+
+    def _model_between(self, lti: Lti) -> EndsModel | None:
+        """Return the model of other ends, from the second solve on, if the problem differs in nothing else."""
+        self._solves += 1
+        if self._solves == 1 or lti.lower is not self._lti.lower or lti.linear is not self._lti.linear:
+            return None
+        if self._solves == 2:
+            self._ends_model = ends_model(self._structure, self._lti)
+        return self._ends_model
+
+    def _measured_answer(self, exchange: Exchange, outcome: Outcome) -> Answer:
+        found = recover(self._structure, exchange.data, outcome, exchange.spectrum)
+        del exchange.spectrum  # large; further rounds make another
+        return Answer(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
+
     def _solution(self, problem: OptimalControlProblem, answer: Answer, started: float) -> SpectralSolution:
         outcome, measured = answer.outcome, answer.measured
         status, message = outcome.status, outcome.message
@@ -366,3 +337,34 @@ class SpectralSolver:
             active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
             rounds=outcome.rounds,
         )
+
+    def solve_together(self, initial_states: Array) -> Together | None:
+        """Solve from many initial states, each from the working rows of the one before, and all signals at once.
+
+        Parameters
+        ----------
+        initial_states : (N, n)
+
+        Returns
+        -------
+        Together or None
+            Claims without residuals, for a judge. None where joint rows, state bands, or more than 2500 bounded values
+            prevent it.
+        """
+        if not takes_batches(self._structure) or np.isnan(self._lti.start).any():
+            return None
+        if self._last_rows is None:
+            self._last_rows = self.solve(initial_state=initial_states[0]).active  # which may revise the units
+        with self._turn, one_blas_thread(), np.errstate(all="ignore"), interrupts_noted() as interrupt:
+            self._ends_model = self._ends_model or ends_model(self._structure, self._lti)
+            if self._ends_model is None:
+                return None
+            stop, rows = deadline(None, interrupt.is_set), self._last_rows
+            state, starts = (self._structure, self._ends_model, self._units), initial_states / self._units.x
+
+            def keep_ray(i: int) -> None:
+                self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tol.VIOLATION_TOLERANCE, stop)
+
+            answer = solve_together(*state, initial_states, rows, tol.VIOLATION_TOLERANCE, stop, keep_ray)
+            self._last_rows = answer.rows
+            return replace(answer, interrupted=interrupt.is_set())

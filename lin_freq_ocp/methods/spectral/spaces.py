@@ -23,7 +23,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
 
-MOST_BORDER = 128  # directions of small cost beyond which only the smallest become border unknowns: they are dense
+MOST_BORDER = 128  # directions of small cost beyond which only the smallest become bordering unknowns: they are dense
 SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
 
 
@@ -123,7 +123,7 @@ class NearBins:
 
 @dataclass(frozen=True, eq=False)
 class Singular:
-    """A compatibility equation sigma xi = L^*(z w + d_k), xi the coefficient of border direction ``direction``."""
+    """A compatibility equation sigma xi = L^*(z w + d_k), xi the coefficient of bordering direction ``direction``."""
 
     k: int
     left: ComplexArray
@@ -153,7 +153,7 @@ class BinSpaces:
         self.near = NearBins(lti, close[~(size < tol.NEAR_RESOLVENT)], self.z, distance)
         self.N = self._far_null_spaces()
         self.singular: list[Singular] = []
-        self._set_border()
+        self._choose_bordering_directions()
 
     def _far_null_spaces(self) -> ComplexArray:
         """Return N normalised at far bins, zero at near ones."""
@@ -173,7 +173,7 @@ class BinSpaces:
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
         seen = slice(0 if lti.state_cost else n, None)
         V, M = N[seen], lti.M[seen, seen]
-        H = np.einsum("iak,ibk->kab", V.conj(), np.tensordot(M, V, 1))
+        H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), np.tensordot(M, V, 1)), dtype=np.complex128)
         if m == 1:  # several are checked below
             unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
             if (H[:, 0, 0].real <= unseen)[passed[0]].any():
@@ -192,8 +192,8 @@ class BinSpaces:
             raise _flat_cost()
         return np.asarray(np.linalg.inv(factor) / sizes[:, None], dtype=np.complex128)
 
-    def _set_border(self) -> None:
-        """Choose the border directions among those of the near bins, and complete N by the others."""
+    def _choose_bordering_directions(self) -> None:
+        """Choose the bordering directions among those of the near bins, and complete N by the others."""
         near, unit = self.near, self.lti.curvature_unit
         costs = near.cost[np.isfinite(near.cost)]
         smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf

@@ -29,7 +29,9 @@ KEPT_RAYS = 8  # of infeasible problems between other ends
 
 
 class Structure:
-    """Null spaces, kernels and border of a problem; they depend on A, B, M, F, the bands and which ends are free.
+    """Null spaces, kernels and bordered KKT system of a problem.
+
+    They depend on A, B, M, F, the bands, and on which components of the ends are free.
 
     ``unconstrained`` (rows of F,) is 1/R for control rows and 0 for others if diag(1/R) - S >= 0 (R diagonal, S = 0).
     """
@@ -38,17 +40,17 @@ class Structure:
         _require_memory(lti)
         self.spaces = BinSpaces(lti)
         self.kernels = Kernels(lti, self.spaces)
-        self.border = BorderedSystem(lti, self.spaces, self.kernels)
+        self.kkt = BorderedSystem(lti, self.spaces, self.kernels)
         self.unconstrained = _unconstrained_response(lti)
         self._whole: WholeHorizon | None = None
 
     def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
-        """Return the responses of all values of the rows of F; None if many, or with a soft border or periodic ends."""
-        T, closed = self.border.lti.horizon, self.border.lti.periodic
-        if closed or self.border.soft or not self.kernels.complete or not len(rows) or len(rows) * T > MOST_VALUES:
+        """Return the responses of all values of the rows of F; None if many, or with soft unknowns or periodic ends."""
+        T, closed = self.kkt.lti.horizon, self.kkt.lti.periodic
+        if closed or self.kkt.soft or not self.kernels.complete or not len(rows) or len(rows) * T > MOST_VALUES:
             return None
         if self._whole is None or not np.array_equal(self._whole.rows, rows):
-            self._whole = WholeHorizon(self.border, rows)
+            self._whole = WholeHorizon(self.kkt, rows)
         return self._whole
 
 
@@ -86,7 +88,7 @@ class Data:
     """What depends on ends, linear terms, offsets and bounds."""
 
     lti: Lti
-    base: ComplexArray  # spectrum of y without forces and border variables, (n+m, bins)
+    base: ComplexArray  # spectrum of y without forces and bordering unknowns, (n+m, bins)
     linear: ComplexArray | None  # spectrum of h, (n+m, bins)
     h: Array  # gradient in theta at 0, (size,)
     e: Array  # right-hand sides of the equations, (equations,)
@@ -94,18 +96,18 @@ class Data:
 
 def data_of(structure: Structure, lti: Lti) -> Data:
     """Return the data of ``lti``, whose structure must be the given one."""
-    spaces, border = structure.spaces, structure.border
+    spaces, kkt = structure.spaces, structure.kkt
     start, end = np.where(np.isnan(lti.start), 0.0, lti.start), np.where(np.isnan(lti.end), 0.0, lti.end)
     jump = spaces.z * (start - end)[:, None]
     if lti.offset is not None:
         jump += fft.rfft(lti.offset)
     linear = None if lti.linear is None else fft.rfft(lti.linear)
     base = spaces.particular(jump[:, None])[:, 0]
-    h = border.gradient(lti.M @ base + (0 if linear is None else linear))
-    h[border.at_end] += (lti.P @ end + lti.p)[border.free_end]
+    h = kkt.gradient(lti.M @ base + (0 if linear is None else linear))
+    h[kkt.at_end] += (lti.P @ end + lti.p)[kkt.free_end]
     if linear is not None:
         base -= spaces.project(linear[:, None])[:, 0]
-    return Data(lti, base, linear, h, border.right_hand_side(lti, jump))
+    return Data(lti, base, linear, h, kkt.right_hand_side(lti, jump))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,32 +121,32 @@ class Signals:
 def signals(
     structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet
 ) -> tuple[Signals, ComplexArray]:
-    """Return the optimum over all bins for given border variables and forces (docs/spectral.md, (3)), and its spectrum.
+    """Return the optimum over all bins for given bordering unknowns and forces, and the spectrum of y, (n+m, bins).
 
-    The spectrum is that of y, (n+m, bins).
+    docs/spectral.md, (3).
     """
-    lti, spaces, border = data.lti, structure.spaces, structure.border
+    lti, spaces, kkt = data.lti, structure.spaces, structure.kkt
     spectrum = data.base.copy()
     if len(working) or multipliers.any():
         spaces.respond(*forces(structure, lti, multipliers, working), spectrum)
-    border.add(theta, spectrum)
+    kkt.add(theta, spectrum)
     y, last = fft.irfft(spectrum, lti.horizon), lti.end.copy()
     if lti.periodic:
         last[:] = y[: lti.state_dim, 0]
-    last[border.free_end] = theta[border.at_end]
+    last[kkt.free_end] = theta[kkt.at_end]
     return Signals(y, last), spectrum
 
 
 def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
     """Return the spectrum of G'l + E'y, and which components are not zero."""
-    border, dimension = structure.border, len(lti.M)
+    kkt, dimension = structure.kkt, len(lti.M)
     pulses = np.zeros((len(lti.F), lti.horizon))
     inner = working.inner
     np.add.at(pulses, (working.f[inner], working.t[inner]), (working.sign * working.weights)[inner])
-    np.add.at(pulses, (border.point_f, border.point_t), multipliers[: len(border.point_t)])
+    np.add.at(pulses, (kkt.point_f, kkt.point_t), multipliers[: len(kkt.point_t)])
     acting = np.zeros(len(lti.F), dtype=bool)
     acting[working.f[inner]] = True
-    acting[border.point_f] |= bool(multipliers.any())
+    acting[kkt.point_f] |= bool(multipliers.any())
     force = pulses[:dimension]
     if acting[dimension:].any():
         force += lti.F[dimension:].T @ pulses[dimension:]
@@ -153,24 +155,24 @@ def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingS
     spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
     if used.any():
         spectrum[used] = fft.rfft(force if used.all() else force[used])
-    if len(border.bands):
-        on_bands = multipliers[-len(border.bands) :]
-        for i in border.band_components:
-            mine = border.band_component == i
-            spectrum[i] += on_bands[mine] @ border.band_hat[mine]
+    if len(kkt.bands):
+        on_bands = multipliers[-len(kkt.bands) :]
+        for i in kkt.band_components:
+            mine = kkt.band_component == i
+            spectrum[i] += on_bands[mine] @ kkt.band_hat[mine]
             used[i] = True
     return spectrum, used
 
 
 def equation_residual(structure: Structure, data: Data, theta: Array, at: Signals) -> Array:
     """Return e - E(x, theta), measured on the signals where possible."""
-    border, points = structure.border, len(structure.border.point_t)
-    residual = data.e - border.E @ theta
-    residual[:points] = data.e[:points] - at.y[border.point_f, border.point_t]
-    residual[border.free_start] += theta[border.at_start]
-    if len(border.bands):
-        inside = np.einsum("dt,dt->d", border.bands[:, :-1], at.y[border.band_component])
-        residual[-len(border.bands) :] = -inside - border.bands[:, -1] * at.last[border.band_component]
+    kkt, points = structure.kkt, len(structure.kkt.point_t)
+    residual = data.e - kkt.E @ theta
+    residual[:points] = data.e[:points] - at.y[kkt.point_f, kkt.point_t]
+    residual[kkt.free_start] += theta[kkt.at_start]
+    if len(kkt.bands):
+        inside = np.einsum("dt,dt->d", kkt.bands[:, :-1], at.y[kkt.band_component])
+        residual[-len(kkt.bands) :] = -inside - kkt.bands[:, -1] * at.last[kkt.band_component]
     return residual
 
 
@@ -185,16 +187,15 @@ def unconstrained_point(
     structure: Structure, data: Data, violations: Violations, whole: WholeHorizon
 ) -> UnconstrainedPoint:
     """Return the point without working rows, to the accuracy of K_b."""
-    theta = np.zeros(structure.border.size)
-    at, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
-    step = structure.border.inverse @ np.concatenate([-data.h, equation_residual(structure, data, theta, at)])
+    at, residual = _point_without_forces(structure, data)
+    step = structure.kkt.inverse @ np.concatenate([-data.h, residual])
     return UnconstrainedPoint(step, np.append(violations.values(at.y), at.last) + step @ whole.coupling)
 
 
 def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Array]:
     """Return the point c without forces, and the residual of the equations there."""
-    theta = np.zeros(structure.border.size)
-    c, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.border))
+    theta = np.zeros(structure.kkt.size)
+    c, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.kkt))
     return c, equation_residual(structure, data, theta, c)
 
 
@@ -213,12 +214,12 @@ class Ray:
 
 def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
     """Return the ray if it proves that these data are infeasible."""
-    border, lti = structure.border, data.lti
+    kkt, lti = structure.kkt, data.lti
     force, _ = forces(structure, lti, y, working)
     size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
     moved = sum(np.conj(structure.spaces.N[i]) * force[i] for i in range(len(lti.M)))
     stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size)
-    slope = np.abs(border.E.T @ y + working.coupling[: border.size] @ working.weights).max(initial=0.0)
+    slope = np.abs(kkt.E.T @ y + working.coupling[: kkt.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
     c, residual = _point_without_forces(structure, data)
     limits = working.limits(lti)
@@ -230,10 +231,10 @@ def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array
 
 def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | None:
     """Return a ray of the dependent equations."""
-    dependent = structure.border.dependent
+    dependent = structure.kkt.dependent
     y = -dependent @ (dependent.T @ residual)
     largest = float(np.abs(y).max(initial=0.0))
-    return None if largest == 0 else verified_ray(structure, data, WorkingSet(structure.border), y / largest)
+    return None if largest == 0 else verified_ray(structure, data, WorkingSet(structure.kkt), y / largest)
 
 
 def row_ray(
@@ -269,16 +270,19 @@ def row_ray(
     else:
         return None
     weights /= weights.max()
-    return verified_ray(structure, data, working.weighted(weights), -(Z @ weights)[structure.border.size :])
+    return verified_ray(structure, data, working.weighted(weights), -(Z @ weights)[structure.kkt.size :])
 
 
 def regularised_ray(
     structure: Structure, data: Data, working: WorkingSet, stop: Callable[[], str | None] = lambda: None
 ) -> Ray | None:
-    """Return a ray of working rows from a unit Hessian of the border: feasibility does not depend on the cost."""
-    border, (c, residual) = structure.border, _point_without_forces(structure, data)
-    step = border.regularised @ np.concatenate([np.zeros(border.size), residual])
-    Z, S = working.eliminated(border.regularised)
+    """Return a ray of working rows from a unit Hessian of the bordering unknowns.
+
+    Feasibility does not depend on the cost.
+    """
+    kkt, (c, residual) = structure.kkt, _point_without_forces(structure, data)
+    step = kkt.regularised @ np.concatenate([np.zeros(kkt.size), residual])
+    Z, S = working.eliminated(kkt.regularised)
     d = working.limits(data.lti) - working.values(c.y, c.last) - working.coupling.T @ step
     return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
 
@@ -335,7 +339,7 @@ class EndsModel:
         return np.hstack([np.ones((len(starts), 1)), starts, np.tile(end, (len(starts), 1))])
 
     def spectra(self, p: Array) -> ComplexArray:
-        """Return the spectrum of y without forces and border variables, (..., n+m, bins), for (1, p)."""
+        """Return the spectrum of y without forces and bordering unknowns, (..., n+m, bins), for (1, p)."""
         return np.tensordot(p, self._base, 1).view(np.complex128)
 
     def keep(self, ray: Ray) -> None:

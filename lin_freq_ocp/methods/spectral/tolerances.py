@@ -7,23 +7,25 @@ ROUNDED_COMPONENT = 1e-13  # largest value below which a component holds roundin
 MUCH_LARGER = 30.0  # factor between a component's stated size and other evidence of it from which the evidence counts
 NEAR_RESOLVENT = 1e2  # size of the resolvent from which a bin is near an eigenvalue: dividing loses two digits
 NEAR_RADIUS = 0.3  # distance to an eigenvalue beyond which a bin is far, however large the resolvent
-SMALL_SINGULAR_VALUE = 1e-5  # relative singular value of F_k below which its direction may become a border unknown ...
+SMALL_SINGULAR_VALUE = (
+    1e-5  # relative singular value of F_k below which its direction may become a bordering unknown ...
+)
 LEAST_DIVISOR = 1e-11  # ... and below which it always does: fewer than five digits of it are known
 # ... unless the distance to every eigenvalue, times T, is above this: |1 - (lambda / z)^T| is then of order 1, or
 # |lambda| is far from 1 in T steps, and a jump leaves a response of its own size. Few bins per eigenvalue are nearer.
 RESOLVED_PHASE = 10.0
 ZERO_SINGULAR_VALUE = 1e-13  # relative singular value that is rounding; as a number it would decide the answer
-SMALL_HESSIAN = 1e-4  # cost of a null direction, relative to a control's, below which it may be a border unknown ...
+SMALL_HESSIAN = 1e-4  # cost of a null direction, relative to a control's, below which it may be a bordering unknown ...
 LEAST_HESSIAN = 1e-10  # ... and below which it always does
 SINGULAR_HESSIAN = 1e-13  # relative eigenvalue of N^*MN at which the cost does not see a direction: refused
 
 # Bordered KKT system (kkt.py)
 NULL_EQUATION = 1e-12  # relative singular value of the equations that is rounding of 0
 EQUATION_ROUNDING = 1e-13  # relative eigenvalue of G_EE that is rounding of 0
-SOFT_RESPONSE = 1e11  # response of a border unknown to a force, relative to a control's, from which it is kept
+SOFT_RESPONSE = 1e11  # response of a bordering unknown to a force, relative to a control's, from which it is kept
 SOFT_END = 1e8  # the same for free ends, which move all signals
-HESSIAN_ROUNDING = 1e-15  # curvature of a border unknown, relative to the largest, that may be rounding
-SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on a soft border, relative to the curvature of a control
+HESSIAN_ROUNDING = 1e-15  # curvature of a bordering unknown, relative to the largest, that may be rounding
+SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on soft unknowns, relative to the curvature of a control
 
 # Small QPs, scaled to order 1 (qp.py)
 TINY = 1e-300  # keeps quotients of exact zeros finite
@@ -54,18 +56,18 @@ VIOLATION_TOLERANCE = 1e-12  # relative violation of a bound at which it stops; 
 FINE_VIOLATION = 1e-9  # ... above which a round that adds a row improves, even if it does not halve the violation
 ACCEPTED_VIOLATION = 1e-7  # ... that is accepted where it no longer improves
 NEARLY_FEASIBLE = 1e-3  # ... below which longer steps are taken along directions without cost
-EQUATION_TOLERANCE = 1e-9  # residual of the border's equations, relative to the largest signal
+EQUATION_TOLERANCE = 1e-9  # residual of the bordered system's equations, relative to the largest signal
 EQUATION_CONFLICT = 1e-7  # ... from which the dependent equations are tested for infeasibility
-SLOPE_TOLERANCE = 1e-10  # slope left in the border unknowns, relative to its terms
+SLOPE_TOLERANCE = 1e-10  # slope left in the bordering unknowns, relative to its terms
 STRICT_SLOPE = 1e-13  # ... for a point with the former slope whose residuals were too large
 ACCEPTED_SLOPE = 1e-7  # ... that is accepted where it no longer improves
 SLACK_TOLERANCE = 1e-9  # <multipliers, slacks> left, relative to the cost
 ACCEPTED_SLACK = 1e-7  # ... that is accepted where it no longer improves
-GAIN_TOLERANCE = 1e-15  # possible decrease of the cost along the border unknowns, relative to it
+GAIN_TOLERANCE = 1e-15  # possible decrease of the cost along the bordering unknowns, relative to it
 DECREASE_TOLERANCE = 1e-9  # ... by moves as large as the point: flat directions promise any gain by rounding
 SMALL_COST = 1e-6  # least cost that decreases are relative to, as a part of that of states and controls of order 1
 DIVERGING_WEIGHT = 1e6  # weight of a row from which the rows are tested for infeasibility
-UNBOUNDED_SIZE = 1e10  # size of a border unknown at which the cost has no lower bound
+UNBOUNDED_SIZE = 1e10  # size of a bordering unknown at which the cost has no lower bound
 SHORT_TOLERANCE, HOLD_TOLERANCE = 1e-6, 1e-4  # violations at which the cheaper problems of the first set stop
 
 # Rays (structure.py)

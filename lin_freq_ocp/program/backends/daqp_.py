@@ -69,11 +69,11 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
 def _attempt(program: Program, curvature: float, time_limit: float | None, gap: float) -> Solution:
     """Solve with one curvature of the binaries."""
     rows = program.single_bounds()
-    dense = _dense(program, rows, curvature)
+    dense = _dense_program(program, rows, curvature)
     if dense is None:
         return NO_POINT
     with interrupts_noted() as noted:
-        x, flag, nodes = _called(dense, time_limit, gap)
+        x, flag, nodes = _call_daqp(dense, time_limit, gap)
     claim, message = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
     message = f"{message}, {nodes} nodes"
     if noted.is_set():
@@ -90,7 +90,7 @@ def _attempt(program: Program, curvature: float, time_limit: float | None, gap: 
 
 
 @dataclass(frozen=True, eq=False)
-class _Dense:
+class _DenseProgram:
     """The program without its fixed variables, strictly convex; bounds of variables are the first rows."""
 
     hessian: Array
@@ -104,7 +104,7 @@ class _Dense:
     added: Array  # regularisation on the diagonal, (variables,)
 
 
-def _dense(program: Program, rows: SingleBounds, curvature: float) -> _Dense | None:
+def _dense_program(program: Program, rows: SingleBounds, curvature: float) -> _DenseProgram | None:
     """Return the program as DAQP takes it; None if its bounds alone have no point."""
     free = np.flatnonzero(rows.below < rows.above)
     fixed = np.where(rows.below < rows.above, 0.0, rows.below)
@@ -120,7 +120,7 @@ def _dense(program: Program, rows: SingleBounds, curvature: float) -> _Dense | N
     below, above = (np.append(*pair) for pair in ((rows.below[free], lower[~empty]), (rows.above[free], upper[~empty])))
     kinds = np.where(below == above, EQUATION, 0)
     kinds[: len(free)][np.isin(free, binaries)] = BINARY
-    return _Dense(
+    return _DenseProgram(
         hessian=np.ascontiguousarray(hessian[np.ix_(free, free)]),
         gradient=(gradient + hessian @ fixed)[free],
         A=np.ascontiguousarray(A[~empty]),
@@ -147,7 +147,7 @@ def _regularisation(program: Program) -> Array:
     return added
 
 
-def _called(dense: _Dense, time_limit: float | None, gap: float) -> tuple[Array, int, int]:
+def _call_daqp(dense: _DenseProgram, time_limit: float | None, gap: float) -> tuple[Array, int, int]:
     """Return the point, exit flag and number of nodes."""
     if not len(dense.free):
         return np.zeros(0), 1, 0
@@ -166,7 +166,9 @@ def _called(dense: _Dense, time_limit: float | None, gap: float) -> tuple[Array,
     return np.asarray(x), int(flag), int(info["nodes"])
 
 
-def _bound(program: Program, rows: SingleBounds, dense: _Dense, z: Array, gap: float) -> tuple[float | None, float]:
+def _bound(
+    program: Program, rows: SingleBounds, dense: _DenseProgram, z: Array, gap: float
+) -> tuple[float | None, float]:
     """Return the bound that the claim implies, and the part of the cost that regularisation leaves unknown."""
     objective, own = program.objective(z), 0.5 * float(dense.added @ z**2)
     searched = objective - program.objective(dense.fixed) + own  # DAQP's cost, which the gap is relative to

@@ -60,16 +60,16 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
         return NO_POINT
     model, variables = convex_model(program, rows)
     set_objective(model, program, variables)
-    solution = optimised(model, variables, remaining(time_limit, started), gap)
-    return solution or undecided(lambda nothing: solve(nothing, gap, remaining(time_limit, started)), program)
+    solution = run_scip(model, variables, seconds_left(time_limit, started), gap)
+    return solution or decide_claim(lambda nothing: solve(nothing, gap, seconds_left(time_limit, started)), program)
 
 
-def remaining(time_limit: float | None, started: float) -> float | None:
+def seconds_left(time_limit: float | None, started: float) -> float | None:
     """Return what is left of a limit, at least so much that SCIP says that it was reached."""
     return None if time_limit is None else max(time_limit - (now() - started), LEAST_TIME)
 
 
-def optimised(model: Model, variables: list[Variable], time_limit: float | None, gap: float) -> Solution | None:
+def run_scip(model: Model, variables: list[Variable], time_limit: float | None, gap: float) -> Solution | None:
     """Run SCIP on a model; None if it says that the problem is infeasible or unbounded, and not which."""
     model.setParams({**SETTINGS, "limits/gap": gap})
     if time_limit is not None:
@@ -89,7 +89,7 @@ def optimised(model: Model, variables: list[Variable], time_limit: float | None,
     return Solution(CLAIMS.get(status, Claim.FAILED), z, None, message, claimed)
 
 
-def undecided(solve_one: Callable[[Program], Solution], program: Program) -> Solution:
+def decide_claim(solve_one: Callable[[Program], Solution], program: Program) -> Solution:
     """Return which of infeasible and unbounded it is: without a cost, a program is not unbounded."""
     found = solve_one(replace(program, P=sp.csc_array(program.P.shape), q=np.zeros_like(program.q)))
     claim = Claim.UNBOUNDED if found.claim is Claim.SOLVED else found.claim

@@ -36,10 +36,10 @@ def model(request) -> tuple[Structure, WholeHorizon, WorkingSet]:
     problem = problem_of(**({"initial_state": START} | PROBLEMS[request.param]))
     lti = lti_problem(problem, natural_units(problem))
     structure = Structure(lti)
-    assert not structure.border.soft
+    assert not structure.kkt.soft
     whole = structure.whole_horizon(Violations(lti).rows)
     assert whole is not None
-    working = WorkingSet(structure.border)
+    working = WorkingSet(structure.kkt)
     acting = np.flatnonzero((whole.t < T) | np.isnan(lti.end[np.where(whole.t < T, 0, whole.f)]))
     working.add(whole.t[acting], whole.f[acting], np.ones(len(acting)))
     np.testing.assert_array_equal(whole.flat_indices(working.t, working.f), acting)
@@ -50,7 +50,7 @@ def test_the_model_says_what_working_rows_say(model):
     structure, whole, working = model
     indices = whole.flat_indices(working.t, working.f)
     np.testing.assert_allclose(whole.coupling[:, indices], working.coupling, rtol=0, atol=1e-12)
-    expected = working.gram + working.coupling.T @ structure.border.inverse @ working.coupling
+    expected = working.gram + working.coupling.T @ structure.kkt.inverse @ working.coupling
     size = np.abs(expected).max()
     some = np.random.default_rng(0).choice(len(indices), 7, replace=False)
     mu = np.random.default_rng(1).standard_normal(7)
