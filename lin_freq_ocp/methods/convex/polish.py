@@ -87,7 +87,7 @@ def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:
 
     The cost falls along it without bound, as its slope is minus the square of its length. Both are measured in the
     sizes that the data state, so that neither the unit of the cost nor a trajectory decides. The direction, of length
-    1, is projected once more: where it is short beside the slope, the first projection leaves it few digits.
+    1, is projected once more: where it is short compared with the slope, the first projection leaves it few digits.
     """
     transcription = LinearTranscription(problem)
     scaling = stated_scaling(transcription)

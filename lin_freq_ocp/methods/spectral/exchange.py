@@ -351,7 +351,7 @@ class Exchange:
         point, cost = (self.signals, self.multipliers, self.working), self._cost()
         return Outcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
 
-    def refuted(self, ray: Ray) -> Outcome:
+    def infeasible_by(self, ray: Ray) -> Outcome:
         """Return the outcome for a known ray."""
         self.ray = ray
         self._evaluate()
@@ -515,16 +515,20 @@ def batch_working_sets(
     first: Rows | None,
     tolerance: float,
     stop: Callable[[], str | None],
-    failed: Callable[[int], None],
+    solve_alone: Callable[[int], None],
 ) -> tuple[Array, Mask, Rows | None]:
-    """Return the multipliers of all values with signs, (N, values), where they were found, and the last rows."""
+    """Return the multipliers of all values with signs, (N, values), where they were found, and the last rows.
+
+    ``values`` (N, values) are those of the unconstrained points of a batch; each exchange begins with the working rows
+    of the one before. A problem without a working set here is solved alone.
+    """
     whole, violations = model.whole, model.violations
     weights, found, rows = np.zeros(values.shape), np.zeros(len(values), dtype=bool), first
     none = np.zeros(0, dtype=np.intp)
     for i, base in enumerate(values):
         if stop():
             break
-        if model.may_refute(base):
+        if model.may_have_known_ray(base):
             continue
         start = ActiveSetDuals(none, np.zeros(0), np.zeros(0)) if rows is None else whole.duals(rows)
         duals = exchange_values(whole, violations, start, base, tolerance, structure.unconstrained, stop)
@@ -534,5 +538,5 @@ def batch_working_sets(
             index = duals.indices[active]
             rows = Rows(whole.t[index], whole.f[index], duals.sign[active], duals.weights[active])
         else:
-            failed(i)
+            solve_alone(i)
     return weights, found, rows

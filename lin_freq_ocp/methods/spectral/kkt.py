@@ -119,9 +119,9 @@ class BorderedSystem:
         """State bands: rows of the DFT of length T+1, whose last entry acts on x_T; of T with periodic ends."""
         stop, T = self.lti.state_stop, self.lti.horizon
         samples = self.lti.state_samples
-        beyond = (0, 0), (0, T + 1 - samples)
+        padding = (0, 0), (0, T + 1 - samples)
         chosen = np.flatnonzero(stop.any(0))
-        parts = [(int(i), np.pad(real_rows(samples, stop[:, i]), beyond)) for i in chosen]
+        parts = [(int(i), np.pad(real_rows(samples, stop[:, i]), padding)) for i in chosen]
         self.band_component = np.concatenate([np.full(len(rows), i) for i, rows in parts] + [np.zeros(0, int)])
         self.band_components = tuple(i for i, _ in parts)
         self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])

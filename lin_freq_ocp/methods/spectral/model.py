@@ -58,12 +58,12 @@ class Lti:
     response: ComplexArray | None = None  # of x_{t+1} at every bin, (n, m, T//2 + 1), instead of A, B
     periodic: bool = False  # whether x_T = x_0: then the ends are free, and bounds on x_T are on x_0
 
-    @property
+    @cached_property
     def state_dim(self) -> int:
         """Number of states n."""
         return len(self.A)
 
-    @property
+    @cached_property
     def control_dim(self) -> int:
         """Number of controls m."""
         return self.B.shape[1]
@@ -175,7 +175,7 @@ def refusal(problem: OptimalControlProblem) -> str | None:
 
 
 def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
-    """Whether x_T = x_0 is all that is said of both ends beyond bounds: then the trajectory is a period in all bins."""
+    """Whether x_T = x_0 is the only constraint on the ends, apart from bounds: the trajectory is then one period."""
     links, cost = problem.links, problem.quadratic
     return (
         [(one.periodic, one.penalty.reach) for one in links] == [(True, 0.0)]

@@ -33,7 +33,7 @@ POLISHES = 3  # refinements of the polish: each squares the relative error of th
 DROPPINGS = 5  # passes that drop active rows of the wrong sign
 PIVOTING_ROWS = 300  # up to which block pivoting is tried first
 PIVOTING_STEPS = 12  # after which it has not converged
-PATIENCE = 2  # its steps in a row without fewer wrong rows
+WAITING_STEPS = 2  # its steps in a row without fewer wrong rows
 
 
 def bounded_qp(
@@ -94,7 +94,7 @@ def _in_units(lam: Array, units: Array, most: Array | None, upper: Array | None)
 
 def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None) -> Array | None:
     """Exchange all wrong rows at once; None if that does not converge, or if the rows are nearly dependent."""
-    fewest, patience, slope = len(b) + 1, PATIENCE, A @ start + b
+    fewest, waiting, slope = len(b) + 1, WAITING_STEPS, A @ start + b
     saturated = np.zeros(len(b), dtype=bool) if upper is None else start >= upper
     active = ((start > 0) | (slope < 0)) & ~saturated
     for _ in range(PIVOTING_STEPS):
@@ -117,8 +117,8 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None)
         count = np.count_nonzero(wrong)
         if count == 0:
             return lam
-        patience = PATIENCE if count < fewest else patience - 1
-        if patience < 0:
+        waiting = WAITING_STEPS if count < fewest else waiting - 1
+        if waiting < 0:
             return None
         fewest = min(fewest, count)
         active ^= wrong
@@ -210,7 +210,7 @@ class Caps:
         return np.concatenate([lam, cap - lam[self.capped]])
 
     def slacks(self, slope: Array, weights: Array, least: float) -> Array:
-        """Return (z, y) for a slope z - y: z at least this large, y too, but smaller where the room is wide."""
+        """Return (z, y) for a slope z - y: z at least this large, y too, but smaller where the margin is wide."""
         smallest = least / np.maximum(1.0, weights[self.count :])
         return np.concatenate([np.maximum(slope, least), np.maximum(-slope[self.capped], smallest)])
 
@@ -255,12 +255,12 @@ def predictor_corrector(
     if mu < tol.TINY:
         return Step(np.zeros_like(other), weights, z, 0.0)
     dz = (-weights * z - z * dw) / weights
-    length = min(1.0, _reach(weights, dw), _reach(z, dz))
+    length = min(1.0, _step_to_boundary(weights, dw, z, dz))
     after = float((weights + length * dw) @ (z + length * dz)) / float(weights @ z)
     target = after**3 * mu - weights * z - dw * dz
     other, dw = newton(target)
     dz = (target - z * dw) / weights
-    length = min(1.0, to_boundary * min(_reach(weights, dw), _reach(z, dz)))
+    length = min(1.0, to_boundary * _step_to_boundary(weights, dw, z, dz))
     return Step(length * other, weights + length * dw, z + length * dz, length)
 
 
@@ -273,9 +273,9 @@ class Step(NamedTuple):
     length: float
 
 
-def _reach(v: Array, dv: Array) -> float:
-    """Return the step at which the first entry of v + step dv becomes zero."""
-    return 1 / max(tol.TINY, float((-dv / v).max()))
+def _step_to_boundary(weights: Array, dw: Array, z: Array, dz: Array) -> float:
+    """Return the step at which the first entry of weights + step dw or z + step dz becomes zero."""
+    return 1 / max(tol.TINY, float((-dw / weights).max()), float((-dz / z).max()))
 
 
 def _thin_factor(A: Array, unconstrained: Array | None) -> _Thin | None:

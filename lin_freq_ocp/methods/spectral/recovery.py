@@ -10,7 +10,7 @@ certify the answers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, sealed
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.exchange import Outcome, batch_working_sets
+from lin_freq_ocp.methods.spectral.exchange import Outcome
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti, Units
 from lin_freq_ocp.methods.spectral.reductions import soft_sets
@@ -284,30 +284,12 @@ def takes_batches(structure: Structure) -> bool:
     return len(lti.F) == len(lti.M) and lti.prices is None and not len(structure.kkt.bands)
 
 
-def solve_together(
-    structure: Structure,
-    model: EndsModel,
-    units: Units,
-    starts: Array,
-    first: Rows | None,
-    tolerance: float,
-    stop: Callable[[], str | None],
-    failed: Callable[[int], None],
-) -> Together:
-    """Solve from initial states (N, n) one after the other, each from the working rows of the one before.
+class BatchRecovery:
+    """Signals and multipliers of a batch of initial states, in the units of the method, time or bins last.
 
-    ``failed`` is told which has no working set here: its ray may refute the next.
+    ``p`` (N, 1 + count) are the parameters of the model, ``step`` (N, size + equations) the bordering unknowns and the
+    multipliers of the equations, ``weights`` (N, values) the multipliers of all bounded values, with signs.
     """
-    p = model.parameters(starts / units.x)
-    step, values = p @ model.step, p @ model.values
-    weights, found, rows = batch_working_sets(structure, model, values, first, tolerance, stop, failed)
-    step -= weights @ model.whole.through.T
-    answer = _BatchRecovery(structure, model, p, step, weights)
-    return answer.in_units(units, found, rows)
-
-
-class _BatchRecovery:
-    """Signals and multipliers of all problems, in the units of the method, time or bins last."""
 
     def __init__(self, structure: Structure, model: EndsModel, p: Array, step: Array, weights: Array):
         self._structure, self._lti, kkt = structure, model.lti, structure.kkt

@@ -147,8 +147,8 @@ class Violations:
         if not states.any():
             return i, t
         here, last = self.violation[i, t], self.lti.horizon - 1
-        beside = np.maximum(self.violation[i, np.maximum(t - 1, 0)], self.violation[i, np.minimum(t + 1, last)])
-        peaks = states & (here >= beside)
+        neighbour = np.maximum(self.violation[i, np.maximum(t - 1, 0)], self.violation[i, np.minimum(t + 1, last)])
+        peaks = states & (here >= neighbour)
         if np.count_nonzero(peaks) > STATE_PEAKS:
             peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
         kept = peaks | ~states

@@ -17,15 +17,22 @@ from lin_freq_ocp.base.interrupt import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, contradiction_at_ends, require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.exchange import Exchange, Outcome, Stop, deadline, first_working_set
+from lin_freq_ocp.methods.spectral.exchange import (
+    Exchange,
+    Outcome,
+    Stop,
+    batch_working_sets,
+    deadline,
+    first_working_set,
+)
 from lin_freq_ocp.methods.spectral.model import Lti, Units, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.recovery import (
+    BatchRecovery,
     Recovered,
     Together,
     in_units,
     recover,
     residuals,
-    solve_together,
     takes_batches,
     trajectory,
 )
@@ -289,10 +296,10 @@ class SpectralSolver:
             answer = self._measured_answer(exchange, exchange.run())
         else:
             exchange = Exchange(self._structure, known[0], first, tolerance, stop, model.violations, known[1])
-            ray = model.refuting(*known)
-            answer = self._measured_answer(exchange, exchange.run() if ray is None else exchange.refuted(ray))
+            ray = model.known_ray(*known)
+            answer = self._measured_answer(exchange, exchange.run() if ray is None else exchange.infeasible_by(ray))
             if ray is None and answer.outcome.ray is not None:
-                model.keep(answer.outcome.ray)
+                model.keep_ray(answer.outcome.ray)
         if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
             exchange.slope_tolerance = tol.STRICT_SLOPE
             second = self._measured_answer(exchange, exchange.run())
@@ -359,12 +366,17 @@ class SpectralSolver:
             self._ends_model = self._ends_model or ends_model(self._structure, self._lti)
             if self._ends_model is None:
                 return None
-            stop, rows = deadline(None, interrupt.is_set), self._last_rows
-            state, starts = (self._structure, self._ends_model, self._units), initial_states / self._units.x
+            stop, rows, tolerance = deadline(None, interrupt.is_set), self._last_rows, tol.VIOLATION_TOLERANCE
+            model, starts = self._ends_model, initial_states / self._units.x
 
-            def keep_ray(i: int) -> None:
-                self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tol.VIOLATION_TOLERANCE, stop)
+            def solve_alone(i: int) -> None:  # if infeasible, the model keeps its ray, which may prove others so
+                self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tolerance, stop)
 
-            answer = solve_together(*state, initial_states, rows, tol.VIOLATION_TOLERANCE, stop, keep_ray)
-            self._last_rows = answer.rows
-            return replace(answer, interrupted=interrupt.is_set())
+            p = model.parameters(starts)
+            step, values = p @ model.step, p @ model.values
+            batch = self._structure, model, values, rows, tolerance, stop, solve_alone
+            weights, found, self._last_rows = batch_working_sets(*batch)
+            step -= weights @ model.whole.through.T
+            answer = BatchRecovery(self._structure, model, p, step, weights)
+            batched = answer.in_units(self._units, found, self._last_rows)
+            return replace(batched, interrupted=interrupt.is_set())

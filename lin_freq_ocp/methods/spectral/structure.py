@@ -177,7 +177,7 @@ def equation_residual(structure: Structure, data: Data, theta: Array, at: Signal
 
 
 class UnconstrainedPoint(NamedTuple):
-    """The point without working rows: theta and multipliers of the equations together, and all bounded values."""
+    """The point without working rows: the step of theta and multipliers of the equations, and all bounded values."""
 
     step: Array
     values: Array
@@ -322,7 +322,7 @@ class EndsModel:
         self.step, self.values = _affine([one.step for one in values]), _affine([one.values for one in values])
 
     def at(self, lti: Lti) -> tuple[Data, UnconstrainedPoint] | None:
-        """Return the data between other ends, and the unforced step and values; None if x_T has another set."""
+        """Return the data between other ends, and the unconstrained point; None if x_T has another set."""
         free = np.isnan(lti.end)
         if not all(
             np.array_equal(mine[free], other[free])
@@ -342,12 +342,12 @@ class EndsModel:
         """Return the spectrum of y without forces and bordering unknowns, (..., n+m, bins), for (1, p)."""
         return np.tensordot(p, self._base, 1).view(np.complex128)
 
-    def keep(self, ray: Ray) -> None:
+    def keep_ray(self, ray: Ray) -> None:
         """Keep a ray of working rows: whether it proves that a problem is infeasible depends on its ends alone."""
         if len(ray.working):
             self._rays.appendleft(ray)
 
-    def refuting(self, data: Data, known: UnconstrainedPoint) -> Ray | None:
+    def known_ray(self, data: Data, known: UnconstrainedPoint) -> Ray | None:
         """Return a kept ray that proves that a problem is infeasible, with the rows' values without multipliers."""
         for ray in self._rays:
             if self._points_at(ray, known.values):
@@ -356,7 +356,7 @@ class EndsModel:
                     return found
         return None
 
-    def may_refute(self, values: Array) -> bool:
+    def may_have_known_ray(self, values: Array) -> bool:
         """Whether a kept ray probably proves that a problem with these values without multipliers is infeasible."""
         return any(self._points_at(ray, values) for ray in self._rays)
 
