@@ -221,6 +221,7 @@ class Exchange:
         return step, new, ray
 
     def _eliminated_step(self, right: Array, guess: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the same for the present working rows; with ``ask``, or if the QP is inaccurate, a ray is computed."""
         working, inverse = self.working, self.kkt.inverse
         step = inverse @ right
         if not len(working):

@@ -45,6 +45,7 @@ class BorderedSystem:
         self._decompose()
 
     def _set_variables(self) -> None:
+        """Free components of x_0 and x_T with their responses, then real coordinates of the bordering directions."""
         lti, T, n = self.lti, self.lti.horizon, self.lti.state_dim
         free = (~np.array([lti.periodic]) & np.isnan(part) for part in (lti.start, lti.end))
         self.free_start, self.free_end = map(np.flatnonzero, free)
@@ -56,6 +57,7 @@ class BorderedSystem:
         if ends:
             self.end_responses = self.spaces.particular(self.spaces.z * self.ends[:, :, None].astype(np.complex128))
             self.end_signals = fft.irfft(self.end_responses, T)
+        # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
         k, v = self.spaces.border_bin, self.spaces.border_vector
         twice = np.flatnonzero(self.spaces.weight[k] == 2)
         order = np.argsort(np.concatenate([np.arange(len(k)), twice]), kind="stable")
@@ -63,7 +65,7 @@ class BorderedSystem:
         self.vectors = np.hstack([v, 1j * v[:, twice]])[:, order]
         self.first = ends + np.searchsorted(np.sort(np.concatenate([np.arange(len(k)), twice])), np.arange(len(k)))
         self.ends_count, self.size = ends, ends + len(self.bins)
-        self.amplitude = T / self.spaces.weight[self.bins]
+        self.amplitude = T / self.spaces.weight[self.bins]  # of a spectrum whose signal has unit amplitude
 
     def _require_size(self) -> None:
         """Raise UnsupportedError before any matrix of the system's size is made, if it is too large."""
@@ -77,6 +79,7 @@ class BorderedSystem:
             )
 
     def _set_hessian(self) -> None:
+        """H_ab = 1/T sum_k weight_k Re(Y_a^* M Y_b) over the responses Y of theta, and P for the free end."""
         lti, e, w = self.lti, self.ends_count, self.spaces.weight
         W, v = self.end_responses, self.vectors
         self.H = np.zeros((self.size, self.size))
@@ -90,6 +93,7 @@ class BorderedSystem:
         self.H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
 
     def _set_points(self) -> None:
+        """x(0) = x_0, with its free components on the left side, and values that bounds fix."""
         n = self.lti.start_points
         t, f = self.lti.fixed_points
         self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
@@ -127,29 +131,26 @@ class BorderedSystem:
         self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])
         count = len(self.bands)
         self.band_hat = fft.rfft(self.bands[:, :T]) if count else np.zeros((0, len(self.spaces.z)), complex)
-        self.band_responses = self._band_responses()
-        self.band_rows = np.zeros((count, self.size))
+        # what y_t loses by a unit force on each band row, (n+m, rows, T)
+        self.band_responses, self.band_rows = np.zeros((len(self.lti.M), 0, T)), np.zeros((count, self.size))
         if count:
+            force = np.zeros((len(self.lti.M), count, len(self.spaces.z)), dtype=np.complex128)
+            force[self.band_component, np.arange(count)] = self.band_hat
+            self.band_responses = fft.irfft(self.spaces.project(force), T)
             signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
             for i, rows in parts:
                 self.band_rows[self.band_component == i] = rows[:, :T] @ signals[i].T
             at_free = self.free_end[:, None] == self.band_component
             self.band_rows[:, self.at_end] += (at_free * self.bands[:, -1]).T
 
-    def _band_responses(self) -> Array:
-        """Return what every row F_f y_t loses by a unit force on each band row, shape (n+m, rows, T)."""
-        if not len(self.bands):
-            return np.zeros((len(self.lti.M), 0, self.lti.horizon))
-        force = np.zeros((len(self.lti.M), len(self.bands), len(self.spaces.z)), dtype=np.complex128)
-        force[self.band_component, np.arange(len(self.bands))] = self.band_hat
-        return fft.irfft(self.spaces.project(force), self.lti.horizon)
-
     def _direction_signals(self) -> Array:
+        """Return the signals of unit coordinates of the bordering directions, (n+m, directions, T)."""
         T = self.lti.horizon
         phase = np.exp((2j * np.pi / T) * (np.outer(self.bins, np.arange(T)) % T))
         return (self.vectors[:, :, None] * phase).real
 
     def _decompose(self) -> None:
+        """Set K_b and its inverse; where bordering unknowns are soft, with the least proximal weight."""
         points, first_band = len(self.point_t), len(self.point_t) + len(self.singular_rows)
         G = np.zeros((len(self.E), len(self.E)))
         G[:, :points] = self.responses(self.point_t, self.point_f)
