@@ -23,7 +23,7 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
-from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Solution
+from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Solution
 from lin_freq_ocp.program.backends.scip_ import convex_model, decide_claim, run_scip, seconds_left, set_objective
 
 FUNCTIONS = {"exp": exp, "log": log, "sqrt": sqrt, "sin": sin, "cos": cos}
@@ -44,7 +44,7 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Solut
     """
     started, convex = time.perf_counter(), program.program
     rows = convex.single_bounds()
-    if program.excluded or rows.violation > EXCLUDED:
+    if program.excluded or rows.violation > CONTRADICTION:
         return NO_POINT
     units, origin = program.units, program.origin
     below, above = rows.below.copy(), rows.above.copy()

@@ -19,7 +19,7 @@ from threadpoolctl import ThreadpoolController
 
 from lin_freq_ocp.base.errors import UnsupportedError
 
-SHARE = 0.5  # of the memory for one solve: estimates are good to a factor of two, and other programs need some
+MEMORY_SHARE = 0.5  # of the memory for one solve: estimates are good to a factor of two, and other programs need some
 GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container on Linux
 GIB = 2.0**30
 ALWAYS_THERE = 2.0**24  # bytes that every machine has: nothing is asked of it
@@ -31,7 +31,7 @@ def memory_limit() -> float:
     available = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 2 * GIB
     with suppress(OSError, ValueError):  # "max" where there is no limit
         available = min(available, float(GROUP_LIMIT.read_text()))
-    return SHARE * available
+    return MEMORY_SHARE * available
 
 
 def require_memory(what: str, size: float, advice: str) -> None:
@@ -40,7 +40,7 @@ def require_memory(what: str, size: float, advice: str) -> None:
     if size > limit:
         raise UnsupportedError(
             f"memory: {what} would take about {size / GIB:.3g} GiB; {limit / GIB:.3g} GiB may be used, "
-            f"{SHARE:.0%} of what there is. {advice}"
+            f"{MEMORY_SHARE:.0%} of what there is. {advice}"
         )
 
 

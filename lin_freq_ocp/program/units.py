@@ -21,7 +21,7 @@ from lin_freq_ocp.program.transcription import LinearTranscription
 
 HESSIAN_REGULARISATION = 1e-6  # relative to the mean diagonal: directions without cost get the smallest trajectory
 ROW_REGULARISATION = 1e-10  # dependent equations (an unreachable end) get a least-squares trajectory
-NEGLIGIBLE = 1e-6  # magnitude, relative to the size in the data, below which a component does not move
+NEGLIGIBLE_SIZE = 1e-6  # magnitude, relative to the size in the data, below which a component does not move
 UNIT_ROUNDING = 1e-12  # of the previous unit: smaller signals are rounding
 UNNOTICED = 1e-3  # least unit of a component, relative to the change, over the horizon, that others would notice
 TERM_SHARE = 0.1  # with terms, which the relaxed optimum ignores, units differ by at most this from the data
@@ -162,7 +162,7 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     # bounds cap the sizes: they say what is allowed, not what happens
     widest = [np.maximum(np.abs(t.lower), np.abs(t.upper)).max(0) for t in (problem.state_tube, problem.control_tube)]
     x, u = (np.minimum(size, np.where(w > 0, w, np.inf)) for size, w in zip((x, u), widest, strict=True))
-    x, u = (np.where(size > NEGLIGIBLE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
+    x, u = (np.where(size > NEGLIGIBLE_SIZE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
     return x, u
 
 

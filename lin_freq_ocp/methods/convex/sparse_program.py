@@ -41,7 +41,7 @@ from lin_freq_ocp.program.units import (
 
 ROUNDING_LEVELS = (1e-12, 1e-9)  # parts of the units of variables and duals that may be rounding: the judge decides
 LARGEST_ERROR = 1e-3  # relative residuals up to which versions of a point are judged
-FLAT = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
+FLAT_SLOPE = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
 GRACE = 0.25  # seconds beyond a time limit in which a solver may return a point
 REVISIONS = 2  # of the units by the answer
 # The sparse program needs a dense row for every frequency constraint, and its time grows with the entries of these
@@ -239,7 +239,7 @@ def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: 
 
     It is computed where the slope at ``near`` is small.
     """
-    if any(not term.hard for term in problem.terms) or _slope(problem, near) > FLAT:
+    if any(not term.hard for term in problem.terms) or _slope(problem, near) > FLAT_SLOPE:
         return None
     transcription, scaling, program = scaled_program(problem)
     curved = np.flatnonzero(abs(program.P).sum(1) + np.abs(program.q))

@@ -85,7 +85,7 @@ def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
 
 
 @dataclass(eq=False)
-class Outcome:
+class ExchangeOutcome:
     """How an exchange ended: the last point, and the multipliers of equations and rows that it comes from."""
 
     status: str  # of a Candidate
@@ -133,7 +133,7 @@ class Exchange:
         if self.first_point is None:
             self._evaluate()
 
-    def run(self) -> Outcome:
+    def run(self) -> ExchangeOutcome:
         """Exchange until optimal, evaluating all signals MOST_ROUNDS times at most."""
         added = len(self.working)
         for count in range(1, MOST_ROUNDS + 1):
@@ -347,12 +347,12 @@ class Exchange:
         """Return what differences in cost are relative to."""
         return max(self.data.lti.cost_level, abs(self._cost()))
 
-    def _outcome(self, status: str, message: str = "") -> Outcome:
+    def _outcome(self, status: str, message: str = "") -> ExchangeOutcome:
         self.violations.violation = np.zeros((0, 0))  # large, and measured again before it is used
         point, cost = (self.signals, self.multipliers, self.working), self._cost()
-        return Outcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
+        return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
 
-    def infeasible_by(self, ray: Ray) -> Outcome:
+    def infeasible_by(self, ray: Ray) -> ExchangeOutcome:
         """Return the outcome for a known ray."""
         self.ray = ray
         self._evaluate()

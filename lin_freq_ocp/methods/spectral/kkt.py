@@ -18,7 +18,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.spaces import BinSpaces, Kernels
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
 from lin_freq_ocp.program.real_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling
@@ -33,7 +33,7 @@ class BorderedSystem:
     at (point_t, point_f); the first n are x(0). With periodic ends there is neither: w = 0.
     """
 
-    def __init__(self, lti: Lti, spaces: BinSpaces, kernels: Kernels):
+    def __init__(self, lti: Lti, spaces: BinSpaces, kernels: CirculantKernels):
         self.lti, self.spaces, self.kernels = lti, spaces, kernels
         self._set_variables()
         self._require_size()

@@ -137,7 +137,7 @@ class Bounds:
 
 
 @dataclass(frozen=True, eq=False)
-class Units:
+class LtiUnits:
     """What one unit of the Lti problem is in the user's: states (n,), controls (m,), stage rows, cost."""
 
     x: Array
@@ -184,7 +184,7 @@ def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
     )
 
 
-def natural_units(problem: OptimalControlProblem) -> Units:
+def natural_units(problem: OptimalControlProblem) -> LtiUnits:
     """Return units in which the data are of order 1; UnsupportedError if the cost is then no number above zero."""
     given = given_sizes(problem)
     states, controls = completed_sizes(problem, given)
@@ -198,7 +198,7 @@ def natural_units(problem: OptimalControlProblem) -> Units:
     if not 0 < level < np.inf:
         raise UnsupportedError(f"method 'spectral': states and controls of their sizes cost {level:g}; change units.")
     rows = np.abs(_scaled_rows(problem, x, u)).max(1)
-    return Units(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
+    return LtiUnits(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
 
 
 def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
@@ -229,7 +229,7 @@ def _control_sizes(tube: Box, stated: Array) -> Array:
     return np.where(larger, bounds, stated)
 
 
-def revised_units(units: Units, y: Array) -> Units | None:
+def revised_units(units: LtiUnits, y: Array) -> LtiUnits | None:
     """Return units from a solution y (n+m, T) in the given units, or None if those were right.
 
     With bounds such as 1e9 that stand for none, all signals may be rounding in the first units.
@@ -241,10 +241,10 @@ def revised_units(units: Units, y: Array) -> Units | None:
     factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
     n = len(units.x)
     smallest = float(factor[n:].max()) ** 2
-    return Units(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)
+    return LtiUnits(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)
 
 
-def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
+def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     x, u = units.x, units.u
@@ -309,7 +309,7 @@ def _linear_terms(problem: OptimalControlProblem) -> Array | None:
     return np.vstack([np.broadcast_to(part.T, (part.shape[1], times)) for part in (in_x, in_u)])
 
 
-def _bounds(problem: OptimalControlProblem, units: Units) -> tuple[Array, Array]:
+def _bounds(problem: OptimalControlProblem, units: LtiUnits) -> tuple[Array, Array]:
     """Return lower and upper, shape (rows, T); without memory where they do not depend on time."""
     T, states, controls = problem.horizon, problem.state_tube, problem.control_tube
     free = ~states.fixed[0]  # a fixed start is an equation, not a bound on x_0
@@ -337,7 +337,7 @@ def _as_columns(bounds: Array, first: Array) -> Array:
 
 
 def _soft_bounds(
-    problem: OptimalControlProblem, units: Units, lower: Array, upper: Array
+    problem: OptimalControlProblem, units: LtiUnits, lower: Array, upper: Array
 ) -> tuple[tuple[Array, Array, Array, Array], Bounds]:
     """Return the bounds with those of soft sets in their places, and all prices; rows are soft on their upper side."""
     n, T, y = problem.state_dim, problem.horizon, np.concatenate([units.x, units.u])

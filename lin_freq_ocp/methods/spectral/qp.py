@@ -245,7 +245,7 @@ def predictor_corrector(
     z: Array,
     mu: float,
     to_boundary: float = TO_BOUNDARY,
-) -> Step:
+) -> InteriorStep:
     """Return the step from weights l > 0 and slacks z > 0 with mu = l'z / count.
 
     ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target. The
@@ -253,7 +253,7 @@ def predictor_corrector(
     """
     other, dw = newton(-weights * z)
     if mu < tol.TINY:
-        return Step(np.zeros_like(other), weights, z, 0.0)
+        return InteriorStep(np.zeros_like(other), weights, z, 0.0)
     dz = (-weights * z - z * dw) / weights
     length = min(1.0, _step_to_boundary(weights, dw, z, dz))
     after = float((weights + length * dw) @ (z + length * dz)) / float(weights @ z)
@@ -261,10 +261,10 @@ def predictor_corrector(
     other, dw = newton(target)
     dz = (target - z * dw) / weights
     length = min(1.0, to_boundary * _step_to_boundary(weights, dw, z, dz))
-    return Step(length * other, weights + length * dw, z + length * dz, length)
+    return InteriorStep(length * other, weights + length * dw, z + length * dz, length)
 
 
-class Step(NamedTuple):
+class InteriorStep(NamedTuple):
     """The step of other unknowns, the new weights and slacks, and the step length."""
 
     other: Array

@@ -18,9 +18,9 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, sealed
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.exchange import Outcome
+from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
-from lin_freq_ocp.methods.spectral.model import Lti, Units
+from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import soft_sets
 from lin_freq_ocp.methods.spectral.rows import Rows, WorkingSet
 from lin_freq_ocp.methods.spectral.structure import Data, EndsModel, Structure, forces
@@ -34,7 +34,7 @@ from lin_freq_ocp.program.real_rows import bin_multipliers
 BLOCK = 1 << 17  # times of which residuals are computed at once
 
 
-def trajectory(outcome: Outcome, units: Units) -> Trajectory:
+def trajectory(outcome: ExchangeOutcome, units: LtiUnits) -> Trajectory:
     """Return the point in the user's units."""
     n, at = len(units.x), outcome.signals
     x = np.empty((at.y.shape[1] + 1, n))
@@ -55,7 +55,7 @@ class Recovered:
     rho_x: ComplexArray  # ((T+1)//2 + 1, n)
 
 
-def recover(structure: Structure, data: Data, outcome: Outcome, spectrum: ComplexArray) -> Recovered:
+def recover(structure: Structure, data: Data, outcome: ExchangeOutcome, spectrum: ComplexArray) -> Recovered:
     """Return the multipliers of an outcome with the spectrum of y; of its ray (eta_C = 0) if it has one."""
     lti, ray, n = data.lti, outcome.ray, data.lti.state_dim
     if ray is None:
@@ -110,7 +110,7 @@ def _row_multipliers(structure: Structure, working: WorkingSet, y: Array) -> Arr
     return on_rows
 
 
-def _set_ends(kkt: BorderedSystem, lti: Lti, outcome: Outcome, found: Recovered, on_bands: Array) -> None:
+def _set_ends(kkt: BorderedSystem, lti: Lti, outcome: ExchangeOutcome, found: Recovered, on_bands: Array) -> None:
     """Set mu_0, mu_T where ends are fixed by transversality: any vector is normal there."""
     n, at, eta, on_rows = lti.state_dim, outcome.signals, found.eta, found.on_rows
     first, last = np.zeros(n), np.zeros(n)
@@ -125,7 +125,7 @@ def _set_ends(kkt: BorderedSystem, lti: Lti, outcome: Outcome, found: Recovered,
     on_rows[end, -1] = (-eta[:, -1] - last)[end]
 
 
-def residuals(lti: Lti, outcome: Outcome, found: Recovered) -> Residuals:
+def residuals(lti: Lti, outcome: ExchangeOutcome, found: Recovered) -> Residuals:
     """Return the residuals of the maximum principle, each relative to the size of its own terms.
 
     primal: dynamics, ends, bands, bounds. dual: adjoint equation, transversality, stationarity in u. gap: multipliers
@@ -183,7 +183,7 @@ def _missed_values(lti: Lti, y: Array, last: Array) -> float:
     return max(missed, float(spectrum) / max(float(np.linalg.norm(x)), tol.LEAST_SIZE))
 
 
-def _adjoint(lti: Lti, outcome: Outcome, found: Recovered) -> tuple[float, float, float]:
+def _adjoint(lti: Lti, outcome: ExchangeOutcome, found: Recovered) -> tuple[float, float, float]:
     """Return the largest residual of the adjoint equation, the size of its terms, and <|residuals|, |x|>.
 
     The residuals are eta_{t-1} - A'eta_t + Q x + S u + q + mu + C'l + (R'rho), (n, T+1).
@@ -201,7 +201,7 @@ def _adjoint(lti: Lti, outcome: Outcome, found: Recovered) -> tuple[float, float
     return largest, max(float(sizes.sum()), tol.LEAST_SIZE * lti.curvature_unit), product
 
 
-def _adjoint_terms(lti: Lti, outcome: Outcome, found: Recovered, start: int, stop: int) -> Iterator[Array]:
+def _adjoint_terms(lti: Lti, outcome: ExchangeOutcome, found: Recovered, start: int, stop: int) -> Iterator[Array]:
     """Yield the terms at start <= t < stop, (n, stop - start); at T, the gradient is that of the terminal cost."""
     at, n, eta, eta_C, zero = outcome.signals, lti.state_dim, found.eta, found.eta_C, np.zeros(lti.state_dim)
     yield found.on_rows[:n, start:stop]
@@ -228,7 +228,7 @@ def _columns(inner: Array, last: Array, start: int, stop: int) -> Array:
     return some if some.shape[1] == stop - start else np.hstack([some, last[:, None]])
 
 
-def in_units(problem: OptimalControlProblem, structure: Structure, units: Units, found: Recovered) -> Multipliers:
+def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUnits, found: Recovered) -> Multipliers:
     """Return the theorem's multipliers in the user's units."""
     n, m = problem.state_dim, problem.control_dim
     x, u = units.cost / units.x, units.cost / units.u
@@ -354,7 +354,7 @@ class BatchRecovery:
         self._on_rows[:, start, 0] = (self._eta[:, :, 0] @ lti.A - first)[:, start]
         self._on_rows[:, end, -1] = (-self._eta[:, :, -1] - last)[:, end]
 
-    def in_units(self, units: Units, found: Mask, rows: Rows | None) -> Together:
+    def in_units(self, units: LtiUnits, found: Mask, rows: Rows | None) -> Together:
         """Return everything in the user's units, time before components."""
         n, bins = self._lti.state_dim, self._structure.spaces.weight / self._lti.horizon
         x, u = units.cost / units.x, units.cost / units.u

@@ -19,13 +19,13 @@ from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, contradi
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import (
     Exchange,
-    Outcome,
+    ExchangeOutcome,
     Stop,
     batch_working_sets,
     deadline,
     first_working_set,
 )
-from lin_freq_ocp.methods.spectral.model import Lti, Units, lti_problem, natural_units, refusal, revised_units
+from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.recovery import (
     BatchRecovery,
     Recovered,
@@ -71,10 +71,10 @@ class SpectralSolution(Candidate):
     rounds: int = 0
 
 
-class Answer(NamedTuple):
+class MeasuredOutcome(NamedTuple):
     """How an exchange ended, with the multipliers and residuals of its point, or of its ray without residuals."""
 
-    outcome: Outcome
+    outcome: ExchangeOutcome
     found: Recovered
     measured: Residuals | None
 
@@ -132,7 +132,7 @@ class SpectralSolver:
         """Restore the state, with a new lock."""
         self.__dict__.update(state, _turn=threading.Lock())
 
-    def _set_up(self, units: Units) -> None:
+    def _set_up(self, units: LtiUnits) -> None:
         """Compute everything that does not depend on data, in the given units."""
         started = now()
         with one_blas_thread():
@@ -150,7 +150,7 @@ class SpectralSolver:
         self.setup_seconds = now() - started
 
     @classmethod
-    def _in_units(cls, problem: OptimalControlProblem, units: Units) -> SpectralSolver:
+    def _in_units(cls, problem: OptimalControlProblem, units: LtiUnits) -> SpectralSolver:
         """Return a solver for the same problem, set up in other units."""
         solver = cls.__new__(cls)
         solver.problem = problem
@@ -286,7 +286,7 @@ class SpectralSolver:
                     answer = second
             return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
 
-    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> Answer:
+    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> MeasuredOutcome:
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
         model = self._model_between(lti)
@@ -315,12 +315,12 @@ class SpectralSolver:
             self._ends_model = ends_model(self._structure, self._lti)
         return self._ends_model
 
-    def _measured_answer(self, exchange: Exchange, outcome: Outcome) -> Answer:
+    def _measured_answer(self, exchange: Exchange, outcome: ExchangeOutcome) -> MeasuredOutcome:
         found = recover(self._structure, exchange.data, outcome, exchange.spectrum)
         del exchange.spectrum  # large; further rounds make another
-        return Answer(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
+        return MeasuredOutcome(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
 
-    def _solution(self, problem: OptimalControlProblem, answer: Answer, started: float) -> SpectralSolution:
+    def _solution(self, problem: OptimalControlProblem, answer: MeasuredOutcome, started: float) -> SpectralSolution:
         outcome, measured = answer.outcome, answer.measured
         status, message = outcome.status, outcome.message
         finite = all(np.isfinite(part).all() for part in (answer.found.eta, answer.found.band, answer.found.rho_x))

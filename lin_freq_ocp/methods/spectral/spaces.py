@@ -260,7 +260,7 @@ def _flat_cost() -> UnsupportedError:
     )
 
 
-class Kernels:
+class CirculantKernels:
     """K_fg(t) = irfft of F_f N N^* F_g': what F_f y_t loses by a unit force on F_g y_0.
 
     ``table`` is (rows, rows, T). Where it is not ``complete``, pairs f <= g are computed on demand: the others are

@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti
 from lin_freq_ocp.methods.spectral.qp import bounded_qp
 from lin_freq_ocp.methods.spectral.rows import MOST_VALUES, Violations, WholeHorizon, WorkingSet
-from lin_freq_ocp.methods.spectral.spaces import BinSpaces, Kernels
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
 
 TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
 MOST_TABULATED = 2500  # bounded values of which all responses are tabulated: 50 MB, in 0.1 s
@@ -39,7 +39,7 @@ class Structure:
     def __init__(self, lti: Lti):
         _require_memory(lti)
         self.spaces = BinSpaces(lti)
-        self.kernels = Kernels(lti, self.spaces)
+        self.kernels = CirculantKernels(lti, self.spaces)
         self.kkt = BorderedSystem(lti, self.spaces, self.kernels)
         self.unconstrained = _unconstrained_response(lti)
         self._whole: WholeHorizon | None = None

@@ -14,7 +14,7 @@ from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.program.program import Program
 
 DEFAULT_TOLERANCE = 1e-10  # feasibility and gap asked of a solver, on a program scaled to order 1
-EXCLUDED = 1e-6  # violation of bounds of order 1 by each other, or of rows without variables, that excludes all points
+CONTRADICTION = 1e-6  # violation of bounds of order 1 by each other, or of rows without variables: no point exists
 
 
 class Claim(Enum):

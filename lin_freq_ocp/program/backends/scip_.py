@@ -20,16 +20,16 @@ from scipy.sparse.csgraph import connected_components
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupt import interrupts_noted
-from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Claim, Solution
+from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program, SingleBounds
 
-FEASIBILITY = 1e-6  # SCIP's own; with less, its LP solver may fail, and a mode sequence is solved again anyway
-NEGLIGIBLE = 1e-14  # eigenvalue of a block of P, relative to its largest, that is rounding of 0
+SCIP_FEASIBILITY = 1e-6  # SCIP's own; with less, its LP solver may fail, and a mode sequence is solved again anyway
+NEGLIGIBLE_EIGENVALUE = 1e-14  # eigenvalue of a block of P, relative to its largest, that is rounding of 0
 LEAST_TIME = 1e-3  # seconds given to SCIP when building its model has used them all
-INFINITE = 1e20  # as SCIP has it
+SCIP_INFINITE = 1e20  # as SCIP has it
 
 SETTINGS: dict[str, bool | float | str] = {
-    "numerics/feastol": FEASIBILITY,
+    "numerics/feastol": SCIP_FEASIBILITY,
     "lp/threads": 1,
     "parallel/maxnthreads": 1,
     "randomization/randomseedshift": 0,
@@ -56,7 +56,7 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     """Solve; the best point found is returned also when a limit or Ctrl-C ended the search."""
     started = now()
     rows = program.single_bounds()
-    if rows.violation > EXCLUDED:
+    if rows.violation > CONTRADICTION:
         return NO_POINT
     model, variables = convex_model(program, rows)
     set_objective(model, program, variables)
@@ -85,7 +85,7 @@ def run_scip(model: Model, variables: list[Variable], time_limit: float | None, 
         return None
     bound = float(model.getDualbound())
     z = np.array([model.getVal(variable) for variable in variables]) if model.getNSols() else None
-    message, claimed = f"{status}, {int(model.getNTotalNodes())} nodes", bound if abs(bound) < INFINITE else None
+    message, claimed = f"{status}, {int(model.getNTotalNodes())} nodes", bound if abs(bound) < SCIP_INFINITE else None
     return Solution(CLAIMS.get(status, Claim.FAILED), z, None, message, claimed)
 
 
@@ -184,7 +184,7 @@ def _factor(program: Program) -> Iterator[tuple[Indices, Array]]:
         columns = np.flatnonzero(block == b)
         eigenvalues, vectors = np.linalg.eigh(program.P[columns][:, columns].toarray())
         for value, vector in zip(eigenvalues, vectors.T, strict=True):
-            if value > NEGLIGIBLE * eigenvalues[-1]:
+            if value > NEGLIGIBLE_EIGENVALUE * eigenvalues[-1]:
                 yield columns, np.sqrt(value) * vector
 
 
