@@ -258,6 +258,7 @@ class Exchange:
         return np.concatenate([-self.slope, self.residual])
 
     def _evaluate(self) -> None:
+        """Compute the signals of this point by FFT, their violations, and the defects in the equations and in theta."""
         self.__dict__.pop("signals", None)  # large: given back before the next are made
         self.__dict__.pop("spectrum", None)
         point = self.theta, self.multipliers, self.working

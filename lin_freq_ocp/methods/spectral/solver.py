@@ -287,6 +287,7 @@ class SpectralSolver:
             return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
 
     def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> MeasuredOutcome:
+        """Exchange from the first working rows, or a kept ray; with a stricter slope where residuals are too large."""
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
         model = self._model_between(lti)
@@ -316,11 +317,13 @@ class SpectralSolver:
         return self._ends_model
 
     def _measured_answer(self, exchange: Exchange, outcome: ExchangeOutcome) -> MeasuredOutcome:
+        """Recover the multipliers, and measure the point with them."""
         found = recover(self._structure, exchange.data, outcome, exchange.spectrum)
         del exchange.spectrum  # large; further rounds make another
         return MeasuredOutcome(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
 
     def _solution(self, problem: OptimalControlProblem, answer: MeasuredOutcome, started: float) -> SpectralSolution:
+        """Return the solution in the user's units; not optimal with large residuals or numbers that are not finite."""
         outcome, measured = answer.outcome, answer.measured
         status, message = outcome.status, outcome.message
         finite = all(np.isfinite(part).all() for part in (answer.found.eta, answer.found.band, answer.found.rho_x))
