@@ -177,7 +177,7 @@ class Exchange:
         """Return the bordering step and weights from rounds on all values; None if a small QP was inaccurate."""
         working, known = self.working, self.first_point is not None
         (step, base), self.first_point = self.first_point or self._without_rows(whole), None
-        start, self.first = whole.duals(self.first or Rows(*working.rows(), working.weights)), None
+        start, self.first = whole.duals(self.first or working.rows()), None
         found = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
         rows = Rows(whole.t[found.indices], whole.f[found.indices], found.sign, found.weights)
         self.rounds += max(0, found.rounds - 1)
@@ -431,9 +431,7 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
         return None
     if outcome.status != "optimal":
         return None
-    active = outcome.working.weights > 0
-    working = outcome.working
-    t, f, sign = working.t[active], working.f[active], working.sign[active]
+    t, f, sign, _ = outcome.working.active_rows()
     if hold:
         return _refine_rows(lti, t, f, sign)
     return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)

@@ -213,9 +213,14 @@ class WorkingSet:
         """Which rows act at t < T."""
         return self.t < self._kkt.lti.horizon
 
-    def rows(self) -> tuple[Indices, Indices, Array]:
-        """Return (t, f, sign)."""
-        return self.t, self.f, self.sign
+    def rows(self) -> Rows:
+        """Return the rows with their weights."""
+        return Rows(self.t, self.f, self.sign, self.weights)
+
+    def active_rows(self) -> Rows:
+        """Return the rows with a multiplier above zero."""
+        active = self.weights > 0
+        return Rows(self.t[active], self.f[active], self.sign[active], self.weights[active])
 
     def weighted(self, weights: Array) -> WorkingSet:
         """Return the same rows with other multipliers."""

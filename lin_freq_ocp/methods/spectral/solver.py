@@ -333,8 +333,6 @@ class SpectralSolver:
         infeasible = status == "infeasible"
         if status == "optimal" and measured is not None and not answer.accurate:
             status, message = "numerical_error", f"converged with residuals of {measured.worst:.1e}"
-        active = outcome.working.weights > 0
-        t, f, sign = outcome.working.rows()
         return SpectralSolution(
             status=status,
             trajectory=None if infeasible or not finite else trajectory(outcome, self._units),
@@ -344,7 +342,7 @@ class SpectralSolver:
             message=message,
             seconds={"setup": self.setup_seconds, "solve": now() - started},
             problem=problem,
-            active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
+            active=None if infeasible else outcome.working.active_rows(),
             rounds=outcome.rounds,
         )
 

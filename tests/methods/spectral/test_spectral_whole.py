@@ -63,7 +63,7 @@ def test_the_model_says_what_working_rows_say(model):
 
 def test_rows_named_twice_count_once(model):
     _, whole, working = model
-    t, f, sign = working.rows()
+    t, f, sign, _ = working.rows()
     twice = Rows(np.tile(t, 2), np.tile(f, 2), np.concatenate([sign, -sign]))
     duals = whole.duals(twice)
     np.testing.assert_array_equal(np.sort(duals.indices), np.sort(whole.flat_indices(t, f)))
