@@ -382,7 +382,7 @@ class BorderedQp:
             step, weights, accurate = replace(self, upper=np.full(len(self.upper), np.inf)).solve(stop)
             if accurate and (weights <= self.upper).all():
                 return step, weights, True
-        scaled, border, rows, size = self._scaled()
+        scaled, border, rows, size = self._in_unit_scale()
         p, weights, z, accurate = _bordered_interior_point(scaled, stop)
         active, held = Caps(scaled.upper).split(weights, z)
         polished = None if stop() else _bordered_polish(scaled, active, held)
@@ -395,7 +395,7 @@ class BorderedQp:
         found = np.where(weights >= scaled.upper, self.upper, weights * rows * size)
         return p * border * size, found, accurate
 
-    def _scaled(self) -> tuple[BorderedQp, Array, Array, float]:
+    def _in_unit_scale(self) -> tuple[BorderedQp, Array, Array, float]:
         """Return the problem in units of order 1, with the units of p, of l, and of both."""
         units = equilibration(np.block([[self.K, self.C], [self.C.T, self.S]]))
         border, rows = np.split(units, [len(self.K)])

@@ -235,12 +235,12 @@ class WorkingSet:
         if not len(t):
             return 0
         self._mark(t, f, sign, True)
-        self.coupling, self._known_gram = np.hstack([self.coupling, self._coupling(t, f, sign)]), None
+        self.coupling, self._known_gram = np.hstack([self.coupling, self._coupling_columns(t, f, sign)]), None
         self.t, self.f = np.concatenate([self.t, t]), np.concatenate([self.f, f])
         self.sign, self.weights = np.concatenate([self.sign, sign]), np.concatenate([self.weights, np.zeros(len(t))])
         return len(t)
 
-    def _coupling(self, t: Indices, f: Indices, sign: Array) -> Array:
+    def _coupling_columns(self, t: Indices, f: Indices, sign: Array) -> Array:
         kkt, inner = self._kkt, t < self._kkt.lti.horizon
         result = np.zeros((len(self.coupling), len(t)))
         result[: kkt.size, inner] = kkt.values(t[inner], f[inner]).T
