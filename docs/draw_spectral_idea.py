@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
-from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.structure import Structure
 from lin_freq_ocp.pages.figures.plot_data import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, new_figure, style_axes
 
 HORIZON, SAMPLING_TIME = 60, 0.1  # 31 bins, four eigenvalues well apart, and few samples at a bound
@@ -149,7 +149,7 @@ def draw_kernels(ax: Axes, structure: Structure, solution: lfo.solvers.SpectralS
         "K / largest |K|",
         [Note("what a unit force on u at s takes away at t; dots: entries of the QP")],
     )
-    T = structure.border.lti.horizon
+    T = structure.kkt.lti.horizon
     lag = np.arange(-T // 2, T // 2 + 1)
     on_force = solution.active.t[solution.active.f == FORCE]
     styles = ((POSITION, STATE, "s", (0, (5, 1.6))), (FORCE, CONTROL, "o", "solid"))

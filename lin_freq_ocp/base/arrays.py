@@ -1,20 +1,14 @@
-"""Numbers from outside become read-only float64 arrays of a known shape, or a ProblemError that says why not.
-
-Arrays that would not fit into memory are refused before they are allocated.
-"""
+"""Numbers from outside become read-only float64 arrays of a known shape, or a ProblemError that says why not."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import ProblemError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -169,38 +163,3 @@ def with_columns(array: Array, columns: int) -> Array:
 def with_rows(matrices: Array, rows: Array) -> Array:
     """Return a matrix, or one per time, with these rows below."""
     return np.concatenate([matrices, np.broadcast_to(rows, (*matrices.shape[:-2], *rows.shape))], axis=-2)
-
-
-SHARE = 0.5  # of the memory for one solve: estimates are good to a factor of two, and other programs need some
-GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container on Linux
-GIB = 2.0**30
-ALWAYS_THERE = 2.0**24  # bytes that every machine has: nothing is asked of it
-NUMBERS_PER_SIGNAL = 16  # per component and time, of a problem and a trajectory with multipliers
-
-
-def memory_limit() -> float:
-    """Return the bytes that one solve may take: a share of the machine's memory, or of what its container may use."""
-    available = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 2 * GIB
-    with suppress(OSError, ValueError):  # "max" where there is no limit
-        available = min(available, float(GROUP_LIMIT.read_text()))
-    return SHARE * available
-
-
-def require_memory(what: str, size: float, advice: str) -> None:
-    """Raise UnsupportedError if ``what`` (the subject of the message) needs more than one solve may take, in bytes."""
-    limit = np.inf if size < ALWAYS_THERE else memory_limit()
-    if size > limit:
-        raise UnsupportedError(
-            f"memory: {what} would take about {size / GIB:.3g} GiB; {limit / GIB:.3g} GiB may be used, "
-            f"{SHARE:.0%} of what there is. {advice}"
-        )
-
-
-def require_horizon(horizon: int, state_dim: int, control_dim: int) -> None:
-    """Raise UnsupportedError unless the signals of a problem fit into memory."""
-    size = 8.0 * NUMBERS_PER_SIGNAL * horizon * (state_dim + control_dim)
-    require_memory(
-        f"signals and bounds of horizon = {horizon}, {state_dim} states and {control_dim} controls",
-        size,
-        "Choose a shorter horizon or a longer sampling time.",
-    )

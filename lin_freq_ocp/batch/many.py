@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, Indices, brief, one_component, real_array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import fingerprint, require_executor
 from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.batch.tasks import ERROR, Work, finish_tasks
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome

@@ -18,6 +18,7 @@ from typing import Any, Protocol, TypedDict, get_type_hints
 
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError, suggestion
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import (
     Parameters,
@@ -32,7 +33,6 @@ from lin_freq_ocp.batch.grid import (
     require_executor,
 )
 from lin_freq_ocp.batch.tasks import ERROR, Work, finish_tasks
-from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, solve_judged
 

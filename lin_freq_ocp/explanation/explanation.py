@@ -16,6 +16,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Mask, positive_number
 from lin_freq_ocp.base.clock import now, processor_now
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, drop_blocks, hard_only, kept_stopped, relax_block
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -24,7 +25,6 @@ from lin_freq_ocp.problem.reformulations import AddedStates, extended
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
 from lin_freq_ocp.solving.solve import solve_judged

@@ -44,22 +44,22 @@ class AbsorbedCost:
         if trajectory is not None:
             trajectory = Trajectory(trajectory.x[:, :n], trajectory.u)
         if trajectory is not None and multipliers is not None:
-            multipliers = self._moved(self._cut(multipliers), trajectory)
-        ray = None if found.ray is None else self._cut(found.ray)
+            multipliers = self._with_given_gradients(self._without_outputs(multipliers), trajectory)
+        ray = None if found.ray is None else self._without_outputs(found.ray)
         descent = None if found.descent is None else Trajectory(found.descent.x[:, :n], found.descent.u)
         return replace(found, trajectory=trajectory, multipliers=multipliers, ray=ray, descent=descent)
 
-    def _cut(self, given: Multipliers) -> Multipliers:
+    def _without_outputs(self, given: Multipliers) -> Multipliers:
         """Return the multipliers without those of the further outputs."""
         n = self.given.state_dim
         stage = dict(given.stage)
         for term in self.problem.terms:
-            if term.name in stage and stage[term.name].shape[1] > self._values[term.name]:
+            if term.name in stage and stage[term.name].shape[1] > self._group_sizes[term.name]:
                 stage[term.name] = stage[term.name][:, self._own_values(term)]
         return replace(given, eta=given.eta[:, :n], mu=given.mu[:, :n], rho_x=given.rho_x[:, :n], stage=stage)
 
     @property
-    def _values(self) -> dict[str, int]:
+    def _group_sizes(self) -> dict[str, int]:
         """Return the number of values of each group of the given problem's terms."""
         return {term.name: term.shape[1] for term in self.given.terms}
 
@@ -68,11 +68,11 @@ class AbsorbedCost:
         n, m = self.given.state_dim, self.given.control_dim
         form = term.map.stage_form(self.problem.state_dim, m)
         if form is None:
-            return slice(0, self._values[term.name])
+            return slice(0, self._group_sizes[term.name])
         matrix = form[0][0]
         return np.asarray(matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1))
 
-    def _moved(self, found: Multipliers, at: Trajectory) -> Multipliers:
+    def _with_given_gradients(self, found: Multipliers, at: Trajectory) -> Multipliers:
         """Return multipliers whose gradients are those of the given cost at a trajectory."""
         cost, link = self.given.quadratic, self.given.links[-1].name
         absorbed = at.u @ cost.S.T

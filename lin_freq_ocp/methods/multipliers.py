@@ -19,13 +19,13 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.methods.convex.recession import consecutive
-from lin_freq_ocp.methods.convex.sparse_program import scaled_program
+from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.methods.convex.polish import consecutive
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
-from lin_freq_ocp.program.backends.blas_threads import one_blas_thread
 from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.program.units import scaled_program
 
 ACTIVE = 1e-6  # distance to a bound, on a program scaled to order 1, at which it is active; other tools stop near 1e-8
 GAP_PRICE = 1e-3  # of a cone's gap, against squares of residuals: gaps are squares of errors in direction

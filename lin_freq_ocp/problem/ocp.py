@@ -9,9 +9,10 @@ from functools import cached_property
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer, require_horizon
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, plural
+from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts

@@ -84,7 +84,7 @@ class StandardForm:
 class SingleBounds:
     """The rows of a program outside cones, with those on one variable as its bounds ``below`` and ``above``.
 
-    ``excess`` is the violation of rows without variables, and of contradicting bounds.
+    ``violation`` is the violation of rows without variables, and of contradicting bounds.
     """
 
     below: Array
@@ -92,7 +92,7 @@ class SingleBounds:
     A: sp.csr_array
     lower: Array
     upper: Array
-    excess: float
+    violation: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +181,9 @@ class Program:
         np.maximum.at(below, column, limits[0])
         np.minimum.at(above, column, limits[1])
         empty, rest = self.alone & (count == 0), self.alone & (count > 1)
-        excess = np.concatenate([below - above, self.lower[empty], -self.upper[empty]]).max(initial=0.0)
+        violation = np.concatenate([below - above, self.lower[empty], -self.upper[empty]]).max(initial=0.0)
         above = np.maximum(below, above)
-        return SingleBounds(below, above, sp.csr_array(A[rest]), self.lower[rest], self.upper[rest], float(excess))
+        return SingleBounds(below, above, sp.csr_array(A[rest]), self.lower[rest], self.upper[rest], float(violation))
 
     def scaled(self, scaling: Scaling) -> Program:
         """Return the program in other units."""

@@ -17,17 +17,17 @@ def real_rows(length: int, stopped: Mask) -> Array:
     k = np.flatnonzero(stopped)
     angle = 2 * np.pi * (np.outer(k, np.arange(length)) % length) / length
     pairs = np.stack([np.cos(angle), -np.sin(angle)], axis=1) * np.sqrt(2 / length)
-    pairs[_single(k, length)] /= np.sqrt(2)
-    return pairs.reshape(-1, length)[_kept(k, length)]
+    pairs[_is_real_bin(k, length)] /= np.sqrt(2)
+    return pairs.reshape(-1, length)[_existing_rows(k, length)]
 
 
 def bin_multipliers(length: int, stopped: Mask, rho: Array) -> ComplexArray:
     """Return the multipliers per bin in the units of the DFT, shape (N//2 + 1,), from one real dual per row of R."""
     k = np.flatnonzero(stopped)
     pairs = np.zeros(2 * len(k))
-    pairs[_kept(k, length)] = rho
+    pairs[_existing_rows(k, length)] = rho
     values = np.sqrt(2 / length) * (pairs[::2] + 1j * pairs[1::2])
-    values[_single(k, length)] /= np.sqrt(2)
+    values[_is_real_bin(k, length)] /= np.sqrt(2)
     result = np.zeros(len(stopped), dtype=np.complex128)
     result[k] = values
     return result
@@ -47,7 +47,7 @@ def spectrum_rows(stop: Mask, length: int, columns: int, first: int) -> sp.csc_a
 
 def rows_per_component(stop: Mask, length: int) -> Indices:
     """Return the number of rows of each component."""
-    real = _single(np.arange(len(stop)), length)[:, None]
+    real = _is_real_bin(np.arange(len(stop)), length)[:, None]
     return (stop * np.where(real, 1, 2)).sum(axis=0)
 
 
@@ -57,12 +57,12 @@ def spectrum_multipliers(stop: Mask, length: int, rho: Array) -> ComplexArray:
     return np.stack([bin_multipliers(length, stop[:, j], part) for j, part in enumerate(parts)], axis=1)
 
 
-def _single(k: np.ndarray, length: int) -> Mask:
+def _is_real_bin(k: np.ndarray, length: int) -> Mask:
     return (k == 0) | (2 * k == length)
 
 
-def _kept(k: np.ndarray, length: int) -> Mask:
+def _existing_rows(k: np.ndarray, length: int) -> Mask:
     """Which of the (cos, sin) rows exist: all but the sine rows of the real bins, which are zero."""
     kept = np.ones(2 * len(k), dtype=bool)
-    kept[1::2] = ~_single(k, length)
+    kept[1::2] = ~_is_real_bin(k, length)
     return kept

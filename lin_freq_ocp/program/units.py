@@ -15,14 +15,13 @@ from scipy.sparse.linalg import splu
 
 from lin_freq_ocp.base.arrays import Array, times_vectors
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.program.program import Block, Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
 
 HESSIAN_REGULARISATION = 1e-6  # relative to the mean diagonal: directions without cost get the smallest trajectory
 ROW_REGULARISATION = 1e-10  # dependent equations (an unreachable end) get a least-squares trajectory
-NEGLIGIBLE = 1e-6  # magnitude, relative to the size in the data, below which a component does not move
+NEGLIGIBLE_SIZE = 1e-6  # magnitude, relative to the size in the data, below which a component does not move
 UNIT_ROUNDING = 1e-12  # of the previous unit: smaller signals are rounding
 UNNOTICED = 1e-3  # least unit of a component, relative to the change, over the horizon, that others would notice
 TERM_SHARE = 0.1  # with terms, which the relaxed optimum ignores, units differ by at most this from the data
@@ -39,7 +38,14 @@ def natural_scaling(transcription: LinearTranscription) -> Scaling:
             np.clip(size, TERM_SHARE * stated, stated / TERM_SHARE) for size, stated in zip((x, u), guess, strict=True)
         )
     columns = transcription.column_units(x, u)
-    return _scaling(transcription, columns, columns)
+    return _scaling_of_units(transcription, columns, columns)
+
+
+def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription, Scaling, Program]:
+    """Return the transcription, its natural units, and the program in them."""
+    transcription = LinearTranscription(problem)
+    scaling = natural_scaling(transcription)
+    return transcription, scaling, transcription.program.scaled(scaling)
 
 
 def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
@@ -51,7 +57,7 @@ def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
     stated = first.column_units(*stated_sizes(first.problem))
     largest = np.max([natural_scaling(transcription).columns for transcription in transcriptions], axis=0)
     columns = np.clip(largest, TERM_SHARE * stated, stated / TERM_SHARE)
-    return _scaling(first, columns, columns)
+    return _scaling_of_units(first, columns, columns)
 
 
 def own_scaling(transcription: LinearTranscription, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
@@ -60,25 +66,25 @@ def own_scaling(transcription: LinearTranscription, z: Array, fallback: Array, p
     ``fallback`` (variables,) are the units of variables that are zero. With ``per_time``, a component has another unit
     at every time, for one that decays over many orders of magnitude.
     """
-    x, u = _floored(transcription, *_by_time(transcription, z))
+    x, u = _noticeable_sizes(transcription, *_by_time(transcription, z))
     if not per_time:
         x, u = (np.broadcast_to(signal.max(0), signal.shape) for signal in (x, u))
     columns = transcription.column_units(x, u)
     signals, least = np.concatenate([x.ravel(), u.ravel()]), UNIT_ROUNDING * fallback[: transcription.signals]
     columns[: len(signals)] = np.where(signals > least, signals, fallback[: len(signals)])
-    return _scaling(transcription, columns, np.maximum(np.abs(z), UNNOTICED * columns))
+    return _scaling_of_units(transcription, columns, np.maximum(np.abs(z), UNNOTICED * columns))
 
 
 def own_sizes(transcription: LinearTranscription, z: Array) -> Array:
     """Return the magnitudes of the variables of a point, (variables,), with those of signals bounded below."""
-    x, u = _floored(transcription, *_by_time(transcription, z))
+    x, u = _noticeable_sizes(transcription, *_by_time(transcription, z))
     return np.concatenate([x.ravel(), u.ravel(), np.abs(z[transcription.signals :])])
 
 
 def stated_scaling(transcription: LinearTranscription) -> Scaling:
     """Return the units from the sizes in the data of a problem."""
     columns = transcription.column_units(*stated_sizes(transcription.problem))
-    return _scaling(transcription, columns, columns)
+    return _scaling_of_units(transcription, columns, columns)
 
 
 def plain_scaling(transcription: LinearTranscription) -> Scaling:
@@ -98,7 +104,7 @@ def bounds_scaling(transcription: LinearTranscription, natural: Scaling) -> Scal
     ]
     units = natural.columns[: transcription.signals]
     far = float((np.concatenate([side.ravel() for side in sides]) / units).max(initial=1.0))
-    return _scaling(transcription, far * natural.columns, far * natural.columns)
+    return _scaling_of_units(transcription, far * natural.columns, far * natural.columns)
 
 
 def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Array) -> Scaling | None:
@@ -108,7 +114,7 @@ def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Arr
     return revised if np.exp(np.abs(np.log(factors)).max()) > REVISED else None
 
 
-def _scaling(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:
+def _scaling_of_units(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:
     """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
     program, problem = transcription.program, transcription.problem
     slopes = columns * (abs(program.P) @ typical + np.abs(program.q))
@@ -124,7 +130,7 @@ def _row_units(program: Program, columns: Array, problem: OptimalControlProblem)
     """Return one factor per row: a dynamics or bound row is divided by its component's unit, any other likewise."""
     rows = np.empty(program.A.shape[0])
     rows[program.rows[Block.DYNAMICS]] = 1.0 / columns[problem.state_dim : (problem.horizon + 1) * problem.state_dim]
-    norms = _row_norms(_scaled(program.A, np.ones(len(rows)), columns))
+    norms = _row_norms(_scale_matrix(program.A, np.ones(len(rows)), columns))
     for block in set(program.rows) - {Block.DYNAMICS}:
         rows[program.rows[block]] = 1.0 / norms[program.rows[block]]
     for cone in program.cones:
@@ -141,11 +147,11 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     keep = keep[keep < program.rows[Block.CONTROL_SET].stop]
     signals = transcription.signals
     columns = transcription.column_units(*guess)[:signals]
-    P = _scaled(program.P[:signals, :signals], columns, columns)
-    A = _scaled(program.A[keep][:, :signals], np.ones(len(keep)), columns)
+    P = _scale_matrix(program.P[:signals, :signals], columns, columns)
+    A = _scale_matrix(program.A[keep][:, :signals], np.ones(len(keep)), columns)
     row_units = 1.0 / _row_norms(A)
     mean = float(P.diagonal().mean()) or 1.0
-    kkt = _kkt(P, mean, _scaled(A, row_units, np.ones(signals)))
+    kkt = _kkt(P, mean, _scale_matrix(A, row_units, np.ones(signals)))
     right = np.concatenate([-columns * program.q[:signals] / mean, row_units * program.lower[keep]])
     try:
         z = splu(kkt).solve(right)
@@ -153,8 +159,10 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
         return guess
     z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
     x, u = (signal.max(0) for signal in _by_time(transcription, z))
-    x, u = (_capped(size, tube) for size, tube in ((x, problem.state_tube), (u, problem.control_tube)))
-    x, u = (np.where(size > NEGLIGIBLE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
+    # bounds cap the sizes: they say what is allowed, not what happens
+    widest = [np.maximum(np.abs(t.lower), np.abs(t.upper)).max(0) for t in (problem.state_tube, problem.control_tube)]
+    x, u = (np.minimum(size, np.where(w > 0, w, np.inf)) for size, w in zip((x, u), widest, strict=True))
+    x, u = (np.where(size > NEGLIGIBLE_SIZE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
     return x, u
 
 
@@ -176,7 +184,7 @@ def _by_time(transcription: LinearTranscription, z: Array) -> tuple[Array, Array
     return x.reshape(-1, problem.state_dim), u.reshape(-1, problem.control_dim)
 
 
-def _floored(transcription: LinearTranscription, x: Array, u: Array) -> tuple[Array, Array]:
+def _noticeable_sizes(transcription: LinearTranscription, x: Array, u: Array) -> tuple[Array, Array]:
     """Return magnitudes (T+1, n) and (T, m), none smaller than what others would notice through the dynamics."""
     program, problem = transcription.program, transcription.problem
     if problem.dynamics.response(problem.horizon) is not None:  # nothing is noticed from one step to the next
@@ -195,12 +203,6 @@ def _floored(transcription: LinearTranscription, x: Array, u: Array) -> tuple[Ar
     return x, u
 
 
-def _capped(reached: Array, tube: Box) -> Array:
-    """Return magnitudes, capped by the bounds."""
-    widest = np.maximum(np.abs(tube.lower), np.abs(tube.upper)).max(0)
-    return np.minimum(reached, np.where(widest > 0, widest, np.inf))
-
-
 def _row_norms(matrix: sp.csc_array) -> Array:
     """Return the Euclidean norms of the rows of a matrix by columns; 1 for rows of zeros, which are in cones only."""
     largest = np.zeros(matrix.shape[0])
@@ -210,7 +212,7 @@ def _row_norms(matrix: sp.csc_array) -> Array:
     return largest * np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
-def _scaled(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_array:
+def _scale_matrix(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_array:
     """Return diag(rows) matrix diag(columns) by columns; products of sparse matrices take several times as long."""
     scaled = sp.csc_array(matrix, copy=True)
     scaled.data *= rows[scaled.indices]

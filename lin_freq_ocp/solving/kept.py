@@ -12,12 +12,10 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, known_entries
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import AbsorbedCost, absorbed_cost
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.candidate import Candidate, require_convex
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_form
-from lin_freq_ocp.methods.spectral.algorithm.together import Together
-from lin_freq_ocp.methods.spectral.model.row_form import RowForm
-from lin_freq_ocp.methods.spectral.model.soft_bins import SoftBins, soft_bins
+from lin_freq_ocp.methods.spectral.recovery import Together
+from lin_freq_ocp.methods.spectral.reductions import RowForm, SoftBins, soft_bins
 from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet

@@ -14,12 +14,15 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, proof_margin, prove_infeasible, unbounded_direction
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.choice import structured_first
-from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
-from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost, free_of_slope
-from lin_freq_ocp.methods.convex.recession import steepest_recession
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
+from lin_freq_ocp.methods.candidate import Candidate, contradiction_at_ends
+from lin_freq_ocp.methods.convex.polish import steepest_recession
+from lin_freq_ocp.methods.convex.sparse_program import (
+    convex_candidates,
+    free_of_cost,
+    free_of_slope,
+    solve_convex,
+    structured_first,
+)
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -187,7 +190,7 @@ class Structured:
 class LinearAuto:
     """The Fourier-domain method where it applies and its answer is proven, else the structured or the sparse one.
 
-    Which of these two comes first is measured (``methods/choice.py``); the other is tried where that ends without an
+    Which of these two comes first is measured (``structured_first``); the other is tried where that ends without an
     answer. ``result.reason`` says why the method was taken.
 
     Attributes

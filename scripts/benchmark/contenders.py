@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
+from lin_freq_ocp.program.units import scaled_program
 
 CLAIMS = {Claim.SOLVED: "optimal", Claim.INFEASIBLE: "infeasible", Claim.LIMIT: "limit"}
 # Words of backends and of CVXPY in those of this project; anything else is a failure

@@ -20,11 +20,7 @@ import lin_freq_ocp as lfo
 from benchmark.cases import FAMILIES, moved
 from benchmark.record import Record, build_parser
 from helpers.random.lti import random_lti
-from lin_freq_ocp.methods.spectral import solver
-from lin_freq_ocp.methods.spectral.algorithm import exchange, first_set, structure
-from lin_freq_ocp.methods.spectral.kkt import dual_qp, interior_point
-from lin_freq_ocp.methods.spectral.model import kernels
-from lin_freq_ocp.methods.spectral.rows import violations
+from lin_freq_ocp.methods.spectral import exchange, qp, rows, solver, spaces, structure
 
 Solve = Callable[[], lfo.solvers.SpectralSolution]
 
@@ -35,17 +31,17 @@ def nothing(*_: object) -> None:
 
 LAYERS = {
     "first working set": (solver, "first_working_set", nothing),
-    "its held samples": (first_set, "_may_be_held", lambda lti: False),
-    "its shorter horizon": (first_set, "_shortened_horizon", lambda lti: lti.horizon),
+    "its held samples": (exchange, "_may_be_held", lambda lti: False),
+    "its shorter horizon": (exchange, "_shortened_horizon", lambda lti: lti.horizon),
     "model of other ends": (solver.SpectralSolver, "_model_between", nothing),
     "model of the whole horizon": (structure.Structure, "whole_horizon", nothing),
-    "rows near the working rows": (exchange, "around", nothing),
-    "nearly active samples": (violations, "NEARLY_ACTIVE", 0.0),
-    "highest peaks of states only": (violations, "STATE_PEAKS", 10**9),
-    "block pivoting": (dual_qp, "block_pivoting", nothing),
-    "factor of low rank": (interior_point, "LOW_RANK_ROWS", 10**9),
-    "warm interior point": (interior_point, "WARM", 1.0),
-    "table of kernels": (kernels, "SMALL_TABLE", 0),
+    "rows near the working rows": (exchange, "neighbourhood_of", nothing),
+    "nearly active samples": (rows, "NEARLY_ACTIVE", 0.0),
+    "highest peaks of states only": (rows, "STATE_PEAKS", 10**9),
+    "block pivoting": (qp, "block_pivoting", nothing),
+    "factor of low rank": (qp, "LOW_RANK_ROWS", 10**9),
+    "warm interior point": (qp, "WARM", 1.0),
+    "table of kernels": (spaces, "SMALL_TABLE", 0),
 }
 
 CASES = {

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from helpers.checks.claimed import differences
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth

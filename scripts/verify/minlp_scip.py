@@ -22,8 +22,8 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
-from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Solution
-from lin_freq_ocp.program.backends.scip_ import convex_model, optimised, remaining, set_objective, undecided
+from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Solution
+from lin_freq_ocp.program.backends.scip_ import convex_model, decide_claim, run_scip, seconds_left, set_objective
 from verify.minlp_program import ModeFormulas, SmoothProgram, enclosures
 
 FUNCTIONS = {"exp": exp, "log": log, "sqrt": sqrt, "sin": sin, "cos": cos}
@@ -44,7 +44,7 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Solut
     """
     started, convex = time.perf_counter(), program.program
     rows = convex.single_bounds()
-    if program.excluded or rows.excess > EXCLUDED:
+    if program.excluded or rows.violation > CONTRADICTION:
         return NO_POINT
     units, origin = program.units, program.origin
     below, above = rows.below.copy(), rows.above.copy()
@@ -55,10 +55,10 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Solut
     model, z = convex_model(convex, replace(rows, below=below, above=above))
     deltas = _add_dynamics(model, program, z)
     set_objective(model, convex, z)
-    found = optimised(model, [*z, *deltas], remaining(time_limit, started), gap)
+    found = run_scip(model, [*z, *deltas], seconds_left(time_limit, started), gap)
     if found is None:
-        return undecided(
-            lambda free: solve(replace(program, program=free), remaining(time_limit, started), gap), convex
+        return decide_claim(
+            lambda free: solve(replace(program, program=free), seconds_left(time_limit, started), gap), convex
         )
     return found
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
+from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE
 from lin_freq_ocp.program.backends.base import Claim, Solution, backend
 from lin_freq_ocp.program.program import Program
 

@@ -7,8 +7,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.convex.attempts import Solves
-from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.program.backends.base import Claim, Solution
+from lin_freq_ocp.program.units import scaled_program
 
 
 @pytest.mark.parametrize("claim", [Claim.SOLVED, Claim.LIMIT, Claim.INFEASIBLE])

@@ -18,7 +18,8 @@ from helpers.clocks import Clock
 from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_accepted, long_program, program
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
-from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE, UNBOUNDED_TOLERANCE
+from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE
+from lin_freq_ocp.methods.convex.attempts import UNBOUNDED_TOLERANCE
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

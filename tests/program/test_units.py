@@ -9,7 +9,8 @@ import pytest
 
 from helpers.transcribed import each_problem, small_problem
 from lin_freq_ocp import library
-from lin_freq_ocp.methods.convex.sparse_program import Candidate, scaled_program, solve_convex
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -19,7 +20,7 @@ from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.program.backends.base import backend
 from lin_freq_ocp.program.program import Block, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
-from lin_freq_ocp.program.units import natural_scaling
+from lin_freq_ocp.program.units import natural_scaling, scaled_program
 
 
 @each_problem

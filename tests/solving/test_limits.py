@@ -19,13 +19,11 @@ from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.hybrid.search.search import SearchLimits
-from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
-from lin_freq_ocp.methods.spectral.kkt.bordered_system import LARGEST_BORDER
-from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
+from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDER
+from lin_freq_ocp.methods.spectral.qp import BorderedQp, interior_point
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.program.backends.clarabel_ import solve as clarabel_solve
-from lin_freq_ocp.program.dense_rows import dense_rows
-from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.transcription import LinearTranscription, dense_rows
 from lin_freq_ocp.solving.hybrid import modes
 
 LOOK = 0.01

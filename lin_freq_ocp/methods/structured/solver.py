@@ -9,10 +9,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import require_memory
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.base.resources import require_memory
+from lin_freq_ocp.methods.candidate import Candidate, require_convex
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
 from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds

@@ -14,7 +14,7 @@ from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.program.program import Program
 
 DEFAULT_TOLERANCE = 1e-10  # feasibility and gap asked of a solver, on a program scaled to order 1
-EXCLUDED = 1e-6  # violation of bounds of order 1 by each other, or of rows without variables, that excludes all points
+CONTRADICTION = 1e-6  # violation of bounds of order 1 by each other, or of rows without variables: no point exists
 
 
 class Claim(Enum):
@@ -99,7 +99,7 @@ def backend(name: str, binaries: bool = False) -> Solver:
     family, _, member = name.partition(":")
     entry = REGISTER.get(family)
     if entry is None or entry.binaries != binaries or bool(member) != (entry.example is not None):
-        raise UnsupportedError(f"backend: got {name!r}; expected {_expected(binaries)}.")
+        raise UnsupportedError(f"backend: got {name!r}; expected {_expected_names(binaries)}.")
     if entry.package is not None and find_spec(entry.package) is None:
         raise MissingExtraError(
             f"backend {name!r}: {entry.package} is not installed. "
@@ -118,7 +118,7 @@ def backend(name: str, binaries: bool = False) -> Solver:
     return solve
 
 
-def _expected(binaries: bool) -> str:
+def _expected_names(binaries: bool) -> str:
     entries = [(name, REGISTER[name].example) for name in names(binaries)]
     listed = [f"'{name}'" if example is None else f"'{name}:NAME'" for name, example in entries]
     examples = [f" (such as '{name}:{example}')" for name, example in entries if example]

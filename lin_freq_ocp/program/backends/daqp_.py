@@ -22,19 +22,19 @@ from scipy.sparse.csgraph import connected_components
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
-from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Claim, Solution
+from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program, SingleBounds
 
 # Of delta^2 - delta: much more weakens the relaxations, much less makes all rows parallel in DAQP's metric. The second
 # is tried where DAQP cycles with the first or finds nothing: of 200 random problems, it never cycled with both.
 BINARY_CURVATURES = (0.1, 0.01)
-SINGULAR = 1e-7  # eigenvalue, relative to the largest row sum of P, below which a block of P is regularised ...
-REGULARISATION = 1e-7  # ... by this, relative to the same: some 1e-6 of the cost where variables are of order 1
+SINGULAR_BLOCK = 1e-7  # eigenvalue, relative to the largest row sum of P, below which a block of P is regularised ...
+BLOCK_REGULARISATION = 1e-7  # ... by this, relative to the same: some 1e-6 of the cost where variables are of order 1
 # Of rows of order 1. With 1e-8, one of 60 random problems was called infeasible wrongly; with its own 1e-6, costs were
 # too low by 5e-6.
-FEASIBILITY = 1e-7
-INFINITE = 1e30  # as DAQP has it
-LEAST_TIME = 1e-6  # seconds given to DAQP when none is left: it says that its limit was reached
+DAQP_FEASIBILITY = 1e-7
+DAQP_INFINITE = 1e30  # as DAQP has it
+DAQP_LEAST_TIME = 1e-6  # seconds given to DAQP when none is left: it says that its limit was reached
 EQUATION, BINARY = 5, 16  # kinds of rows
 
 CLAIMS = {
@@ -58,7 +58,7 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
         left = None if time_limit is None else time_limit - (now() - started)
         if found and left is not None and left <= 0:
             break
-        found.append(_attempt(program, curvature, None if left is None else max(left, LEAST_TIME), gap))
+        found.append(_attempt(program, curvature, None if left is None else max(left, DAQP_LEAST_TIME), gap))
         if found[-1].claim not in (Claim.INFEASIBLE, Claim.FAILED):
             break
     answers = [solution for solution in found if solution.claim is not Claim.FAILED]
@@ -69,11 +69,11 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
 def _attempt(program: Program, curvature: float, time_limit: float | None, gap: float) -> Solution:
     """Solve with one curvature of the binaries."""
     rows = program.single_bounds()
-    dense = _dense(program, rows, curvature)
+    dense = _dense_program(program, rows, curvature)
     if dense is None:
         return NO_POINT
     with interrupts_noted() as noted:
-        x, flag, nodes = _called(dense, time_limit, gap)
+        x, flag, nodes = _call_daqp(dense, time_limit, gap)
     claim, message = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
     message = f"{message}, {nodes} nodes"
     if noted.is_set():
@@ -90,7 +90,7 @@ def _attempt(program: Program, curvature: float, time_limit: float | None, gap: 
 
 
 @dataclass(frozen=True, eq=False)
-class _Dense:
+class _DenseProgram:
     """The program without its fixed variables, strictly convex; bounds of variables are the first rows."""
 
     hessian: Array
@@ -104,14 +104,14 @@ class _Dense:
     added: Array  # regularisation on the diagonal, (variables,)
 
 
-def _dense(program: Program, rows: SingleBounds, curvature: float) -> _Dense | None:
+def _dense_program(program: Program, rows: SingleBounds, curvature: float) -> _DenseProgram | None:
     """Return the program as DAQP takes it; None if its bounds alone have no point."""
     free = np.flatnonzero(rows.below < rows.above)
     fixed = np.where(rows.below < rows.above, 0.0, rows.below)
     A, shift = rows.A.toarray()[:, free], rows.A @ fixed
     lower, upper = rows.lower - shift, rows.upper - shift
     empty = ~A.any(axis=1)
-    if rows.excess > EXCLUDED or (np.maximum(lower, -upper)[empty] > EXCLUDED).any():
+    if rows.violation > CONTRADICTION or (np.maximum(lower, -upper)[empty] > CONTRADICTION).any():
         return None
     added, binaries = _regularisation(program), program.binaries
     hessian, gradient = program.P.toarray() + np.diag(added), program.q.copy()
@@ -120,12 +120,12 @@ def _dense(program: Program, rows: SingleBounds, curvature: float) -> _Dense | N
     below, above = (np.append(*pair) for pair in ((rows.below[free], lower[~empty]), (rows.above[free], upper[~empty])))
     kinds = np.where(below == above, EQUATION, 0)
     kinds[: len(free)][np.isin(free, binaries)] = BINARY
-    return _Dense(
+    return _DenseProgram(
         hessian=np.ascontiguousarray(hessian[np.ix_(free, free)]),
         gradient=(gradient + hessian @ fixed)[free],
         A=np.ascontiguousarray(A[~empty]),
-        lower=np.clip(below, -INFINITE, INFINITE),
-        upper=np.clip(above, -INFINITE, INFINITE),
+        lower=np.clip(below, -DAQP_INFINITE, DAQP_INFINITE),
+        upper=np.clip(above, -DAQP_INFINITE, DAQP_INFINITE),
         kinds=kinds.astype(np.intc),
         fixed=fixed,
         free=free,
@@ -142,12 +142,12 @@ def _regularisation(program: Program) -> Array:
     largest = float(abs(program.P).sum(axis=0).max(initial=0.0)) or 1.0
     for b in np.unique(block[block >= 0]):
         columns = np.flatnonzero(block == b)
-        if np.linalg.eigvalsh(program.P[columns][:, columns].toarray())[0] < SINGULAR * largest:
-            added[columns] = REGULARISATION * largest
+        if np.linalg.eigvalsh(program.P[columns][:, columns].toarray())[0] < SINGULAR_BLOCK * largest:
+            added[columns] = BLOCK_REGULARISATION * largest
     return added
 
 
-def _called(dense: _Dense, time_limit: float | None, gap: float) -> tuple[Array, int, int]:
+def _call_daqp(dense: _DenseProgram, time_limit: float | None, gap: float) -> tuple[Array, int, int]:
     """Return the point, exit flag and number of nodes."""
     if not len(dense.free):
         return np.zeros(0), 1, 0
@@ -158,7 +158,7 @@ def _called(dense: _Dense, time_limit: float | None, gap: float) -> tuple[Array,
         dense.upper,
         dense.lower,
         dense.kinds,
-        primal_tol=FEASIBILITY,
+        primal_tol=DAQP_FEASIBILITY,
         rel_subopt=gap,
         eps_prox=0.0,
         time_limit=0.0 if time_limit is None else time_limit,
@@ -166,7 +166,9 @@ def _called(dense: _Dense, time_limit: float | None, gap: float) -> tuple[Array,
     return np.asarray(x), int(flag), int(info["nodes"])
 
 
-def _bound(program: Program, rows: SingleBounds, dense: _Dense, z: Array, gap: float) -> tuple[float | None, float]:
+def _bound(
+    program: Program, rows: SingleBounds, dense: _DenseProgram, z: Array, gap: float
+) -> tuple[float | None, float]:
     """Return the bound that the claim implies, and the part of the cost that regularisation leaves unknown."""
     objective, own = program.objective(z), 0.5 * float(dense.added @ z**2)
     searched = objective - program.objective(dense.fixed) + own  # DAQP's cost, which the gap is relative to

@@ -50,7 +50,7 @@ def solver(member: str) -> Solver:
 
 def _solve(member: str, program: Program, tolerance: float, time_limit: float | None) -> Solution:
     form = program.standard()
-    typed = sp.csc_matrix if member in qpsolvers.sparse_solvers else _dense
+    typed = sp.csc_matrix if member in qpsolvers.sparse_solvers else (lambda matrix: np.asarray(matrix.todense()))
     count = form.equations
     inequalities = (typed(form.A[count:]), form.b[count:]) if form.inequalities else (None, None)
     equations = (typed(form.A[:count]), form.b[:count]) if count else (None, None)
@@ -75,7 +75,3 @@ def _solve(member: str, program: Program, tolerance: float, time_limit: float | 
         return Solution(missed, None, None, "no solution")
     claim = Claim.SOLVED if answer.found else missed
     return Solution(claim, x, form.dual(len(program.lower), np.append(y, z)), f"found: {answer.found}")
-
-
-def _dense(matrix: sp.csr_array | sp.csc_array) -> np.ndarray:
-    return np.asarray(matrix.todense())

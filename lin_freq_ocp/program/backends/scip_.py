@@ -20,16 +20,16 @@ from scipy.sparse.csgraph import connected_components
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
-from lin_freq_ocp.program.backends.base import EXCLUDED, NO_POINT, Claim, Solution
+from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program, SingleBounds
 
-FEASIBILITY = 1e-6  # SCIP's own; with less, its LP solver may fail, and a mode sequence is solved again anyway
-NEGLIGIBLE = 1e-14  # eigenvalue of a block of P, relative to its largest, that is rounding of 0
+SCIP_FEASIBILITY = 1e-6  # SCIP's own; with less, its LP solver may fail, and a mode sequence is solved again anyway
+NEGLIGIBLE_EIGENVALUE = 1e-14  # eigenvalue of a block of P, relative to its largest, that is rounding of 0
 LEAST_TIME = 1e-3  # seconds given to SCIP when building its model has used them all
-INFINITE = 1e20  # as SCIP has it
+SCIP_INFINITE = 1e20  # as SCIP has it
 
 SETTINGS: dict[str, bool | float | str] = {
-    "numerics/feastol": FEASIBILITY,
+    "numerics/feastol": SCIP_FEASIBILITY,
     "lp/threads": 1,
     "parallel/maxnthreads": 1,
     "randomization/randomseedshift": 0,
@@ -56,20 +56,20 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     """Solve; the best point found is returned also when a limit or Ctrl-C ended the search."""
     started = now()
     rows = program.single_bounds()
-    if rows.excess > EXCLUDED:
+    if rows.violation > CONTRADICTION:
         return NO_POINT
     model, variables = convex_model(program, rows)
     set_objective(model, program, variables)
-    solution = optimised(model, variables, remaining(time_limit, started), gap)
-    return solution or undecided(lambda nothing: solve(nothing, gap, remaining(time_limit, started)), program)
+    solution = run_scip(model, variables, seconds_left(time_limit, started), gap)
+    return solution or decide_claim(lambda nothing: solve(nothing, gap, seconds_left(time_limit, started)), program)
 
 
-def remaining(time_limit: float | None, started: float) -> float | None:
+def seconds_left(time_limit: float | None, started: float) -> float | None:
     """Return what is left of a limit, at least so much that SCIP says that it was reached."""
     return None if time_limit is None else max(time_limit - (now() - started), LEAST_TIME)
 
 
-def optimised(model: Model, variables: list[Variable], time_limit: float | None, gap: float) -> Solution | None:
+def run_scip(model: Model, variables: list[Variable], time_limit: float | None, gap: float) -> Solution | None:
     """Run SCIP on a model; None if it says that the problem is infeasible or unbounded, and not which."""
     model.setParams({**SETTINGS, "limits/gap": gap})
     if time_limit is not None:
@@ -85,11 +85,11 @@ def optimised(model: Model, variables: list[Variable], time_limit: float | None,
         return None
     bound = float(model.getDualbound())
     z = np.array([model.getVal(variable) for variable in variables]) if model.getNSols() else None
-    message, claimed = f"{status}, {int(model.getNTotalNodes())} nodes", bound if abs(bound) < INFINITE else None
+    message, claimed = f"{status}, {int(model.getNTotalNodes())} nodes", bound if abs(bound) < SCIP_INFINITE else None
     return Solution(CLAIMS.get(status, Claim.FAILED), z, None, message, claimed)
 
 
-def undecided(solve_one: Callable[[Program], Solution], program: Program) -> Solution:
+def decide_claim(solve_one: Callable[[Program], Solution], program: Program) -> Solution:
     """Return which of infeasible and unbounded it is: without a cost, a program is not unbounded."""
     found = solve_one(replace(program, P=sp.csc_array(program.P.shape), q=np.zeros_like(program.q)))
     claim = Claim.UNBOUNDED if found.claim is Claim.SOLVED else found.claim
@@ -184,7 +184,7 @@ def _factor(program: Program) -> Iterator[tuple[Indices, Array]]:
         columns = np.flatnonzero(block == b)
         eigenvalues, vectors = np.linalg.eigh(program.P[columns][:, columns].toarray())
         for value, vector in zip(eigenvalues, vectors.T, strict=True):
-            if value > NEGLIGIBLE * eigenvalues[-1]:
+            if value > NEGLIGIBLE_EIGENVALUE * eigenvalues[-1]:
                 yield columns, np.sqrt(value) * vector
 
 

@@ -19,7 +19,8 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, require_convex
+from lin_freq_ocp.methods.candidate import require_convex
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences

@@ -15,7 +15,7 @@ from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress

@@ -11,8 +11,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import TIGHT, T, problem_of, residuals, wave
-from lin_freq_ocp.methods.spectral.algorithm import exchange
-from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
+from lin_freq_ocp.methods.spectral import exchange
+from lin_freq_ocp.methods.spectral.structure import Structure
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 

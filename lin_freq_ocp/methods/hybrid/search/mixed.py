@@ -8,7 +8,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import Claim, Solution, backend

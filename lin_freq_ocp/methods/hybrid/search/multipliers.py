@@ -41,7 +41,6 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.methods.convex.sparse_program import scaled_program
 from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION, ModeArrays
 from lin_freq_ocp.problem.hybrid.forms import linear_along, measured_modes
@@ -52,6 +51,7 @@ from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import scaled_program
 
 ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: what the judge accepts
 STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms

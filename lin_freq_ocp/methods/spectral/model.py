@@ -4,9 +4,9 @@
     subject to  x_{t+1} = A x_t + B u_t + d_t,   lower_t <= F y_t <= upper_t,   F = [I; C D],
                 ends fixed, free or in a box, per component,   stopped bins of u (length T) and of x (length T+1)
 
-A bound with a finite price is soft: the price times its excess joins the cost, and limits its multiplier.
-
-Units are powers of two: changing to them and back rounds nothing.
+A bound with a finite price is soft: the price times its violation joins the cost, and limits its multiplier. Where
+there is no recursion, the dynamics are the response of x_{t+1} at every bin. Units are powers of two: changing to them
+and back rounds nothing.
 """
 
 from __future__ import annotations
@@ -18,36 +18,18 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import matrix_balance
+from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.model.dynamics import dynamics_of
-from lin_freq_ocp.methods.spectral.model.soft_sets import placed, soft_set, soft_sets
+from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set, soft_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.problem.terms.term import TermKind
 
-STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the border
-
-
-@dataclass(frozen=True, eq=False)
-class Bounds:
-    """A number for each bound, such as its price: of F y_t at t < T, (rows, T), and of x_T, (n,)."""
-
-    lower: Array
-    upper: Array
-    last_lower: Array
-    last_upper: Array
-
-    def times(self, factor: float) -> Bounds:
-        """Return multiples of the numbers at t < T."""
-        return replace(self, lower=factor * self.lower, upper=factor * self.upper)
-
-    def at(self, cut: Callable[[Array], Array]) -> Bounds:
-        """Return those at the times that a function keeps of arrays (rows, T)."""
-        return replace(self, lower=cut(self.lower), upper=cut(self.upper))
+STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the bordered system
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +54,16 @@ class Lti:
     last_lower: Array  # of x_T, (n,)
     last_upper: Array
     constant: float  # cost at x = 0, u = 0
-    prices: Bounds | None = None  # of a unit of excess, infinite for hard bounds; None if all are hard
+    prices: Bounds | None = None  # of a unit of violation, infinite for hard bounds; None if all are hard
     response: ComplexArray | None = None  # of x_{t+1} at every bin, (n, m, T//2 + 1), instead of A, B
     periodic: bool = False  # whether x_T = x_0: then the ends are free, and bounds on x_T are on x_0
 
-    @property
+    @cached_property
     def state_dim(self) -> int:
         """Number of states n."""
         return len(self.A)
 
-    @property
+    @cached_property
     def control_dim(self) -> int:
         """Number of controls m."""
         return self.B.shape[1]
@@ -98,7 +80,7 @@ class Lti:
 
     def between(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
         """Return the problem between other ends, in units x (n,) of the states; None if x_0 has free components."""
-        start, end = (_point(box) / x for box in ends)
+        start, end = (_fixed_values(box) / x for box in ends)
         if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
             return None
         other = self.at_points(start, end)
@@ -137,7 +119,25 @@ class Lti:
 
 
 @dataclass(frozen=True, eq=False)
-class Units:
+class Bounds:
+    """A number for each bound, such as its price: of F y_t at t < T, (rows, T), and of x_T, (n,)."""
+
+    lower: Array
+    upper: Array
+    last_lower: Array
+    last_upper: Array
+
+    def times(self, factor: float) -> Bounds:
+        """Return multiples of the numbers at t < T."""
+        return replace(self, lower=factor * self.lower, upper=factor * self.upper)
+
+    def at(self, cut: Callable[[Array], Array]) -> Bounds:
+        """Return those at the times that a function keeps of arrays (rows, T)."""
+        return replace(self, lower=cut(self.lower), upper=cut(self.upper))
+
+
+@dataclass(frozen=True, eq=False)
+class LtiUnits:
     """What one unit of the Lti problem is in the user's: states (n,), controls (m,), stage rows, cost."""
 
     x: Array
@@ -175,7 +175,7 @@ def refusal(problem: OptimalControlProblem) -> str | None:
 
 
 def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
-    """Whether x_T = x_0 is all that is said of both ends beyond bounds: then the trajectory is a period in all bins."""
+    """Whether x_T = x_0 is the only constraint on the ends, apart from bounds: the trajectory is then one period."""
     links, cost = problem.links, problem.quadratic
     return (
         [(one.periodic, one.penalty.reach) for one in links] == [(True, 0.0)]
@@ -184,7 +184,7 @@ def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
     )
 
 
-def natural_units(problem: OptimalControlProblem) -> Units:
+def natural_units(problem: OptimalControlProblem) -> LtiUnits:
     """Return units in which the data are of order 1; UnsupportedError if the cost is then no number above zero."""
     given = given_sizes(problem)
     states, controls = completed_sizes(problem, given)
@@ -198,7 +198,7 @@ def natural_units(problem: OptimalControlProblem) -> Units:
     if not 0 < level < np.inf:
         raise UnsupportedError(f"method 'spectral': states and controls of their sizes cost {level:g}; change units.")
     rows = np.abs(_scaled_rows(problem, x, u)).max(1)
-    return Units(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
+    return LtiUnits(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
 
 
 def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
@@ -208,7 +208,8 @@ def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
     states oscillate against each other. In such units A would be nearly defective.
     """
     sizes = stated.copy()
-    for mine in _coupled_groups(A):
+    count, group = connected_components(A != 0, connection="strong")
+    for mine in (np.flatnonzero(group == i) for i in range(count)):
         coupling = A[np.ix_(mine, mine)] * ~np.eye(len(mine), dtype=bool)
         balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
         known, ratio = given[mine], sizes[mine] / balanced
@@ -216,15 +217,6 @@ def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
         wrong = np.abs(np.log(ratio / level)) > np.log(tol.MUCH_LARGER)
         sizes[mine] = np.where(wrong & ~known, level * balanced, sizes[mine])
     return sizes
-
-
-def _coupled_groups(A: Array) -> list[Indices]:
-    """Return the strongly connected components of the graph of A."""
-    reached = (A != 0) | np.eye(len(A), dtype=bool)
-    for _ in range(len(A).bit_length()):
-        reached = reached @ reached
-    mutual = reached & reached.T
-    return [np.flatnonzero(row) for i, row in enumerate(mutual) if np.argmax(row) == i]
 
 
 def _control_sizes(tube: Box, stated: Array) -> Array:
@@ -237,7 +229,7 @@ def _control_sizes(tube: Box, stated: Array) -> Array:
     return np.where(larger, bounds, stated)
 
 
-def revised_units(units: Units, y: Array) -> Units | None:
+def revised_units(units: LtiUnits, y: Array) -> LtiUnits | None:
     """Return units from a solution y (n+m, T) in the given units, or None if those were right.
 
     With bounds such as 1e9 that stand for none, all signals may be rounding in the first units.
@@ -249,14 +241,19 @@ def revised_units(units: Units, y: Array) -> Units | None:
     factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
     n = len(units.x)
     smallest = float(factor[n:].max()) ** 2
-    return Units(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)
+    return LtiUnits(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)
 
 
-def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
+def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     x, u = units.x, units.u
-    A, B, d, response = dynamics_of(problem)
+    found = problem.dynamics.response(T)
+    if found is None:
+        A, B, d, response = problem.linear.A, problem.linear.B, problem.linear.offset, None
+    else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion
+        lead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
+        A, B, d, response = np.zeros((n, n)), np.zeros((n, len(u))), found.base[1:], lead * np.moveaxis(found.G, 0, -1)
     y = np.concatenate([x, u])
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]
@@ -267,11 +264,13 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         (lower, upper, last_lower, last_upper), prices = _soft_bounds(problem, units, lower, upper)
     periodic = closes_on_the_circle(problem)
     if periodic:
-        lower = _met(np.maximum, lower, last_lower)
-        upper = _met(np.minimum, upper, last_upper)
+        lower = _with_end_bound(np.maximum, lower, last_lower)
+        upper = _with_end_bound(np.minimum, upper, last_upper)
         last_lower, last_upper = np.full(n, -np.inf), np.full(n, np.inf)
-    start, end = (_point(box) / x for box in problem.ends)
+    start, end = (_fixed_values(box) / x for box in problem.ends)
     p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
+    referred = cost.x_ref.any() or cost.u_ref.any()
+    constant = cost.value(np.zeros((T + 1, n)), np.zeros((T, len(u)))) if referred else 0.0
     return Lti(
         A=A * x / x[:, None],
         B=B * u / x[:, None],
@@ -290,26 +289,11 @@ def lti_problem(problem: OptimalControlProblem, units: Units) -> Lti:
         upper=upper,
         last_lower=last_lower,
         last_upper=last_upper,
-        constant=_cost_at_zero(problem) / units.cost,
+        constant=constant / units.cost,
         prices=prices,
         periodic=periodic,
         response=None if response is None else response * (u / x[:, None])[:, :, None],
     )
-
-
-def _met(tighter: np.ufunc, side: Array, last: Array) -> Array:
-    """Return bounds (rows, T) with those of x_T, (n,), on x_0, too."""
-    first = tighter(side[: len(last), 0], last)
-    if (first == side[: len(last), 0]).all():
-        return side
-    both = np.array(side)
-    both[: len(last), 0] = first
-    return both
-
-
-def _point(box: Box) -> Array:
-    """Return the values that a box fixes, NaN elsewhere."""
-    return np.where(box.fixed, box.lower, np.nan)
 
 
 def _linear_terms(problem: OptimalControlProblem) -> Array | None:
@@ -325,16 +309,7 @@ def _linear_terms(problem: OptimalControlProblem) -> Array | None:
     return np.vstack([np.broadcast_to(part.T, (part.shape[1], times)) for part in (in_x, in_u)])
 
 
-def _cost_at_zero(problem: OptimalControlProblem) -> float:
-    cost = problem.quadratic
-    if not (cost.x_ref.any() or cost.u_ref.any()):
-        return 0.0
-    return cost.value(
-        np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
-    )
-
-
-def _bounds(problem: OptimalControlProblem, units: Units) -> tuple[Array, Array]:
+def _bounds(problem: OptimalControlProblem, units: LtiUnits) -> tuple[Array, Array]:
     """Return lower and upper, shape (rows, T); without memory where they do not depend on time."""
     T, states, controls = problem.horizon, problem.state_tube, problem.control_tube
     free = ~states.fixed[0]  # a fixed start is an equation, not a bound on x_0
@@ -352,13 +327,22 @@ def _bounds(problem: OptimalControlProblem, units: Units) -> tuple[Array, Array]
     return side(states.lower, controls.lower, absent), side(states.upper, controls.upper, joint)
 
 
+def _as_columns(bounds: Array, first: Array) -> Array:
+    """Return bounds (T, k) as columns (k, T), with ``first`` at t = 0; (k, 1) if they do not depend on time."""
+    if (bounds[1:] == first).all():
+        return first[:, None]
+    columns = np.array(bounds.T)
+    columns[:, 0] = first
+    return columns
+
+
 def _soft_bounds(
-    problem: OptimalControlProblem, units: Units, lower: Array, upper: Array
+    problem: OptimalControlProblem, units: LtiUnits, lower: Array, upper: Array
 ) -> tuple[tuple[Array, Array, Array, Array], Bounds]:
     """Return the bounds with those of soft sets in their places, and all prices; rows are soft on their upper side."""
     n, T, y = problem.state_dim, problem.horizon, np.concatenate([units.x, units.u])
     given = soft_sets(problem)
-    everything = None if given is None else placed(problem, given)
+    everything = None if given is None else priced_bounds(problem, given)
     if everything is None:
         raise UnsupportedError(
             "method 'spectral': a soft set that bounds of components cannot say. Use method 'convex'."
@@ -381,13 +365,19 @@ def _soft_bounds(
     return (sides[0], sides[1], *last), prices
 
 
-def _as_columns(bounds: Array, first: Array) -> Array:
-    """Return bounds (T, k) as columns (k, T), with ``first`` at t = 0; (k, 1) if they do not depend on time."""
-    if (bounds[1:] == first).all():
-        return first[:, None]
-    columns = np.array(bounds.T)
-    columns[:, 0] = first
-    return columns
+def _with_end_bound(tighter: np.ufunc, side: Array, last: Array) -> Array:
+    """Return bounds (rows, T) with those of x_T, (n,), on x_0, too."""
+    first = tighter(side[: len(last), 0], last)
+    if (first == side[: len(last), 0]).all():
+        return side
+    both = np.array(side)
+    both[: len(last), 0] = first
+    return both
+
+
+def _fixed_values(box: Box) -> Array:
+    """Return the values that a box fixes, NaN elsewhere."""
+    return np.where(box.fixed, box.lower, np.nan)
 
 
 def _scaled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Array:

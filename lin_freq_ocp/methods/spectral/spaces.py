@@ -1,27 +1,30 @@
-"""All y_k = (x_k, u_k) that the dynamics and the stop bands allow at each bin (docs/spectral.md, 2 and 3).
+"""All y_k = (x_k, u_k) that the dynamics and the stop bands allow at each bin (docs/spectral.md, 2, 3 and 5).
 
     F_k y_k = z w + d_k,  F_k = [zI - A, -B_allowed]   <=>   y_k = N_k v_k + (particular response to z w + d_k) + border
 
 N_k spans the regular part of the null space of F_k, with N_k^* M N_k = I. The particular response P_k is M-orthogonal
 to it. Far from eigenvalues of A, N = [(zI - A)^{-1} B; I]; near them both come from a singular value decomposition
-of F_k, and directions of small cost or of small singular values become border directions, one complex unknown each.
+of F_k, and directions of small cost or of small singular values become bordering directions, one complex unknown each.
+The inverse transform of F_f N N^* F_g' is a circulant kernel: how a unit force on row g moves row f, by their distance
+in time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import fft
 from scipy.linalg import schur
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.model.lti import Lti
+from lin_freq_ocp.methods.spectral.model import Lti
 
-MOST_BORDER = 128  # directions of small cost beyond which only the smallest become border unknowns: they are dense
+MOST_BORDER = 128  # directions of small cost beyond which only the smallest become bordering unknowns: they are dense
+SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
 
 
 class Resolvent:
@@ -80,8 +83,11 @@ class NearBins:
         self.null = np.zeros((len(k), n + m, m), dtype=np.complex128)
         self.cost = np.full((len(k), m), np.inf)
         real = (k == 0) | (2 * k == lti.horizon)
-        for which, passed, is_real in _equal_groups(np.vstack([lti.passed[:, k], real])):
-            self._decompose(lti, which, passed, z[k[which]].real if is_real else z[k[which]])
+        # bins that share a mask of passed controls are decomposed at once, in real arithmetic where z is real
+        masks, mask_of = np.unique(np.vstack([lti.passed[:, k], real]), axis=1, return_inverse=True)
+        for i, (*passed, is_real) in enumerate(masks.T):
+            which = np.flatnonzero(mask_of.ravel() == i)
+            self._decompose(lti, which, np.array(passed), z[k[which]].real if is_real else z[k[which]])
         largest = np.maximum(1.0, self.sigma[:, :1])
         self.sigma[self.sigma < tol.ZERO_SINGULAR_VALUE * largest] = 0.0
         resolved = lti.horizon * distance[k, None] > tol.RESOLVED_PHASE
@@ -89,7 +95,7 @@ class NearBins:
         self._inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.good)
 
     def _decompose(self, lti: Lti, which: Indices, passed: Mask, z: Array | ComplexArray) -> None:
-        """Fill in bins that share a passed mask, in real arithmetic where z is real."""
+        """Fill in bins that share a mask of passed controls."""
         n = lti.state_dim
         allowed = np.concatenate([np.ones(n, dtype=bool), passed])
         F = z[:, None, None] * np.eye(n, len(lti.M)) - np.hstack([lti.A, lti.B])
@@ -115,18 +121,9 @@ class NearBins:
         return np.einsum("kij,kj->ik", self.left, projected)
 
 
-def _equal_groups(labels: Mask) -> Iterator[tuple[Indices, Mask, bool]]:
-    """Yield (bins, mask, real) of the bins that share a column of labels, a mask of passed controls above ``real``."""
-    groups: dict[bytes, list[int]] = {}
-    for i, label in enumerate(labels.T):
-        groups.setdefault(label.tobytes(), []).append(i)
-    for group in groups.values():
-        yield np.array(group), labels[:-1, group[0]], bool(labels[-1, group[0]])
-
-
 @dataclass(frozen=True, eq=False)
 class Singular:
-    """A compatibility equation sigma xi = L^*(z w + d_k), xi the coefficient of border direction ``direction``."""
+    """A compatibility equation sigma xi = L^*(z w + d_k), xi the coefficient of bordering direction ``direction``."""
 
     k: int
     left: ComplexArray
@@ -147,21 +144,16 @@ class BinSpaces:
         self.z = np.exp(2j * np.pi * bins / lti.horizon)
         self.weight = np.where((bins == 0) | (2 * bins == lti.horizon), 1.0, 2.0)
         self.resolvent = Resolvent(lti.A)
-        distance = self._distance()
+        distance = np.full(len(self.z), np.inf)  # to the nearest eigenvalue
+        for eigenvalue in self.resolvent.eigenvalues:
+            np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
         close = np.flatnonzero(distance < tol.NEAR_RADIUS)
         with np.errstate(all="ignore"):
             size = self.resolvent.size(self.z[close])
         self.near = NearBins(lti, close[~(size < tol.NEAR_RESOLVENT)], self.z, distance)
         self.N = self._far_null_spaces()
         self.singular: list[Singular] = []
-        self._set_border()
-
-    def _distance(self) -> Array:
-        """Return the distance of each bin to the nearest eigenvalue of A, (bins,)."""
-        distance = np.full(len(self.z), np.inf)
-        for eigenvalue in self.resolvent.eigenvalues:
-            np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
-        return distance
+        self._choose_bordering_directions()
 
     def _far_null_spaces(self) -> ComplexArray:
         """Return N normalised at far bins, zero at near ones."""
@@ -181,18 +173,31 @@ class BinSpaces:
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
         seen = slice(0 if lti.state_cost else n, None)
         V, M = N[seen], lti.M[seen, seen]
-        H = np.einsum("iak,ibk->kab", V.conj(), np.tensordot(M, V, 1))
+        H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), np.tensordot(M, V, 1)), dtype=np.complex128)
         if m == 1:  # several are checked below
             unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
             if (H[:, 0, 0].real <= unseen)[passed[0]].any():
-                raise _flat()
+                raise _flat_cost()
         H[:, np.arange(m), np.arange(m)] += ~passed.T
-        return _inverse_factor(H)
+        sizes = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
+        if not (sizes > 0).all():
+            raise _flat_cost()
+        if m == 1:
+            return np.asarray(1 / sizes[:, :, None], dtype=np.complex128)
+        try:
+            factor = np.linalg.cholesky(H / (sizes[:, :, None] * sizes[:, None]))
+        except np.linalg.LinAlgError:
+            raise _flat_cost() from None
+        if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
+            raise _flat_cost()
+        return np.asarray(np.linalg.inv(factor) / sizes[:, None], dtype=np.complex128)
 
-    def _set_border(self) -> None:
-        """Choose the border directions among those of the near bins, and complete N by the others."""
-        near = self.near
-        regular = near.cost > self._border_threshold()
+    def _choose_bordering_directions(self) -> None:
+        """Choose the bordering directions among those of the near bins, and complete N by the others."""
+        near, unit = self.near, self.lti.curvature_unit
+        costs = near.cost[np.isfinite(near.cost)]
+        smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf
+        regular = near.cost > unit * max(tol.LEAST_HESSIAN, min(tol.SMALL_HESSIAN, smallest / unit))
         scaled = near.null / np.sqrt(np.where(regular, near.cost, np.inf))[:, None, :]
         self.N[:, :, near.k] = scaled.transpose(1, 2, 0)
         small, column = np.nonzero(~regular)
@@ -204,12 +209,6 @@ class BinSpaces:
         at = self.N[:, :, self.border_bin]
         seen = np.einsum("iak,ik->ak", at.conj(), self.lti.M @ border)
         self.border_vector: ComplexArray = border - np.einsum("iak,ak->ik", at, seen)
-
-    def _border_threshold(self) -> float:
-        costs = self.near.cost[np.isfinite(self.near.cost)]
-        unit = self.lti.curvature_unit
-        smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf
-        return unit * max(tol.LEAST_HESSIAN, min(tol.SMALL_HESSIAN, smallest / unit))
 
     @cached_property
     def adjoint_map(self) -> ComplexArray:
@@ -254,24 +253,57 @@ class BinSpaces:
                 row -= response * v
 
 
-def _inverse_factor(H: ComplexArray) -> ComplexArray:
-    """Return L^{-1} with H = L L^*, per bin, (bins, m, m)."""
-    units = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
-    if not (units > 0).all():
-        raise _flat()
-    if H.shape[1] == 1:
-        return np.asarray(1 / units[:, :, None], dtype=np.complex128)
-    try:
-        factor = np.linalg.cholesky(H / (units[:, :, None] * units[:, None]))
-    except np.linalg.LinAlgError:
-        raise _flat() from None
-    if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
-        raise _flat()
-    return np.asarray(np.linalg.inv(factor) / units[:, None], dtype=np.complex128)
-
-
-def _flat() -> UnsupportedError:
+def _flat_cost() -> UnsupportedError:
     return UnsupportedError(
         "method 'spectral': the cost does not see some direction that the bands allow (R singular); "
         "give every control a cost, or use method 'convex'."
     )
+
+
+class CirculantKernels:
+    """K_fg(t) = irfft of F_f N N^* F_g': what F_f y_t loses by a unit force on F_g y_0.
+
+    ``table`` is (rows, rows, T). Where it is not ``complete``, pairs f <= g are computed on demand: the others are
+    undefined, and use no memory.
+    """
+
+    def __init__(self, lti: Lti, spaces: BinSpaces):
+        self.lti, self.spaces, rows = lti, spaces, len(lti.F)
+        self.known = np.zeros((rows, rows), dtype=bool)
+        self.complete = rows * rows * lti.horizon <= SMALL_TABLE
+        if self.complete:
+            NF = self.of_rows(np.arange(rows))
+            kernels = fft.irfft((NF[:, None] * NF[None].conj()).sum(2), lti.horizon)
+            self.table = (kernels + kernels[:, :, -np.arange(lti.horizon)].swapaxes(0, 1)) / 2
+        else:
+            self.table = np.empty((rows, rows, lti.horizon))
+
+    def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
+        """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
+        if not self.complete:
+            self._require([(int(a), int(b)) for a in np.unique(f) for b in np.unique(g)])
+        f, lag = f[:, None], t[:, None] - s  # a negative index counts from the end of the circle
+        if self.complete:
+            return self.table[f, g, lag]
+        return self.table[np.minimum(f, g), np.maximum(f, g), np.where(f <= g, lag, -lag)]
+
+    def free_response(self, f: Indices) -> Array:
+        """Return K_ff(0) of each row: how far a unit force moves its own row without equations."""
+        if not self.complete:
+            self._require([(int(a), int(a)) for a in np.unique(f)])
+        return self.table[f, f, 0]
+
+    def _require(self, pairs: list[tuple[int, int]]) -> None:
+        for f, g in map(sorted, pairs):
+            if not self.known[f, g]:
+                row, column = self.of_rows(np.array([f, g]))
+                self.table[f, g] = fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
+                if f == g:
+                    self.table[f, f] += np.roll(self.table[f, f, ::-1], 1)
+                    self.table[f, f] /= 2
+                self.known[f, g] = True
+
+    def of_rows(self, rows: Indices) -> ComplexArray:
+        """Return F_f N of some rows, shape (rows, m, bins)."""
+        dimension = len(self.lti.M)
+        return self.spaces.N[rows] if len(self.lti.F) == dimension else np.tensordot(self.lti.F[rows], self.spaces.N, 1)

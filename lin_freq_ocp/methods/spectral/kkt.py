@@ -1,8 +1,8 @@
 """The bordered KKT system: the few unknowns and equations that belong to no single bin (docs/spectral.md, 4).
 
-Border variables theta: the free components of x_0 and x_T, then real coordinates of the border directions, each with a
-signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that bounds
-fix, compatibility at singular bins, state bands. Together:
+Bordering unknowns theta: the free components of x_0 and x_T, then real coordinates of the bordering directions, each
+with a signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that
+bounds fix, compatibility at singular bins, state bands. Together:
 
     K_b = [[H, E'], [E, -G_EE]].
 """
@@ -17,9 +17,8 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.model.kernels import Kernels
-from lin_freq_ocp.methods.spectral.model.lti import Lti
-from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
+from lin_freq_ocp.methods.spectral.model import Lti
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
 from lin_freq_ocp.program.real_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling
@@ -27,14 +26,14 @@ LARGEST_BORDER = 3000  # rows of the matrix beyond which its dense decomposition
 
 
 class BorderedSystem:
-    """Border variables, equations, and the pseudo-inverse of K_b.
+    """Bordering unknowns, equations, and the pseudo-inverse of K_b.
 
     theta holds the components free_start of x_0 and free_end of x_T (at at_start and at_end), with ends = dw/dtheta
     (n, free ends), w = x_0 - x_T, then coordinates of vectors (n+m, q) at bins (q,). The equations' points F_f y_t are
     at (point_t, point_f); the first n are x(0). With periodic ends there is neither: w = 0.
     """
 
-    def __init__(self, lti: Lti, spaces: BinSpaces, kernels: Kernels):
+    def __init__(self, lti: Lti, spaces: BinSpaces, kernels: CirculantKernels):
         self.lti, self.spaces, self.kernels = lti, spaces, kernels
         self._set_variables()
         self._require_size()
@@ -45,18 +44,8 @@ class BorderedSystem:
         self.E = np.vstack([self.point_rows, self.singular_rows, self.band_rows])
         self._decompose()
 
-    def _require_size(self) -> None:
-        """Raise UnsupportedError before anything of the border's size is made, if it is too large."""
-        lti, fixed = self.lti, len(self.lti.fixed_points[0])
-        singular = int(sum(self.spaces.weight[equation.k] for equation in self.spaces.singular))
-        equations = lti.state_dim + fixed + singular + 2 * int(lti.state_stop.sum())
-        if self.size + equations > LARGEST_BORDER:
-            raise UnsupportedError(
-                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points ({fixed} by "
-                f"bounds) or bins of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
-            )
-
     def _set_variables(self) -> None:
+        """Free components of x_0 and x_T with their responses, then real coordinates of the bordering directions."""
         lti, T, n = self.lti, self.lti.horizon, self.lti.state_dim
         free = (~np.array([lti.periodic]) & np.isnan(part) for part in (lti.start, lti.end))
         self.free_start, self.free_end = map(np.flatnonzero, free)
@@ -68,6 +57,7 @@ class BorderedSystem:
         if ends:
             self.end_responses = self.spaces.particular(self.spaces.z * self.ends[:, :, None].astype(np.complex128))
             self.end_signals = fft.irfft(self.end_responses, T)
+        # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
         k, v = self.spaces.border_bin, self.spaces.border_vector
         twice = np.flatnonzero(self.spaces.weight[k] == 2)
         order = np.argsort(np.concatenate([np.arange(len(k)), twice]), kind="stable")
@@ -75,9 +65,21 @@ class BorderedSystem:
         self.vectors = np.hstack([v, 1j * v[:, twice]])[:, order]
         self.first = ends + np.searchsorted(np.sort(np.concatenate([np.arange(len(k)), twice])), np.arange(len(k)))
         self.ends_count, self.size = ends, ends + len(self.bins)
-        self.amplitude = T / self.spaces.weight[self.bins]
+        self.amplitude = T / self.spaces.weight[self.bins]  # of a spectrum whose signal has unit amplitude
+
+    def _require_size(self) -> None:
+        """Raise UnsupportedError before any matrix of the system's size is made, if it is too large."""
+        lti, fixed = self.lti, len(self.lti.fixed_points[0])
+        singular = int(sum(self.spaces.weight[equation.k] for equation in self.spaces.singular))
+        equations = lti.state_dim + fixed + singular + 2 * int(lti.state_stop.sum())
+        if self.size + equations > LARGEST_BORDER:
+            raise UnsupportedError(
+                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points ({fixed} by "
+                f"bounds) or bins of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
+            )
 
     def _set_hessian(self) -> None:
+        """H_ab = 1/T sum_k weight_k Re(Y_a^* M Y_b) over the responses Y of theta, and P for the free end."""
         lti, e, w = self.lti, self.ends_count, self.spaces.weight
         W, v = self.end_responses, self.vectors
         self.H = np.zeros((self.size, self.size))
@@ -90,45 +92,8 @@ class BorderedSystem:
         self.H[e:, e:] = np.where(same, (v.conj().T @ lti.M @ v).real * self.amplitude, 0.0)
         self.H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
 
-    def gradient(self, spectrum: ComplexArray) -> Array:
-        """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""
-        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.weight).real
-        at_bins = (self.vectors.conj() * spectrum[:, self.bins]).sum(0).real
-        return np.concatenate([over_bins / self.lti.horizon, at_bins])
-
-    def values(self, t: Indices, f: Indices) -> Array:
-        """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
-        rows, T = self.lti.F[f], self.lti.horizon
-        at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
-        phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
-        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
-
-    def everywhere(self, rows: Indices) -> Array:
-        """Return how the border moves F_f y_t of the given rows at all t < T: (size + equations, len(rows), T)."""
-        F = self.lti.F[rows]
-        signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
-        moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
-        if self.size:
-            moved[:, : self.size] = np.tensordot(F, signals, 1)
-        moved[:, self.size : self.size + len(self.point_t)] = -self._point_responses(rows)
-        if len(self.bands):
-            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
-        return moved.swapaxes(0, 1)
-
-    def _point_responses(self, rows: Indices) -> Array:
-        """Return what F_f y_t of some rows, at all t < T, lose by unit forces on the points: (len(rows), points, T)."""
-        responses = self.kernels.table[rows[:, None], self.point_f]
-        for i in np.flatnonzero(self.point_t):
-            responses[:, i] = np.roll(responses[:, i], self.point_t[i], axis=-1)
-        return responses
-
-    def add(self, theta: Array, spectrum: ComplexArray) -> None:
-        """Add the responses to theta to the spectrum (n+m, bins), in place."""
-        for a in range(self.ends_count):
-            spectrum += theta[a] * self.end_responses[:, a]
-        np.add.at(spectrum.T, self.bins, (self.vectors * (self.amplitude * theta[self.ends_count :])).T)
-
     def _set_points(self) -> None:
+        """x(0) = x_0, with its free components on the left side, and values that bounds fix."""
         n = self.lti.start_points
         t, f = self.lti.fixed_points
         self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
@@ -158,56 +123,34 @@ class BorderedSystem:
         """State bands: rows of the DFT of length T+1, whose last entry acts on x_T; of T with periodic ends."""
         stop, T = self.lti.state_stop, self.lti.horizon
         samples = self.lti.state_samples
-        beyond = (0, 0), (0, T + 1 - samples)
+        padding = (0, 0), (0, T + 1 - samples)
         chosen = np.flatnonzero(stop.any(0))
-        parts = [(int(i), np.pad(real_rows(samples, stop[:, i]), beyond)) for i in chosen]
+        parts = [(int(i), np.pad(real_rows(samples, stop[:, i]), padding)) for i in chosen]
         self.band_component = np.concatenate([np.full(len(rows), i) for i, rows in parts] + [np.zeros(0, int)])
         self.band_components = tuple(i for i, _ in parts)
         self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])
         count = len(self.bands)
         self.band_hat = fft.rfft(self.bands[:, :T]) if count else np.zeros((0, len(self.spaces.z)), complex)
-        self.band_responses = self._band_responses()
-        self.band_rows = np.zeros((count, self.size))
+        # what y_t loses by a unit force on each band row, (n+m, rows, T)
+        self.band_responses, self.band_rows = np.zeros((len(self.lti.M), 0, T)), np.zeros((count, self.size))
         if count:
+            force = np.zeros((len(self.lti.M), count, len(self.spaces.z)), dtype=np.complex128)
+            force[self.band_component, np.arange(count)] = self.band_hat
+            self.band_responses = fft.irfft(self.spaces.project(force), T)
             signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
             for i, rows in parts:
                 self.band_rows[self.band_component == i] = rows[:, :T] @ signals[i].T
             at_free = self.free_end[:, None] == self.band_component
             self.band_rows[:, self.at_end] += (at_free * self.bands[:, -1]).T
 
-    def _band_responses(self) -> Array:
-        """Return what every row F_f y_t loses by a unit force on each band row, shape (n+m, rows, T)."""
-        if not len(self.bands):
-            return np.zeros((len(self.lti.M), 0, self.lti.horizon))
-        force = np.zeros((len(self.lti.M), len(self.bands), len(self.spaces.z)), dtype=np.complex128)
-        force[self.band_component, np.arange(len(self.bands))] = self.band_hat
-        return fft.irfft(self.spaces.project(force), self.lti.horizon)
-
     def _direction_signals(self) -> Array:
+        """Return the signals of unit coordinates of the bordering directions, (n+m, directions, T)."""
         T = self.lti.horizon
         phase = np.exp((2j * np.pi / T) * (np.outer(self.bins, np.arange(T)) % T))
         return (self.vectors[:, :, None] * phase).real
 
-    def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
-        """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
-        spaces, n = self.spaces, lti.start_points
-        start = np.where(np.isnan(lti.start), 0.0, lti.start)
-        points = start[:n], lti.lower[self.point_f[n:], self.point_t[n:]]
-        singular = [
-            scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
-            for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)
-        ]
-        fixed_end = np.where(np.isnan(lti.end), 0.0, lti.end)
-        bands = -self.bands[:, -1] * fixed_end[self.band_component]
-        return np.concatenate([*points, *singular, bands])
-
-    def responses(self, t: Indices, f: Indices) -> Array:
-        """Return what the equations' left sides lose by unit forces on F_f y_t, shape (equations, len(t)), t < T."""
-        at_points = self.kernels.gram(self.point_t, self.point_f, t, f)
-        at_bands = np.einsum("ri,idr->dr", self.lti.F[f], self.band_responses[:, :, t])
-        return np.vstack([at_points, np.zeros((len(self.singular_rows), len(t))), at_bands])
-
     def _decompose(self) -> None:
+        """Set K_b and its inverse; where bordering unknowns are soft, with the least proximal weight."""
         points, first_band = len(self.point_t), len(self.point_t) + len(self.singular_rows)
         G = np.zeros((len(self.E), len(self.E)))
         G[:, :points] = self.responses(self.point_t, self.point_f)
@@ -223,20 +166,15 @@ class BorderedSystem:
         self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
         try:
             self.inverse = self.inverse_with(0.0)
-            self.soft = self._is_soft()
+            # soft: an unknown responds so much to a force that the digits of other responses are lost
+            response = np.abs(self.inverse.diagonal()[: self.size])
+            of_ends, inside = response[: self.ends_count].max(initial=0.0), response[self.ends_count :].max(initial=0.0)
+            stiff_ends = of_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal)
+            self.soft = not (stiff_ends and inside <= tol.SOFT_RESPONSE / unit)
         except np.linalg.LinAlgError:
             self.soft = True
         if self.soft:
             self.inverse = self.inverse_with(self.least_proximal)
-
-    def _is_soft(self) -> bool:
-        """Whether a border variable responds so much to a force that the digits of other responses are lost."""
-        unit, e = self.lti.curvature_unit, self.ends_count
-        response = np.abs(self.inverse.diagonal()[: self.size])
-        at_ends, inside = response[:e].max(initial=0.0), response[e:].max(initial=0.0)
-        return not (
-            at_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal) and inside <= tol.SOFT_RESPONSE / unit
-        )
 
     def proximal_matrix(self, proximal: float) -> Array:
         """Return K_b with a proximal weight on theta."""
@@ -244,16 +182,16 @@ class BorderedSystem:
         matrix[diagonal, diagonal] += proximal
         return matrix
 
+    def inverse_with(self, proximal: float) -> Array:
+        """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
+        return self._inverse_of(self.proximal_matrix(proximal))
+
     @cached_property
     def regularised(self) -> Array:
         """The inverse of K_b with a unit Hessian in place of H."""
         matrix = self.matrix.copy()
         matrix[: self.size, : self.size] = self.lti.curvature_unit * np.eye(self.size)
         return self._inverse_of(matrix)
-
-    def inverse_with(self, proximal: float) -> Array:
-        """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
-        return self._inverse_of(self.proximal_matrix(proximal))
 
     def _inverse_of(self, matrix: Array) -> Array:
         n = self.size
@@ -265,6 +203,59 @@ class BorderedSystem:
         else:
             inverse = _equilibrated_inverse(matrix)
         return (inverse + inverse.T) / 2
+
+    def gradient(self, spectrum: ComplexArray) -> Array:
+        """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""
+        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.weight).real
+        at_bins = (self.vectors.conj() * spectrum[:, self.bins]).sum(0).real
+        return np.concatenate([over_bins / self.lti.horizon, at_bins])
+
+    def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
+        """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
+        spaces, n = self.spaces, lti.start_points
+        start = np.where(np.isnan(lti.start), 0.0, lti.start)
+        points = start[:n], lti.lower[self.point_f[n:], self.point_t[n:]]
+        singular = [
+            scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
+            for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)
+        ]
+        fixed_end = np.where(np.isnan(lti.end), 0.0, lti.end)
+        bands = -self.bands[:, -1] * fixed_end[self.band_component]
+        return np.concatenate([*points, *singular, bands])
+
+    def values(self, t: Indices, f: Indices) -> Array:
+        """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
+        rows, T = self.lti.F[f], self.lti.horizon
+        at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
+        phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
+        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
+
+    def values_at_all_times(self, rows: Indices) -> Array:
+        """Return how unknowns and equations move F_f y_t at all t < T: (size + equations, len(rows), T)."""
+        F = self.lti.F[rows]
+        signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
+        moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
+        if self.size:
+            moved[:, : self.size] = np.tensordot(F, signals, 1)
+        by_points = self.kernels.table[rows[:, None], self.point_f]  # unit forces at t = 0, (len(rows), points, T) ...
+        for i in np.flatnonzero(self.point_t):  # ... which act later at the other points
+            by_points[:, i] = np.roll(by_points[:, i], self.point_t[i], axis=-1)
+        moved[:, self.size : self.size + len(self.point_t)] = -by_points
+        if len(self.bands):
+            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
+        return moved.swapaxes(0, 1)
+
+    def responses(self, t: Indices, f: Indices) -> Array:
+        """Return what the equations' left sides lose by unit forces on F_f y_t, shape (equations, len(t)), t < T."""
+        at_points = self.kernels.gram(self.point_t, self.point_f, t, f)
+        at_bands = np.einsum("ri,idr->dr", self.lti.F[f], self.band_responses[:, :, t])
+        return np.vstack([at_points, np.zeros((len(self.singular_rows), len(t))), at_bands])
+
+    def add(self, theta: Array, spectrum: ComplexArray) -> None:
+        """Add the responses to theta to the spectrum (n+m, bins), in place."""
+        for a in range(self.ends_count):
+            spectrum += theta[a] * self.end_responses[:, a]
+        np.add.at(spectrum.T, self.bins, (self.vectors * (self.amplitude * theta[self.ends_count :])).T)
 
 
 def _null_space(rows: Array, gram: Array) -> Array:
