@@ -189,7 +189,7 @@ class ModeRelaxation:
     def phi(self, reach: Reach, duals: Duals) -> tuple[Array, float] | None:
         """Return what duals with eta_C = 1 prove of a reach, as costs: of every mode (T, modes), and beyond stages.
 
-        The bound is the sum over stages of the least of its modes, and the rest (see stage_bounds.py).
+        The bound is the sum over stages of the least of its modes, and the rest (see rows.py).
         """
         if self._bounds is None:
             return None
