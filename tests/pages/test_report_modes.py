@@ -309,9 +309,9 @@ def test_words_of_borders_and_trees():
     assert ("cost found", "-17.599", "no global bound") in tiles(case("kink"))
     assert "is not here" in " ".join(switching_sentences(case("absolute").constrained.certificate.borders))
     assert "search over their sequences" not in text("kink")
-    uncovered = replace(tree, tree_bound=replace(tree.tree_bound, covers=False))
+    uncovered = replace(tree, evidence=replace(tree.evidence, bound=replace(tree.tree_bound, covers=False)))
     assert "nothing is bounded" in search_sentences(uncovered)[0]
-    without = replace(tree, tree_bound=replace(tree.tree_bound, value=np.inf))
+    without = replace(tree, evidence=replace(tree.evidence, bound=replace(tree.tree_bound, value=np.inf)))
     assert "no leaf can contain a trajectory" in search_sentences(without)[0]
 
 
@@ -346,9 +346,10 @@ def test_tables_name_modes_of_smooth_pieces():
 
 def test_a_page_without_a_solution_shows_the_classical_modes_and_the_tree():
     comparison = case("wall")
-    tree = replace(comparison.constrained.tree_bound, value=np.inf)
+    before = comparison.constrained
+    tree = replace(before.evidence, bound=replace(before.tree_bound, value=np.inf))
     gone = {"trajectory": None, "multipliers": None, "certificate": None, "sequence": None}
-    result = replace(comparison.constrained, status="infeasible", tree_bound=tree, **gone)
+    result = replace(before, status="infeasible", evidence=tree, **gone)
     shown = replace(comparison, constrained=result)
     made = tuple(drawings("wall")[name] for name in ("comparison", "modes", "states"))
     data = comparison_data(shown)
