@@ -21,18 +21,18 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from lin_freq_ocp.system.starting import leave_silently
+from lin_freq_ocp.base.interrupts import leave_silently
+from lin_freq_ocp.base.kinds import register_later
 
 leave_silently()
 
 if TYPE_CHECKING:
     from lin_freq_ocp import costs, dynamics, errors, formulas, io, library, results, sets, solvers, spectrum
+    from lin_freq_ocp.api.batch import Solver, solve_many, sweep
     from lin_freq_ocp.api.compare import compare
-    from lin_freq_ocp.api.many import Solver, solve_many
     from lin_freq_ocp.api.minimum_time import minimum_time
     from lin_freq_ocp.api.receding_horizon import RecedingHorizon
     from lin_freq_ocp.api.solve import solve
-    from lin_freq_ocp.api.sweep import sweep
     from lin_freq_ocp.costs import QuadraticCost
     from lin_freq_ocp.dynamics import (
         AffineMode,
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
         write_problem,
     )
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
-    from lin_freq_ocp.problem.rate_limit import rate_limited
+    from lin_freq_ocp.problem.reformulations import rate_limited
     from lin_freq_ocp.problem.simulation import simulate
     from lin_freq_ocp.results import Trajectory
     from lin_freq_ocp.sets import Box, FiniteSet, Periodic, StageRows
@@ -69,19 +69,18 @@ NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "i
 
 # The module of every name of everyday use.
 _HOMES = {
+    "api.batch": "Solver solve_many sweep",
     "api.compare": "compare",
-    "api.many": "Solver solve_many",
     "api.minimum_time": "minimum_time",
     "api.receding_horizon": "RecedingHorizon",
     "api.solve": "solve",
-    "api.sweep": "sweep",
     "costs": "QuadraticCost",
     "dynamics": "AffineMode FrequencyResponse LinearDynamics PiecewiseAffineDynamics PiecewiseSmoothDynamics",
     "explanation.explanation": "explain",
     "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
     "io": "from_time_response load load_run load_sweep read_csv read_mat read_problem to_cvxpy write_problem",
     "problem.ocp": "OptimalControlProblem",
-    "problem.rate_limit": "rate_limited",
+    "problem.reformulations": "rate_limited",
     "problem.simulation": "simulate",
     "results": "Trajectory",
     "sets": "Box FiniteSet Periodic StageRows",
@@ -89,6 +88,14 @@ _HOMES = {
     "solving.certify": "certify",
     "spectrum": "MagnitudeBound ResidualVibration low_pass stop_band",
 }
+
+
+def _register_hybrid() -> None:
+    """Import what has modes, kinks or levels."""
+    import_module("lin_freq_ocp.solving.hybrid")
+
+
+register_later(_register_hybrid)
 
 _MODULES = {name: module for module, names in _HOMES.items() for name in names.split()}
 

@@ -1,12 +1,12 @@
 """Dynamics: linear, by frequency response, piecewise affine and piecewise smooth."""
 
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
-from lin_freq_ocp.problem.dynamics.affine_mode import AffineMode, SmoothPiece
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
-from lin_freq_ocp.problem.dynamics.switched.pulse_train import PulseTrain
+from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode, SmoothPiece
+from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
+from lin_freq_ocp.problem.hybrid.pulse_train import PulseTrain
 
 __all__ = [
     "AffineMode",

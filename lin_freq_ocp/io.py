@@ -1,13 +1,11 @@
 """Problems, trajectories, runs and sweeps in files, and other tools."""
 
+from lin_freq_ocp.api.batch import load_sweep
 from lin_freq_ocp.api.runs import load_run
-from lin_freq_ocp.api.sweep import load_sweep
-from lin_freq_ocp.interchange.cvxpy_problem import to_cvxpy
-from lin_freq_ocp.interchange.problem_file.toml_file import read_problem, write_problem
-from lin_freq_ocp.interchange.results.conversions import from_time_response, to_time_response
-from lin_freq_ocp.interchange.results.csv_file import read_csv
-from lin_freq_ocp.interchange.results.mat_file import read_mat
-from lin_freq_ocp.interchange.results.solution_file import load_solution as load
+from lin_freq_ocp.files.conversions import from_time_response, to_cvxpy, to_time_response
+from lin_freq_ocp.files.problem_file import read_problem, write_problem
+from lin_freq_ocp.files.solution_files import load_solution as load
+from lin_freq_ocp.files.solution_files import read_csv, read_mat
 
 __all__ = [
     "from_time_response",

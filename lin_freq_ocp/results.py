@@ -1,19 +1,18 @@
 """What the public functions return: solutions, verdicts, comparisons, sweeps and explanations."""
 
-from lin_freq_ocp.analysis.sensitivities import Sensitivities
+from lin_freq_ocp.api.batch import Solutions, Sweep
 from lin_freq_ocp.api.compare import Comparison
-from lin_freq_ocp.api.many import Solutions
 from lin_freq_ocp.api.minimum_time import MinimumTime
 from lin_freq_ocp.api.receding_horizon import ClosedLoop
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import SavedRun
-from lin_freq_ocp.api.sweep import Sweep
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.sensitivities import Sensitivities
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.interchange.results.solution_file import SavedSolution
+from lin_freq_ocp.files.solution_files import SavedSolution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.solving.outcome import Cure, Explanation
-from lin_freq_ocp.status import Status
 
 __all__ = [
     "Certificate",

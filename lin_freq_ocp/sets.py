@@ -1,11 +1,11 @@
 """Sets of states and controls at every time, hard or soft, and joint rows of both."""
 
+from lin_freq_ocp.problem.hybrid.levels import FiniteSet
 from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
-from lin_freq_ocp.problem.sets.finite import FiniteSet
 from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 
 __all__ = [
     "Ball",

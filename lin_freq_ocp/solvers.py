@@ -1,10 +1,10 @@
 """The methods of ``solve``: objects that hold their own options."""
 
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver
+from lin_freq_ocp.solving.hybrid.modes import BranchAndBound, Enumeration, MixedInteger
+from lin_freq_ocp.solving.hybrid.pulse_train import Angles
+from lin_freq_ocp.solving.hybrid.smooth import Nonsmooth
 from lin_freq_ocp.solving.linear import Convex, Spectral, Structured
-from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
-from lin_freq_ocp.solving.smooth import Nonsmooth
-from lin_freq_ocp.solving.switched.pulse_train import Angles
 
 __all__ = [
     "Angles",

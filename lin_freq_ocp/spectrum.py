@@ -1,9 +1,8 @@
 """Frequency constraints: bands that are removed, masks, energy bounds, and bounds on outputs."""
 
-from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum.bands import LinearConstraint, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum.base import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, MagnitudeBound
-from lin_freq_ocp.problem.spectrum.linear_constraint import LinearConstraint
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 

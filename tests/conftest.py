@@ -12,8 +12,8 @@ from helpers.clocks import Clock
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
-from lin_freq_ocp.system.clock import use_clock
-from lin_freq_ocp.testing.reference import PENDULUM, reference_problem
+from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.testing import PENDULUM, reference_problem
 
 COMPILED = ("test_paths.py",)
 """The tests that wait longest for numba."""
@@ -60,7 +60,7 @@ def pytest_collection_finish():
 def _coarse_images():
     """Draw pages with few pixels: no test counts them, and most of the pixels of a page are drawn for nothing."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lin_freq_ocp.report.drawing.PIXELS_PER_INCH", 60)
+        patch.setattr("lin_freq_ocp.pages.report.page.PIXELS_PER_INCH", 60)
         yield
 
 

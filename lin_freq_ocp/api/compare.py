@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, final
 
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.comparison.compare import ComparisonOutcome, compared
+from lin_freq_ocp.base.phrases import html_table
+from lin_freq_ocp.comparison.compare import ComparisonOutcome, compare_methods
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.text.html import html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,13 +53,13 @@ class Comparison(ComparisonOutcome):
 
     def plot(self) -> Figure:
         """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""
-        from lin_freq_ocp.report.figures.figures import comparison_figure  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.figures.figures import comparison_figure  # Matplotlib is slow to import
 
         return comparison_figure(self)
 
     def save(self, folder: str | Path) -> Path:
         """Write a self-contained HTML page and its figures into a folder; return the page's path."""
-        from lin_freq_ocp.report.page import save_report  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.report.page import save_report  # Matplotlib is slow to import
 
         return save_report(self, folder)
 
@@ -105,4 +105,4 @@ def compare(
     >>> comparison.classical.cost <= comparison.constrained.cost
     True
     """
-    return shown_as(Comparison, compared(problem, solve, filters, backend, time_limit, start))
+    return shown_as(Comparison, compare_methods(problem, solve, filters, backend, time_limit, start))

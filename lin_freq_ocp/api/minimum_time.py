@@ -7,18 +7,23 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import final
 
-from lin_freq_ocp.api.progress import reporting
 from lin_freq_ocp.api.result import Result, shown_as
-from lin_freq_ocp.api.solve import raise_for
-from lin_freq_ocp.comparison.minimum_time.monotone import obstacles
-from lin_freq_ocp.comparison.minimum_time.search import Search, checked_horizons, require_source, searched, stated
-from lin_freq_ocp.comparison.sweep.grid import Source
-from lin_freq_ocp.errors import InfeasibleError
+from lin_freq_ocp.api.solve import raise_for, report_progress
+from lin_freq_ocp.base.errors import InfeasibleError
+from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.batch.grid import Source
+from lin_freq_ocp.batch.minimum_time import (
+    Search,
+    checked_horizons,
+    obstacles,
+    problem_at_horizon,
+    require_source,
+    search_horizons,
+)
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, solve_judged
-from lin_freq_ocp.text.phrases import plural
 
 MONOTONE = "zeros can be appended to every feasible control, and the trajectory stays feasible"
 
@@ -147,14 +152,14 @@ def minimum_time(
     low, high = checked_horizons(horizons)
     require_source(problem)
     require_options(method, time_limit, backend, tolerance)
-    at = partial(stated, problem)
+    at = partial(problem_at_horizon, problem)
     failing = obstacles(at, low, high, same_data=not callable(problem))
 
     def solved(horizon: int) -> Outcome:
         return solve_judged(at(horizon), method, time_limit, backend=backend, tolerance=tolerance)
 
-    with reporting(progress, lambda horizon, verdict: f"horizon {horizon}: {verdict}") as report:
-        search = searched(low, high, not failing, solved, report)
+    with report_progress(progress, lambda horizon, verdict: f"horizon {horizon}: {verdict}") as report:
+        search = search_horizons(low, high, not failing, solved, report)
     found = _result(search, failing)
     if throw and found.horizon is None and not search.interrupted:
         _raise(found)

@@ -15,15 +15,14 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import raise_for
-from lin_freq_ocp.arrays import Array, known_entries, positive_integer, real_array
-from lin_freq_ocp.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.arrays import Array, known_entries, positive_integer, real_array
+from lin_freq_ocp.base.atomic import write_text
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.loop.controller import Controller, Preview
-from lin_freq_ocp.loop.plant import plant_of
-from lin_freq_ocp.loop.record import LoopRecord
+from lin_freq_ocp.loop.record import LoopRecord, plant_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.system.atomic import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,13 +51,13 @@ class ClosedLoop(LoopRecord):
 
     def plot(self) -> Figure:
         """Return a figure of the states, the controls, their spectra over time, and the times of the steps."""
-        from lin_freq_ocp.report.figures.loop import loop_figure  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.figures.loop import loop_figure  # Matplotlib is slow to import
 
         return loop_figure(self)
 
     def save(self, folder: str | PathLike[str]) -> Path:
         """Write a self-contained HTML page and its figures into a folder; return the page's path."""
-        from lin_freq_ocp.report.loop_page import save_loop_report  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.report.page import save_loop_report  # Matplotlib is slow to import
 
         return save_loop_report(self, Path(folder))
 

@@ -7,20 +7,22 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, final
 
-from lin_freq_ocp.analysis.sensitivities import Sensitivities, sensitivities
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.errors import SolveError
-from lin_freq_ocp.interchange.results.conversions import to_frame, to_time_response
-from lin_freq_ocp.interchange.results.csv_file import save_csv
-from lin_freq_ocp.interchange.results.mat_file import save_mat
-from lin_freq_ocp.interchange.results.solution_file import save_trajectory
-from lin_freq_ocp.interchange.results.summary import result_summary, save_json
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.atomic import replacing
+from lin_freq_ocp.base.errors import SolveError
+from lin_freq_ocp.base.phrases import html_table
+from lin_freq_ocp.certificate.hybrid.tree import TreeBound
+from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
+from lin_freq_ocp.files.conversions import to_frame, to_time_response
+from lin_freq_ocp.files.solution_files import save_csv, save_mat, save_trajectory
+from lin_freq_ocp.files.summary import result_summary, save_json
 from lin_freq_ocp.methods.multipliers import Uniqueness, uniqueness
+from lin_freq_ocp.problem.hybrid.forms import linear_along
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.enclosure import LONGEST_CHECK, Enclosure, require_checker
+from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.system.atomic import replacing
-from lin_freq_ocp.text.html import html_table
 
 if TYPE_CHECKING:
     from control import TimeResponseData
@@ -76,9 +78,22 @@ class Result(Outcome):
         return sensitivities(self.problem, self.multipliers)
 
     @property
+    def tree(self) -> ModeTree | None:
+        """Return the nodes of a search over modes, with the multipliers that prove its leaves."""
+        found = tree_of(self)
+        return None if found is None else found.tree
+
+    @property
+    def tree_bound(self) -> TreeBound | None:
+        """Return the bound that the judge verified of the tree."""
+        found = tree_of(self)
+        return None if found is None else found.bound
+
+    @property
     def uniqueness(self) -> Uniqueness:
         """Return whether the multipliers are unique; SolveError if the solve ended without a trajectory."""
-        return uniqueness(self.problem, self._require_trajectory())
+        trajectory = self._require_trajectory()
+        return uniqueness(linear_along(self.problem, trajectory), trajectory)
 
     def __repr__(self) -> str:
         figures = "no trajectory" if self.certificate is None else self.certificate.figures
@@ -100,7 +115,7 @@ class Result(Outcome):
         A notebook shows it where it is the last expression. In a script: ``.savefig(path)``, or ``.show()`` for a
         window.
         """
-        from lin_freq_ocp.report.figures.figures import result_figure  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.figures.figures import result_figure  # Matplotlib is slow to import
 
         return result_figure(self)
 
@@ -136,7 +151,7 @@ class Result(Outcome):
 
     def dump(self, path: str | Path) -> None:
         """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
-        from lin_freq_ocp.interchange.runs.run_file import dump_run  # slow to import
+        from lin_freq_ocp.files.run_file import dump_run  # slow to import
 
         dump_run(path, self.problem, self.options, self)
 

@@ -9,9 +9,9 @@ from typing import final
 
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.interchange.locations import FileTable
-from lin_freq_ocp.interchange.results.summary import finite, result_summary
-from lin_freq_ocp.interchange.runs.run_file import RunRecord, described, environment, read_run
+from lin_freq_ocp.files.reading import FileTable
+from lin_freq_ocp.files.run_file import RunRecord, describe_error, environment, read_run
+from lin_freq_ocp.files.summary import finite, result_summary
 
 SAME_COST = 1e-6  # difference of equal costs, relative to the larger of 1 and the cost
 COMPARED = ("status", "cost", "theorem", "method", "backend", "error")
@@ -97,7 +97,7 @@ class Rerun:
 
     def __str__(self) -> str:
         rows = [("", "then", "now")]
-        rows += [(key, _shown(self.then[key]), _shown(self.now[key])) for key in self.then]
+        rows += [(key, _value_text(self.then[key]), _value_text(self.now[key])) for key in self.then]
         rows += [(name, *pair) for name, pair in self.versions.items()]
         widths = [max(len(row[i]) for row in rows) for i in (0, 1)]
         lines = [f"{what:{widths[0]}}  {then:{widths[1]}}  {now}".rstrip() for what, then, now in rows]
@@ -112,7 +112,7 @@ def rerun(run: SavedRun) -> Rerun:
     except Exception as caught:
         error = caught
     summary = None if result is None else result_summary(result)
-    now = outcome_fields(summary, None if error is None else described(error))
+    now = outcome_fields(summary, None if error is None else describe_error(error))
     here = environment(run.options.get("backend"))
     return Rerun(result, error, outcome_fields(run.summary, run.error), now, run.environment, here)
 
@@ -155,5 +155,5 @@ def _table(given: object) -> FileTable:
     return given if isinstance(given, dict) else {}
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     return "none" if value is None else f"{value:.12g}" if isinstance(value, float) else str(value)

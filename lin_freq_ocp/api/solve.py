@@ -1,19 +1,37 @@
-"""solve() as users call it: its outcome as a result, or an error that holds the result."""
+"""solve() as users call it: an answer with its certificate, an error where there is none, and a line of progress."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Generator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import replace
+from html import escape
+from importlib import import_module
+from multiprocessing import parent_process
+from typing import ParamSpec, Protocol
 
-from lin_freq_ocp.api.progress import reporting
 from lin_freq_ocp.api.result import Result, shown_as
-from lin_freq_ocp.errors import InfeasibleError, LimitError, LinFreqOCPError, NumericalError, SolveError, UnboundedError
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import (
+    InfeasibleError,
+    LimitError,
+    LinFreqOCPError,
+    NumericalError,
+    SolveError,
+    UnboundedError,
+)
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
+
+FIRST_SECONDS, BETWEEN_SECONDS = 0.5, 0.2  # before the line is shown, and from one change to the next
+
+Given = ParamSpec("Given")
+Bundle = dict[str, str]  # the same content in several media types
 
 EXPLAIN_SECONDS = 5.0  # of processor time for the explanation of an infeasible problem
 
@@ -111,16 +129,16 @@ def solve(
     """
     started = now()
     limits = backend, tolerance, gap, node_limit
-    with reporting(progress, str) as report:
+    with report_progress(progress, str) as report:
         outcome = solve_judged(problem, method, time_limit, report, start, *limits, executor, global_bound)
-    return answered(outcome, throw, None if time_limit is None else time_limit - (now() - started))
+    return result_of(outcome, throw, None if time_limit is None else time_limit - (now() - started))
 
 
-def answered(outcome: Outcome, throw: bool, seconds_left: float | None = None) -> Result:
+def result_of(outcome: Outcome, throw: bool, seconds_left: float | None = None) -> Result:
     """Return an outcome as a result; with ``throw``, raise the error of a status that is no answer, and explain it."""
     result = shown_as(Result, outcome)
     if throw and result.status == Status.INFEASIBLE:
-        result = explained(result, seconds_left)
+        result = with_explanation(result, seconds_left)
     if throw:
         raise_for(result)
     return result
@@ -130,20 +148,6 @@ def raise_for(result: Result) -> None:
     """Raise the error of a result whose status is neither "optimal" nor "locally_optimal"."""
     if result.status in ERRORS:
         raise ERRORS[result.status](_complaint(result), result)
-
-
-def explained(
-    result: Result, seconds_left: float | None = None, processor_time: float | None = EXPLAIN_SECONDS
-) -> Result:
-    """Return an infeasible result with its explanation, if it is found in these limits; None for no limit."""
-    from lin_freq_ocp.explanation.explanation import explain  # few problems are infeasible
-
-    if seconds_left is not None and seconds_left <= 0:
-        return result
-    try:
-        return replace(result, explanation=explain(result.problem, seconds_left, processor_time))
-    except LinFreqOCPError:  # the proof stands without it
-        return result
 
 
 def _complaint(result: Result) -> str:
@@ -164,14 +168,14 @@ def _complaint(result: Result) -> str:
     if result.status == Status.UNBOUNDED:
         return f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
     if result.status == Status.LIMIT:
-        return f"{name}: stopped before the answer was accurate ({result.message}); {_reached(result)}."
+        return f"{name}: stopped before the answer was accurate ({result.message}); {_best_point_text(result)}."
     return (
         f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
         "solution; what it found is in .result. Try another backend or method."
     )
 
 
-def _reached(result: Result) -> str:
+def _best_point_text(result: Result) -> str:
     """Return the cost, bound and gap of the best point before a limit."""
     if result.trajectory is None:
         bound = "" if result.lower_bound is None else f", lower bound {result.lower_bound:.6g}"
@@ -179,3 +183,77 @@ def _reached(result: Result) -> str:
     figures = {"cost": result.cost, "lower bound": result.lower_bound, "gap": result.gap}
     texts = [f"{name} {'unknown' if value is None else format(value, '.6g')}" for name, value in figures.items()]
     return f"the best point is in .result: {', '.join(texts)}"
+
+
+def with_explanation(
+    result: Result, seconds_left: float | None = None, processor_time: float | None = EXPLAIN_SECONDS
+) -> Result:
+    """Return an infeasible result with its explanation, if it is found in these limits; None for no limit."""
+    from lin_freq_ocp.explanation.explanation import explain  # few problems are infeasible
+
+    if seconds_left is not None and seconds_left <= 0:
+        return result
+    try:
+        return replace(result, explanation=explain(result.problem, seconds_left, processor_time))
+    except LinFreqOCPError:  # the proof stands without it
+        return result
+
+
+@contextmanager
+def report_progress(
+    given: Callable[Given, None] | None, words: Callable[Given, str]
+) -> Generator[Callable[Given, None] | None]:
+    """Yield a given report of progress; without one, in a notebook, what shows its words, else None."""
+    if given is not None or not in_notebook():
+        yield given
+        return
+    line = Line()
+
+    def report(*args: Given.args, **kwargs: Given.kwargs) -> None:
+        line.show(words(*args, **kwargs))
+
+    try:
+        yield report
+    finally:
+        line.clear()
+
+
+class Handle(Protocol):
+    """What changes a displayed line."""
+
+    def update(self, bundle: Bundle, *, raw: bool) -> object:
+        """Show something else in its place."""
+
+
+class Line:
+    """A line below the cell that runs: quick calls never show it, and it is emptied in the end."""
+
+    def __init__(self):
+        self._next, self._handle = now() + FIRST_SECONDS, None
+
+    def show(self, text: str) -> None:
+        """Show a text, unless the last was shown just now."""
+        if now() < self._next:
+            return
+        self._next = now() + BETWEEN_SECONDS
+        bundle = {"text/plain": text, "text/html": f"<progress></progress> {escape(text)}"}
+        if self._handle is None:
+            self._handle: Handle | None = import_module("IPython.display").display(bundle, raw=True, display_id=True)
+        else:
+            self._handle.update(bundle, raw=True)
+
+    def clear(self) -> None:
+        """Leave nothing of it."""
+        if self._handle is not None:
+            self._handle.update({}, raw=True)
+
+
+def in_notebook() -> bool:
+    """Whether a Jupyter kernel runs this: IPython in a terminal has none, and a worker of a pool is not the kernel."""
+    ipython = sys.modules.get("IPython")
+    return ipython is not None and hasattr(ipython.get_ipython(), "kernel") and parent_process() is None
+
+
+def count_text(done: int, count: int) -> str:
+    """Return how many are solved of how many."""
+    return f"{done} of {count} solved"

@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.arrays import Array, extended
+from lin_freq_ocp.base.arrays import Array, extended
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
-from lin_freq_ocp.problem.costs.semidefinite import least_rise
+from lin_freq_ocp.problem.costs.quadratic import least_rise
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those near or of practical size

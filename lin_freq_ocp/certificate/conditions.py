@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, state_residual
-from lin_freq_ocp.certificate.peaks.cells import Peak
-from lin_freq_ocp.certificate.peaks.proven import proven_peak
+from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.sizes import Floors, floors
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
@@ -31,7 +30,7 @@ from lin_freq_ocp.certificate.tolerances import (
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.continuum import Continuum
+from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 

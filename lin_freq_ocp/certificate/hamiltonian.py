@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, extended
-from lin_freq_ocp.certificate.peaks.cells import Peak
-from lin_freq_ocp.certificate.peaks.proven import proven_peak
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.frequencies import at_frequencies
+from lin_freq_ocp.base.arrays import Array, extended
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.spectrum.bands import time_signal
-from lin_freq_ocp.problem.terms.continuum import Continuum
+from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Mask, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, extended
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hamiltonian import state_residual
 from lin_freq_ocp.certificate.tolerances import (
     INVERSE_TOLERANCE,
@@ -17,7 +18,6 @@ from lin_freq_ocp.certificate.tolerances import (
     POWER_BLOCK,
     RADIUS_MARGIN,
 )
-from lin_freq_ocp.errors import NumericalError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate

@@ -5,7 +5,7 @@ With x(u) = base + Y u, multipliers mu of bounds on states and lambda of terms h
     l(u) = J(x(u), u) + <mu, x(u)> - sigma(mu) + <rho, bands> + sum (<lambda+, L> - h*(lambda+))  <=  J  if feasible
 
 is convex on the controls that the bands allow, whatever the stage Hessian is, if every bin is (``control_curvature``;
-derived in analysis/response_curvature.py, of which nothing is used). So D = l(u_0) + min over U of its tangent and of
+derived in problem/response_curvature.py, of which nothing is used). So D = l(u_0) + min over U of its tangent and of
 the curvature that all bins have. eta, the multiplier of x = Y u, takes no part: any slope in x is pulled back to the
 controls exactly.
 
@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, extended, times_vectors
+from lin_freq_ocp.base.arrays import Array, extended, times_vectors
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
     NUMERICAL,
@@ -39,7 +39,7 @@ from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.reach import Pair
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
-from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 

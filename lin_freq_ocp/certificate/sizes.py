@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
@@ -23,7 +23,6 @@ from lin_freq_ocp.certificate.tolerances import (
     STATE_ROUNDING,
     ZERO_COMPONENT,
 )
-from lin_freq_ocp.problem.dynamics.mode_arrays import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -136,12 +135,6 @@ def _has_slope(problem: OptimalControlProblem) -> Mask:
     n, m, cost = problem.state_dim, problem.control_dim, problem.quadratic
     in_x = np.abs(cost.q).reshape(-1, n).max(0) + np.abs(cost.p)
     return np.append(in_x, np.abs(cost.r).reshape(-1, m).max(0)) > 0
-
-
-def measured_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
-    """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
-    sizes = trajectory_sizes(problem, trajectory)
-    return problem.piecewise.arrays(problem.horizon).with_sizes(*sizes, problem.dynamics.level_sizes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import html_table
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
-from lin_freq_ocp.certificate.directions import Direction
-from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.modes.clarke import Judgement, SwitchingFacts
-from lin_freq_ocp.certificate.modes.conditions import judge_modes
-from lin_freq_ocp.certificate.modes.smooth import judge_smooth
+from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
+from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.response_bound import best_bound
 from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
-from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.base import entry_for
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.text.html import html_table
 
 FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-ends", "S-f")
 
@@ -64,6 +60,29 @@ def decimals_of(trajectory: Trajectory) -> int | None:
     return next((count for count in range(MAX_DECIMALS + 1) if (np.round(values, count) == values).all()), None)
 
 
+class Facts(ABC):
+    """What the theorem says of a trajectory beside its conditions, where the dynamics are not smooth."""
+
+    @property
+    @abstractmethod
+    def applicable(self) -> bool:
+        """Whether the theorem applies at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What a judge returns, for any dynamics; ``extremal`` if a global bound follows from the multipliers.
+
+    ``cost_scale`` is S of the trajectory, if it was computed.
+    """
+
+    conditions: tuple[Condition, ...]
+    borders: Facts | None
+    cost_of_residuals: float
+    extremal: Extremal | None = None
+    cost_scale: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """What is proven of a trajectory with multipliers.
@@ -90,7 +109,7 @@ class Certificate:
         A verified direction of descent. Of a linear problem, it shows that no normal multipliers exist; where modes
         meet, it leads into the flip of ``borders`` that improves, and the trajectory is no local minimum.
     borders : SwitchingFacts or None
-        What holds where modes meet; None for linear dynamics.
+        The conditions where modes meet; None for linear dynamics.
     rounded : Rounded or None
         If the maximum principle is violated and rounding of the trajectory explains it: to how much it is satisfied.
 
@@ -109,7 +128,7 @@ class Certificate:
     worth_of_residuals: float
     bound: Bound | None
     descent: Direction | None = None
-    borders: SwitchingFacts | None = None
+    borders: Facts | None = None
     rounded: Rounded | None = None
 
     @property
@@ -301,6 +320,4 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
 JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], Judgement]] = {
     LinearDynamics: _judge_linear,
     FrequencyResponse: _judge_linear,
-    PiecewiseAffineDynamics: judge_modes,
-    PiecewiseSmoothDynamics: judge_smooth,
 }

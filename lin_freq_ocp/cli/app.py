@@ -16,6 +16,8 @@ from io import TextIOWrapper
 import click
 
 from lin_freq_ocp import __version__
+from lin_freq_ocp.base.errors import BandWarning, SolveError
+from lin_freq_ocp.base.interrupts import INTERRUPTED, leave_silently, let_commands_decide
 from lin_freq_ocp.cli.console import (
     BAD_INPUT,
     NOT_PROVEN,
@@ -26,21 +28,19 @@ from lin_freq_ocp.cli.console import (
     exit_status,
     fit_console,
 )
-from lin_freq_ocp.errors import BandWarning, SolveError
-from lin_freq_ocp.system.starting import INTERRUPTED, leave_silently, let_commands_decide
 
 # The commands, in the order of the help, and their modules.
 COMMANDS = {
-    "list": "start",
+    "list": "show",
     "show": "show",
     "solve": "solve",
     "compare": "compare",
     "sweep": "sweep",
-    "minimum-time": "minimum_time",
+    "minimum-time": "sweep",
     "explore": "explore",
-    "certify": "certify",
-    "rerun": "certify",
-    "init": "start",
+    "certify": "solve",
+    "rerun": "solve",
+    "init": "show",
 }
 
 

@@ -7,21 +7,24 @@ from pathlib import Path
 import click
 
 from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.cli.console import (
+    backend_option,
     exit_status,
+    json_option,
     print_conflict,
     print_json,
     print_lines,
     print_table,
+    problem_argument,
     progress,
     say,
-    written,
+    settings_option,
+    write_files,
 )
-from lin_freq_ocp.cli.options import backend_option, json_option, problem_argument, settings_option
 from lin_freq_ocp.cli.problems import build, require_folder
-from lin_freq_ocp.errors import SolveError
-from lin_freq_ocp.interchange.results.solution_file import load_trajectory
-from lin_freq_ocp.interchange.results.summary import comparison_summary, failed_comparison_summary
+from lin_freq_ocp.files.solution_files import load_trajectory
+from lin_freq_ocp.files.summary import comparison_summary, failed_comparison_summary
 
 
 @click.command("compare")
@@ -66,7 +69,7 @@ def compare_command(
     status = exit_status(comparison.constrained)
     if folder is None or comparison.constrained.interrupted:
         return status
-    return written(status, lambda: _save_report(comparison, folder, as_json))
+    return write_files(status, lambda: _save_report(comparison, folder, as_json))
 
 
 def _save_report(comparison: Comparison, folder: Path, quiet: bool) -> None:
@@ -77,8 +80,7 @@ def _save_report(comparison: Comparison, folder: Path, quiet: bool) -> None:
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    from lin_freq_ocp.report.moves import moves_rows
-    from lin_freq_ocp.report.tables import comparison_table, terminal_table
+    from lin_freq_ocp.pages.report.tables import comparison_table, moves_rows, terminal_table
 
     print_lines(str(comparison.constrained))
     print_conflict(comparison.constrained)

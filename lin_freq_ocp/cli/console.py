@@ -1,27 +1,43 @@
-"""Consoles, exit statuses, and what commands print."""
+"""Consoles, exit statuses, printed text and tables, and the arguments and options that several commands have.
+
+A table that does not fit a narrow terminal loses columns, or becomes several tables, and lines are broken between words
+only.
+"""
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 import click
-from rich.console import Console, ConsoleDimensions
+from click.shell_completion import CompletionItem
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console, ConsoleDimensions, Group, RenderableType
 from rich.markup import escape
+from rich.padding import Padding
+from rich.table import Column, Table
+from rich.text import Text
 
-from lin_freq_ocp.errors import LinFreqOCPError, first_line
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.starting import INTERRUPTED
+from lin_freq_ocp.base.errors import LinFreqOCPError, first_line
+from lin_freq_ocp.base.interrupts import INTERRUPTED
+from lin_freq_ocp.base.status import Status
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from lin_freq_ocp.api.result import Result
     from lin_freq_ocp.certificate.verdict import Certificate
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+Command = TypeVar("Command", bound=Callable[..., object])
+LONGEST_WORD = 16  # longer words may be broken: names of files, for instance
+ROOMY = 60  # columns from which on a term stands beside its text, and not above it
+FIRST = 16  # least width of the first column, which says what a row is, where a table is shown in several
+BETWEEN, INDENT = 1, 2  # blank columns between the columns of a narrow table, and before a text below its term
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
 PAGE = ConsoleDimensions(width=200, height=100)  # of a file or a pipe, where no table needs to be cut off
@@ -39,7 +55,7 @@ class PatientConsole(Console):
 out, err = PatientConsole(), Console(stderr=True)
 
 
-def written(status: int, *writes: Callable[[], object]) -> int:
+def write_files(status: int, *writes: Callable[[], object]) -> int:
     """Write files after the answer is printed; a failure is reported, and the status is that of bad input."""
     for write in writes:
         try:
@@ -50,32 +66,21 @@ def written(status: int, *writes: Callable[[], object]) -> int:
     return status
 
 
+def complain(error: Exception | str) -> None:
+    """Print an error on stderr."""
+    err.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
+
+
 def error_status(error: BaseException) -> int:
     """Return the exit status of an error that has no result."""
-    if isinstance(error, (click.Abort, KeyboardInterrupt)) or _interrupted(error):
+    if isinstance(error, (click.Abort, KeyboardInterrupt)) or _is_interrupted(error):
         return INTERRUPTED
     if isinstance(error, MemoryError):
         return NOT_PROVEN
     return BAD_INPUT if isinstance(error, (LinFreqOCPError, OSError, click.ClickException)) else FAULT
 
 
-def error_message(error: Exception) -> str:
-    """Return the message of an error; an unexpected error is a fault of this program, with a request to report it."""
-    if isinstance(error, MemoryError):
-        return f"not enough memory for a problem of this size ({error})."
-    if error_status(error) != FAULT:
-        return str(error)
-    from lin_freq_ocp.interchange.runs.run_file import described
-
-    what = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
-    location = next(iter(described(error)["places"][::-1]), "no place")
-    return (
-        f"a fault of lin-freq-ocp, not of what it was given: {what} (at {location}). "
-        "Please report it, with the file that 'lin-freq-ocp solve ... --dump FILE.zip' writes."
-    )
-
-
-def _interrupted(error: BaseException | None) -> bool:
+def _is_interrupted(error: BaseException | None) -> bool:
     """Whether Ctrl-C caused an error: compiled code turns it into errors of its own."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
@@ -84,60 +89,20 @@ def _interrupted(error: BaseException | None) -> bool:
     return False
 
 
-def complain(error: Exception | str) -> None:
-    """Print an error on stderr."""
-    err.print(f"error: {error}", markup=False, highlight=False, soft_wrap=True)
+def error_message(error: Exception) -> str:
+    """Return the message of an error; an unexpected error is a fault of this program, with a request to report it."""
+    if isinstance(error, MemoryError):
+        return f"not enough memory for a problem of this size ({error})."
+    if error_status(error) != FAULT:
+        return str(error)
+    from lin_freq_ocp.files.run_file import describe_error
 
-
-def progress(what: str) -> AbstractContextManager[object]:
-    """Show the current work, on a terminal."""
-    return err.status(escape(what)) if err.is_terminal else nullcontext()
-
-
-@contextmanager
-def search_progress(what: str) -> Generator[Callable[[object], None] | None]:
-    """Show the current work, on a terminal, and yield a function that shows the progress of a search."""
-    if not err.is_terminal:
-        yield None
-        return
-    with err.status(escape(what)) as status:
-        yield lambda reached: status.update(escape(f"{what}: {reached}"))
-
-
-def say(text: str) -> None:
-    """Print a line on stdout; where the reader has closed the pipe, drop it: click would exit with the status 1."""
-    try:
-        click.echo(text)
-    except BrokenPipeError:
-        out.on_broken_pipe()
-
-
-def print_json(summary: Mapping[str, object]) -> None:
-    """Print one JSON object on stdout."""
-    from lin_freq_ocp.interchange.results.summary import to_json
-
-    say(to_json(summary))
-
-
-def fit_console() -> None:
-    """Take the width from COLUMNS; without it, a file or a pipe has room for whole tables."""
-    columns = os.environ.get("COLUMNS", "")
-    if columns.isdigit() and int(columns):
-        out.width = int(columns)
-    elif not out.is_terminal:
-        out.size = PAGE
-
-
-def print_table(table: Table, spare: Sequence[str] = ()) -> None:
-    """Print a table on stdout; where it is too wide, ``spare`` columns are dropped first."""
-    from lin_freq_ocp.report.narrow import fitted
-
-    out.print(fitted(table, out.width, spare))
-
-
-def print_lines(text: str) -> None:
-    """Print lines on stdout, broken on a terminal only."""
-    out.print(text, markup=False, highlight=False, soft_wrap=not out.is_terminal)
+    what = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
+    location = next(iter(describe_error(error)["places"][::-1]), "no place")
+    return (
+        f"a fault of lin-freq-ocp, not of what it was given: {what} (at {location}). "
+        "Please report it, with the file that 'lin-freq-ocp solve ... --dump FILE.zip' writes."
+    )
 
 
 def exit_status(result: Result) -> int:
@@ -157,6 +122,33 @@ def certificate_status(certificate: Certificate) -> int:
     return PROVEN if extremal or certificate.globally_optimal else NOT_PROVEN
 
 
+def say(text: str) -> None:
+    """Print a line on stdout; where the reader has closed the pipe, drop it: click would exit with the status 1."""
+    try:
+        click.echo(text)
+    except BrokenPipeError:
+        out.on_broken_pipe()
+
+
+def print_lines(text: str) -> None:
+    """Print lines on stdout, broken on a terminal only."""
+    out.print(text, markup=False, highlight=False, soft_wrap=not out.is_terminal)
+
+
+def print_json(summary: Mapping[str, object]) -> None:
+    """Print one JSON object on stdout."""
+    from lin_freq_ocp.files.summary import to_json
+
+    say(to_json(summary))
+
+
+def print_table(table: Table, spare: Sequence[str] = ()) -> None:
+    """Print a table on stdout; where it is too wide, ``spare`` columns are dropped first."""
+    from lin_freq_ocp.cli.console import fit_table
+
+    out.print(fit_table(table, out.width, spare))
+
+
 def print_conflict(result: Result) -> None:
     """Print the constraints in conflict, and the changes that would help."""
     for part in result.conflict or ():
@@ -168,6 +160,169 @@ def print_conflict(result: Result) -> None:
 def print_certificate(problem: OptimalControlProblem, certificate: Certificate | None) -> None:
     """Print the conditions and the bound, if there is a certificate."""
     if certificate is not None:
-        from lin_freq_ocp.report.tables import certificate_table
+        from lin_freq_ocp.pages.report.tables import certificate_table
 
         print_table(certificate_table(problem, certificate), ("scale", "tolerance", "residual", "worst at"))
+
+
+def progress(what: str) -> AbstractContextManager[object]:
+    """Show the current work, on a terminal."""
+    return err.status(escape(what)) if err.is_terminal else nullcontext()
+
+
+@contextmanager
+def search_progress(what: str) -> Generator[Callable[[object], None] | None]:
+    """Show the current work, on a terminal, and yield a function that shows the progress of a search."""
+    if not err.is_terminal:
+        yield None
+        return
+    with err.status(escape(what)) as status:
+        yield lambda reached: status.update(escape(f"{what}: {reached}"))
+
+
+def fit_console() -> None:
+    """Take the width from COLUMNS; without it, a file or a pipe has room for whole tables."""
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdigit() and int(columns):
+        out.width = int(columns)
+    elif not out.is_terminal:
+        out.size = PAGE
+
+
+def complete_problem(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Return the completions of a problem: names of the library with their first lines, and files."""
+    from lin_freq_ocp import library
+
+    names = [name for name in library.PROBLEMS if name.startswith(incomplete)]
+    shown = [CompletionItem(name, help=first_line_of(library.PROBLEMS[name])) for name in names]
+    return [CompletionItem(incomplete, type="file"), *shown]
+
+
+def first_line_of(function: Callable[..., object]) -> str:
+    """Return the first line of a docstring."""
+    return (inspect.getdoc(function) or "").partition("\n")[0]
+
+
+problem_argument = click.argument("problem", metavar="NAME|FILE.toml", shell_complete=complete_problem)
+settings_option = click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Set a parameter; the value is TOML."
+)
+backend_option = click.option(
+    "--backend", default="auto", show_default=True, help="clarabel, osqp, qpsolvers:NAME; scip, daqp."
+)
+METHOD_HELP = "auto; spectral, structured or convex; for modes branch_and_bound, enumerate or miqp; smooth: nonsmooth."
+method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
+tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
+time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
+
+
+def solve_options(command: Command) -> Command:
+    """Add the options of solve that every method knows, with the settings of the problem."""
+    for option in (tolerance_option, time_limit_option, backend_option, method_option, settings_option):
+        command = option(command)
+    return command
+
+
+def fit_table(table: Table, width: int, spare: Sequence[str] = ()) -> RenderableType:
+    """Return a table of texts in at most ``width`` columns; columns justified to the right are not wrapped.
+
+    Columns with the ``spare`` headings are left out, the first one first. If that is not enough, the others are shown
+    in several tables, each with the first column.
+    """
+    widths = [_width(column) for column in table.columns]
+    if sum(column.natural for column in widths) + 3 * len(widths) + 1 <= width:
+        return table
+    shown, left_out = list(range(len(widths))), list[str]()
+    headings = [_plain(column.header) for column in table.columns]
+    for heading in spare:
+        if _least(widths, shown) <= width:
+            break
+        shown.remove(headings.index(heading))
+        left_out.append(heading)
+    if _least(widths, shown) > width:
+        widths[0] = _Width(max(widths[0].least, min(widths[0].natural, FIRST)), widths[0].natural)
+    parts = [_part(table, columns, widths, width) for columns in _chunks(widths, shown, width)]
+    for part in parts[1:]:
+        part.title = None
+    for part in parts[:-1]:
+        part.caption = None
+    if left_out:
+        parts[-1].caption = Text(f"No room for: {', '.join(left_out)}.")
+    return Group(*parts)
+
+
+def _width(column: Column) -> _Width:
+    """Return how wide a column is; a heading may be broken between words in any column."""
+    cells, heading = [_plain(cell) for cell in column.cells], _plain(column.header)
+    natural = max((cell_len(cell) for cell in [heading, *cells]), default=0)
+    words = [len(text) - len(text.lstrip()) + cell_len(word) for text in [heading, *cells] for word in text.split()]
+    least = min(max(words, default=0), LONGEST_WORD)
+    if column.justify == "right":
+        least = max([least, *(cell_len(cell) for cell in cells)])
+    return _Width(least, natural)
+
+
+@dataclass(frozen=True)
+class _Width:
+    """Width of a column without any line break, and its least: the longest word, or all of a number."""
+
+    least: int
+    natural: int
+
+
+def _plain(cell: RenderableType) -> str:
+    return cell.plain if isinstance(cell, Text) else str(cell)
+
+
+def _least(widths: Sequence[_Width], columns: Sequence[int]) -> int:
+    return sum(widths[i].least for i in columns) + BETWEEN * (len(columns) - 1)
+
+
+def _part(table: Table, columns: Sequence[int], widths: Sequence[_Width], width: int) -> Table:
+    """Return some columns of a table, without lines between them, each as wide as it can be."""
+    part = Table(title=table.title, caption=table.caption, box=box.SIMPLE_HEAD, padding=0)
+    part.pad_edge, part.show_edge, part.collapse_padding = False, False, False
+    room = max(width - _least(widths, columns), 0)
+    wanted = sum(widths[i].natural - widths[i].least for i in columns)
+    for i in columns:
+        column, more = table.columns[i], widths[i].natural - widths[i].least
+        share = min(more, room * more // wanted) if wanted else 0
+        part.add_column(
+            column.header,
+            justify=column.justify,
+            style=column.style,
+            overflow="fold",
+            width=min(widths[i].least + share, width),
+        )
+    cells = [list(table.columns[i].cells) for i in columns]
+    for row, here in zip(table.rows, zip(*cells, strict=True), strict=True):
+        part.add_row(*here, style=row.style, end_section=row.end_section)
+    return part
+
+
+def _chunks(widths: Sequence[_Width], columns: Sequence[int], width: int) -> list[list[int]]:
+    """Return the columns of each table: the first, and as many of the others as there is room for, at least one."""
+    first, *others = columns
+    chunks = [[first]]
+    for i in others:
+        if len(chunks[-1]) > 1 and _least(widths, [*chunks[-1], i]) > width:
+            chunks.append([first])
+        chunks[-1].append(i)
+    return chunks
+
+
+def terms(rows: Sequence[tuple[str, str]], width: int) -> RenderableType:
+    """Return terms with their texts beside them, or below them where there is not the room."""
+    if width >= ROOMY:
+        grid = Table.grid(padding=(0, 2))
+        grid.add_column(no_wrap=True)
+        grid.add_column()
+        for term, text in rows:
+            grid.add_row(Text(term, style="bold"), Text(text))
+        return grid
+    lines = list[RenderableType]()
+    for term, text in rows:
+        lines.append(Text(term, style="bold"))
+        lines += [Padding(Text(text), (0, 0, 0, INDENT))] if text else []
+    return Group(*lines)

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import click
 
-from lin_freq_ocp.cli.console import PROVEN, progress, say, search_progress
-from lin_freq_ocp.cli.options import problem_argument, settings_option
+from lin_freq_ocp.base.atomic import write_text
+from lin_freq_ocp.cli.console import PROVEN, problem_argument, progress, say, search_progress, settings_option
 from lin_freq_ocp.cli.problems import ProblemFile, build, builder, is_file, parsed_settings, require_writable
-from lin_freq_ocp.explorer.session import Session
-from lin_freq_ocp.explorer.sliders import HORIZON, Rebuild
-from lin_freq_ocp.system.atomic import write_text
+from lin_freq_ocp.pages.explorer.session import HORIZON, Rebuild, Session
 
 
 @click.command("explore")
@@ -32,7 +30,7 @@ def explore_command(
         session = Session(description, _rebuild(problem, settings))
     if file is not None:
         return _write_static(session, file)
-    from lin_freq_ocp.explorer.server import ExploreServer
+    from lin_freq_ocp.pages.explorer.server import ExploreServer
 
     with ExploreServer(session, port or 0) as server:
         say(f"{server.url}\nCtrl-C ends it.")
@@ -42,7 +40,7 @@ def explore_command(
 
 
 def _write_static(session: Session, file: Path) -> int:
-    from lin_freq_ocp.explorer.page import static_page
+    from lin_freq_ocp.pages.explorer.server import static_page
 
     with search_progress(f"solving {session.problem.name}") as tell:
         page = static_page(session, lambda done, count: tell and tell(f"{done} of {count} points"))

@@ -11,12 +11,12 @@ from functools import partial
 from pathlib import Path
 
 from lin_freq_ocp import library
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.comparison.sweep.grid import CUTOFFS
-from lin_freq_ocp.errors import ProblemError, suggestion
-from lin_freq_ocp.interchange.locations import FileTable, FileValue, naming
-from lin_freq_ocp.interchange.problem_file.tables import PROBLEM
-from lin_freq_ocp.interchange.problem_file.toml_file import read_problem
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.batch.grid import CUTOFFS
+from lin_freq_ocp.files.problem_file import read_problem
+from lin_freq_ocp.files.problem_tables import PROBLEM
+from lin_freq_ocp.files.reading import FileTable, FileValue, naming_file
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
@@ -48,7 +48,7 @@ class ProblemFile:
     @classmethod
     def read(cls, path: str, settings: FileTable) -> ProblemFile:
         """Read the file, with these settings."""
-        with naming(Path(path)):
+        with naming_file(Path(path)):
             require_keys_of_file(settings)
         return cls(Path(path), settings, read_problem(path, file_tables(settings)))
 
@@ -62,7 +62,7 @@ class ProblemFile:
         replaced = SPECTRA if any(key in SPECTRA for key in parameters) else ()
         tables = deepcopy({key: value for key, value in self.settings.items() if key not in replaced})
         for key, value in parameters.items():
-            _merge(tables, _nested(key, value))
+            _merge(tables, _nested_tables(key, value))
         return read_problem(self.path, file_tables(tables))
 
 
@@ -160,6 +160,6 @@ def _merge(into: FileTable, new: FileTable) -> None:
             into[key] = value
 
 
-def _nested(key: str, value: FileValue) -> FileTable:
+def _nested_tables(key: str, value: FileValue) -> FileTable:
     first, _, rest = key.partition(".")
-    return {first: _nested(rest, value) if rest else value}
+    return {first: _nested_tables(rest, value) if rest else value}

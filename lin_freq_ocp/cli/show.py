@@ -1,24 +1,48 @@
-"""The command lin-freq-ocp show: what a problem is, before it is solved, and what --set can change."""
+"""The commands lin-freq-ocp list, show and init: the library, the facts of a problem, and a problem file to start from.
+
+show prints a problem before it is solved, and the parameters that --set can change.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 import tomli_w
 from rich.text import Text
 
 from lin_freq_ocp import library
-from lin_freq_ocp.cli.console import PROVEN, out, print_json, print_lines
-from lin_freq_ocp.cli.options import json_option, problem_argument, settings_option
+from lin_freq_ocp.cli.console import (
+    PROVEN,
+    first_line_of,
+    json_option,
+    out,
+    print_json,
+    print_lines,
+    problem_argument,
+    say,
+    settings_option,
+    terms,
+)
 from lin_freq_ocp.cli.problems import build, is_file, parsed_settings
-
-if TYPE_CHECKING:
-    from lin_freq_ocp.interchange.problem_file.description import Parameter
+from lin_freq_ocp.files.problem_file import (
+    Parameter,
+    about_function,
+    description_summary,
+    init_problem_file,
+    parameters_of_file,
+    parameters_of_function,
+)
 
 LONGEST_VALUE = 50  # characters of a value that are shown
+
+
+@click.command("list")
+def list_command() -> int:
+    """List the library's problems and what each shows."""
+    out.print(terms([(name, first_line_of(builder)) for name, builder in library.PROBLEMS.items()], out.width))
+    return PROVEN
 
 
 @click.command("show")
@@ -27,21 +51,17 @@ LONGEST_VALUE = 50  # characters of a value that are shown
 @json_option
 def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     """Show what a library problem or a problem file is, and its parameters for --set with their defaults."""
-    from lin_freq_ocp.interchange.problem_file import description
-
     given = parsed_settings(settings)
     shown = build(problem, settings)
     if is_file(problem):
-        about, parameters = "", description.parameters_of_file(Path(problem), given)
+        about, parameters = "", parameters_of_file(Path(problem), given)
     else:
         function = library.by_name(problem)
-        about, parameters = description.about_function(function), description.parameters_of_function(function, given)
-    summary = description.description_summary(shown, about, parameters)
+        about, parameters = about_function(function), parameters_of_function(function, given)
+    summary = description_summary(shown, about, parameters)
     if as_json:
         print_json(summary)
         return PROVEN
-    from lin_freq_ocp.report.narrow import terms
-
     print_lines(str(shown))
     out.print(Text(f"{about}\n" if about else ""))
     out.print(terms([(fact["what"], fact["words"]) for fact in summary["facts"]], out.width))
@@ -52,8 +72,21 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
 
 def _assignment(parameter: Parameter) -> str:
     """Return a parameter and its default as they are written after --set, and the value that is set instead."""
-    default, value = (_shortened(as_toml(given)) for given in (parameter.default, parameter.value))
+    default, value = (_shorten(as_toml(given)) for given in (parameter.default, parameter.value))
     return f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})")
+
+
+def _shorten(text: str) -> str:
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
+
+
+@click.command("init")
+@click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
+def init_command(file: Path) -> int:
+    """Write a commented problem file to start from."""
+    init_problem_file(file)
+    say(f"wrote {file}; next: lin-freq-ocp solve {file}")
+    return PROVEN
 
 
 def as_toml(value: object) -> str:
@@ -68,7 +101,3 @@ def _without_null(value: object) -> object:
     if isinstance(value, (list, tuple)):
         return [_without_null(entry) for entry in value]
     return "none" if value is None else value
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."

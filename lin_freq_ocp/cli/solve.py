@@ -1,4 +1,8 @@
-"""The command lin-freq-ocp solve: an answer, its certificate, and the files --save, --csv, --plot, --proof, --dump."""
+"""The commands lin-freq-ocp solve, certify and rerun.
+
+solve finds an answer with its certificate, and writes the files of --save, --csv, --plot, --proof and --dump; certify
+checks the maximum principle for any trajectory; rerun repeats a dumped run.
+"""
 
 from __future__ import annotations
 
@@ -8,31 +12,47 @@ from functools import partial
 from pathlib import Path
 
 import click
+import numpy as np
 
 from lin_freq_ocp.api.result import Result
-from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, explained, solve
+from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
+from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, solve, with_explanation
+from lin_freq_ocp.base.atomic import replacing
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.cli.console import (
+    NOT_PROVEN,
+    Command,
+    certificate_status,
     complain,
+    error_status,
     exit_status,
+    json_option,
     print_certificate,
     print_conflict,
     print_json,
     print_lines,
+    problem_argument,
     progress,
+    say,
     search_progress,
-    written,
+    settings_option,
+    solve_options,
+    write_files,
 )
-from lin_freq_ocp.cli.options import Command, json_option, problem_argument, solve_options
 from lin_freq_ocp.cli.problems import build, require_writable
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.locations import FileTable
-from lin_freq_ocp.interchange.results.solution_file import kind_of_file, load_trajectory
-from lin_freq_ocp.interchange.results.summary import result_summary
-from lin_freq_ocp.interchange.runs.run_file import dumping_errors
+from lin_freq_ocp.files.reading import FileTable
+from lin_freq_ocp.files.run_file import dumping_errors
+from lin_freq_ocp.files.solution_files import kind_of_file, load_trajectory
+from lin_freq_ocp.files.summary import certificate_summary, result_summary
+from lin_freq_ocp.methods.multipliers import uniqueness
+from lin_freq_ocp.problem.hybrid.forms import linear_along
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import start_of
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.enclosure import require_checker
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.atomic import replacing
+from lin_freq_ocp.solving.certify import certify
 
 HELP = {
     "save": "Write the trajectory to this .npz (with its multipliers), .csv or .mat file.",
@@ -76,7 +96,12 @@ class Outputs:
 
     def writes(self, result: Result) -> list[Callable[[], None]]:
         """Return the function that writes each file, and report the files that stay unwritten."""
-        writers = {"save": result.save, "csv": result.to_csv, "plot": partial(_draw, result), "dump": result.dump}
+        writers = {
+            "save": result.save,
+            "csv": result.to_csv,
+            "plot": partial(_draw_figure, result),
+            "dump": result.dump,
+        }
         writers["proof"] = result.write_proof
         writes: list[Callable[[], None]] = []
         for name, file in self.wanted.items():
@@ -88,19 +113,6 @@ class Outputs:
         return writes
 
 
-def output_options(command: Command) -> Command:
-    """Add the options of all outputs to a command."""
-    for name, text in reversed(HELP.items()):
-        command = click.option(f"--{name}", type=click.Path(path_type=Path), help=text)(command)
-    return command
-
-
-def _draw(result: Result, file: Path) -> None:
-    figure = result.plot()
-    with replacing(file) as stream:
-        figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
-
-
 def _require_picture(file: Path) -> None:
     from matplotlib.figure import Figure  # here, because it takes long to import
 
@@ -108,6 +120,19 @@ def _require_picture(file: Path) -> None:
     if file.suffix.lower().removeprefix(".") not in kinds:
         got = f"a name that ends in {file.suffix}" if file.suffix else "a name without a suffix"
         raise ProblemError(f"--plot {file}", got, f"one that ends in .{', .'.join(kinds)}")
+
+
+def _draw_figure(result: Result, file: Path) -> None:
+    figure = result.plot()
+    with replacing(file) as stream:
+        figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
+
+
+def output_options(command: Command) -> Command:
+    """Add the options of all outputs to a command."""
+    for name, text in reversed(HELP.items()):
+        command = click.option(f"--{name}", type=click.Path(path_type=Path), help=text)(command)
+    return command
 
 
 @click.command("solve")
@@ -150,11 +175,71 @@ def solve_command(
             result = solve(description, **options, throw=False, progress=report)
         if result.status == Status.INFEASIBLE:
             with progress("looking for what would help"):
-                result = explained(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
+                result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     if as_json:
         print_json(result_summary(result, with_trajectory))
     else:
         print_lines(str(result))
         print_conflict(result)
         print_certificate(description, result.certificate)
-    return written(exit_status(result), *outputs.writes(result))
+    return write_files(exit_status(result), *outputs.writes(result))
+
+
+@click.command("certify")
+@problem_argument
+@click.argument("solution", metavar="SOLUTION.npz|.csv|.mat")
+@settings_option
+@click.option("--tolerance", type=float, help="Relative residuals up to which conditions hold, 1e-6 by default.")
+@json_option
+def certify_command(
+    problem: str, solution: str, settings: tuple[str, ...], tolerance: float | None, as_json: bool
+) -> int:
+    """Judge a trajectory (an .npz, with multipliers if it has them, a .csv or a .mat) by the maximum principle."""
+    description = build(problem, settings)
+    trajectory, multipliers = load_trajectory(solution, description)
+    with progress("certifying"):
+        certificate = certify(description, trajectory, multipliers, tolerance)
+    if as_json:
+        print_json(certificate_summary(description, certificate))
+    else:
+        print_certificate(description, certificate)
+        _print_multipliers(description, trajectory, certificate)
+    return certificate_status(certificate)
+
+
+def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:
+    """Print whether the multipliers are unique, or the direction that excludes any, and the conditions at borders."""
+    descent = certificate.descent
+    if certificate.rounded is not None:
+        say(f"rounding    {certificate.rounded}")
+    if certificate.borders is not None:
+        say(f"borders     {certificate.borders}")
+    if descent is not None:
+        control = problem.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]
+        proven = "no normal multipliers exist" if certificate.borders is None else "no local minimum"
+        say(
+            f"descent     {proven}: along a verified direction, which changes {control} most at "
+            f"t = {descent.steepest}, the cost falls by {-descent.slope:.3g} per unit"
+        )
+    elif certificate.pmp == "satisfied":
+        try:
+            say(f"multipliers {uniqueness(linear_along(problem, trajectory), trajectory)}")
+        except UnsupportedError:  # too many to count in a moment
+            return
+
+
+@click.command("rerun")
+@click.argument("file", metavar="FILE.zip")
+@json_option
+def rerun_command(file: str, as_json: bool) -> int:
+    """Repeat what solve --dump wrote; show what it ended with then and now, and what differs."""
+    run = load_run(file)
+    with progress(f"solving {run.problem.name or file}"):
+        comparison = rerun(run)
+    if as_json:
+        print_json(rerun_summary(comparison))
+    else:
+        print_lines(str(comparison))
+    if comparison.error is not None:
+        return error_status(comparison.error)
+    return NOT_PROVEN if comparison.result is None else exit_status(comparison.result)

@@ -1,7 +1,7 @@
-"""The command lin-freq-ocp sweep: a problem at every point of a grid, on several processes.
+"""The commands lin-freq-ocp sweep, a problem at every point of a grid, and minimum-time, its least feasible horizon.
 
-Exit status: 0 every point has an answer with its proof, be it optimal, infeasible or unbounded; 2 bad input; 3 some
-point has none; 130 interrupted, and what is finished is kept.
+Exit status of a sweep: 0 every point has an answer with its proof, be it optimal, infeasible or unbounded; 2 bad input;
+3 some point has none; 130 interrupted, and what is finished is kept.
 """
 
 from __future__ import annotations
@@ -15,10 +15,31 @@ from pathlib import Path
 import click
 import numpy as np
 
-from lin_freq_ocp.api.sweep import Sweep, sweep
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.cli.console import NOT_PROVEN, PROVEN, complain, err, print_json, print_table, written
-from lin_freq_ocp.cli.options import json_option, problem_argument, solve_options
+from lin_freq_ocp import __version__
+from lin_freq_ocp.api.batch import Sweep, sweep
+from lin_freq_ocp.api.minimum_time import MinimumTime, minimum_time
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.atomic import replacing, writing
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.interrupts import INTERRUPTED
+from lin_freq_ocp.batch.grid import MOST_POINTS, Source
+from lin_freq_ocp.batch.tasks import WorkerPool, process_pool
+from lin_freq_ocp.cli.console import (
+    NO_SOLUTION,
+    NOT_PROVEN,
+    PROVEN,
+    complain,
+    err,
+    json_option,
+    print_certificate,
+    print_json,
+    print_lines,
+    print_table,
+    problem_argument,
+    search_progress,
+    solve_options,
+    write_files,
+)
 from lin_freq_ocp.cli.problems import (
     ProblemFile,
     builder,
@@ -27,13 +48,9 @@ from lin_freq_ocp.cli.problems import (
     require_folder,
     require_keys_of_file,
 )
-from lin_freq_ocp.comparison.sweep.grid import MOST_POINTS, Source
-from lin_freq_ocp.comparison.sweep.tasks import WorkerPool, process_pool
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.interchange.locations import FileTable, FileValue
-from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
-from lin_freq_ocp.system.atomic import replacing, writing
-from lin_freq_ocp.system.starting import INTERRUPTED
+from lin_freq_ocp.files.batch_files import sweep_summary
+from lin_freq_ocp.files.reading import FileTable, FileValue
+from lin_freq_ocp.files.summary import SCHEMA, result_summary
 
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")  # from:to:count, linear, both ends included
 GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"
@@ -71,24 +88,26 @@ def sweep_command(
             folder.mkdir(parents=True, exist_ok=True)
         path = folder / "sweep.jsonl"
     options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    with _pool(workers) as executor, _bar() as tell:
+    with _worker_pool(workers) as executor, _progress_bar() as tell:
         found = sweep(source, grid, executor, path, **options, progress=tell)
         if found.interrupted and executor is not None:
             executor.abandon()
     if as_json:
         print_json(sweep_summary(found))
     else:
-        from lin_freq_ocp.report.tables import sweep_table
+        from lin_freq_ocp.pages.report.tables import sweep_table
 
         print_table(sweep_table(found), ("seconds", "method", "gap"))
     status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
     if folder is None:
         return status
-    return written(status, lambda: found.to_csv(folder / "sweep.csv"), lambda: _draw(found, folder / "sweep.png"))
+    return write_files(
+        status, lambda: found.to_csv(folder / "sweep.csv"), lambda: _draw_sweep(found, folder / "sweep.png")
+    )
 
 
 @contextmanager
-def _pool(workers: int) -> Generator[WorkerPool | None]:
+def _worker_pool(workers: int) -> Generator[WorkerPool | None]:
     """Yield a pool of more than one process; on errors and on Ctrl-C its tasks are abandoned."""
     if workers == 1:
         yield None
@@ -102,6 +121,79 @@ def _pool(workers: int) -> Generator[WorkerPool | None]:
     pool.shutdown()
 
 
+@contextmanager
+def _progress_bar() -> Generator[Callable[[int, int], None] | None]:
+    """Show on a terminal how many points are finished."""
+    if not err.is_terminal:
+        yield None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("sweeping"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _draw_sweep(found: Sweep, path: Path) -> None:
+    try:
+        figure = found.plot()
+    except ProblemError as error:
+        complain(f"no figure: {error}")
+        return
+    with replacing(path) as stream:
+        figure.savefig(stream, format="png", dpi=150)
+
+
+@click.command("minimum-time")
+@problem_argument
+@click.option("--horizons", nargs=2, type=int, required=True, metavar="LO HI", help="The range, both ends included.")
+@solve_options
+@json_option
+def minimum_time_command(
+    problem: str,
+    horizons: tuple[int, int],
+    settings: tuple[str, ...],
+    method: str,
+    backend: str,
+    time_limit: float | None,
+    tolerance: float | None,
+    as_json: bool,
+) -> int:
+    """Find the least horizon at which a problem is feasible, and prove that one step less is not."""
+    given = parsed_settings(settings)
+    source = ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
+    with search_progress("looking for the least horizon") as report:
+        tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
+        found = minimum_time(source, horizons, method, backend, time_limit, tolerance, throw=False, progress=tell)
+    if as_json:
+        print_json(_minimum_time_summary(found))
+    else:
+        print_lines(str(found))
+        if found.result is not None:
+            print_certificate(found.result.problem, found.result.certificate)
+    if found.interrupted:
+        return INTERRUPTED
+    return NOT_PROVEN if not found.proven else NO_SOLUTION if found.horizon is None else PROVEN
+
+
+def _minimum_time_summary(found: MinimumTime) -> FileTable:
+    """Return the JSON object; ``result`` is that of ``lin-freq-ocp solve --json``."""
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "horizon": found.horizon,
+        "horizons": list(found.horizons),
+        "monotone": found.monotone,
+        "reason": found.reason,
+        "proven": found.proven,
+        "proof": found.proof,
+        "verdicts": {str(T): verdict for T, verdict in found.verdicts.items()},
+        "interrupted": found.interrupted,
+        "result": None if found.result is None else result_summary(found.result),
+    }
+
+
 def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValue]]:
     """Return the values of each parameter, a list or a range; "none" is None, as in --set."""
     result: dict[str, list[FileValue]] = {}
@@ -111,13 +203,13 @@ def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValu
             raise ProblemError("--grid", repr(given), GRID_FORM)
         if key in result:
             raise ProblemError(f"--grid {key}", "this key twice", "one list for each key")
-        result[key] = _values(key, text)
+        result[key] = _grid_values(key, text)
     if isinstance(source, ProblemFile):  # the sweep itself checks the parameters of functions
         require_keys_of_file(result, "--grid ")
     return result
 
 
-def _values(key: str, text: str) -> list[FileValue]:
+def _grid_values(key: str, text: str) -> list[FileValue]:
     match = RANGE.fullmatch(text)
     try:
         if match:
@@ -136,29 +228,5 @@ def _range(first: str, last: str, count: str) -> list[float] | list[int]:
         raise ValueError(f"{brief(count)} values; at most {MOST_POINTS}")
     values: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
     whole = [round(value) for value in values]
-    written = not any(mark in first + last for mark in ".eE")
-    return whole if written and whole == values else values
-
-
-def _draw(found: Sweep, path: Path) -> None:
-    try:
-        figure = found.plot()
-    except ProblemError as error:
-        complain(f"no figure: {error}")
-        return
-    with replacing(path) as stream:
-        figure.savefig(stream, format="png", dpi=150)
-
-
-@contextmanager
-def _bar() -> Generator[Callable[[int, int], None] | None]:
-    """Show on a terminal how many points are finished."""
-    if not err.is_terminal:
-        yield None
-        return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("sweeping"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=err, transient=True) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    as_integers = not any(mark in first + last for mark in ".eE")
+    return whole if as_integers and whole == values else values

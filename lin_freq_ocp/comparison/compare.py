@@ -6,27 +6,27 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-from lin_freq_ocp.analysis.measures import Measures
-from lin_freq_ocp.analysis.sensitivities import bin_prices
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.modes.smooth import Kink, kinks
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import LimitError, ProblemError, SolveError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
+from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
+from lin_freq_ocp.certificate.sensitivities import bin_prices
 from lin_freq_ocp.comparison.filters import FILTERS, can_be_filtered, filtered, has_frequency_constraint
-from lin_freq_ocp.comparison.moves import Moves, shortest_moves, why_not_shaped
-from lin_freq_ocp.comparison.shapers import SHAPERS
+from lin_freq_ocp.comparison.moves import SHAPERS, Moves, shortest_moves, why_not_shaped
 from lin_freq_ocp.comparison.trajectories import (
     CLASSICAL,
     CONSTRAINED,
     MeasuredTrajectory,
     measured_solution,
-    replayed,
+    replay_control,
     solution_label,
 )
-from lin_freq_ocp.errors import LimitError, ProblemError, SolveError
+from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
 
 PREFERRED_FILTER = "brickwall"
 SEARCH_SECONDS = 30.0  # for a comparison whose modes are searched, which by itself may take hours
@@ -109,7 +109,7 @@ class ComparisonOutcome:
     def kinks(self) -> tuple[Kink, ...]:
         """Return the kinks along the constrained trajectory, as judged; none without multipliers."""
         result = self.constrained
-        borders = None if result.certificate is None else result.certificate.borders
+        borders = None if result.certificate is None else facts_where_modes_meet(result.certificate)
         if borders is None or result.trajectory is None or result.multipliers is None:
             return ()
         return kinks(result.problem, result.trajectory, result.multipliers, borders)
@@ -161,7 +161,7 @@ def _in_words(measures: Measures) -> list[str]:
     return cost + [f"{what} {value:.2g}" for what, value in figures.items() if value is not None]
 
 
-def compared(
+def compare_methods(
     problem: OptimalControlProblem,
     solve: Solve,
     filters: Sequence[str] | None,
@@ -193,7 +193,7 @@ def compared(
     entries = list[Filtered]()
     for name in names:
         control = filtered(name, problem, plan.u)
-        replay = replayed(name.replace("_", " "), problem, control.u, plan)
+        replay = replay_control(name.replace("_", " "), problem, control.u, plan)
         entries.append(Filtered(name, control.description, replay))
     if not shapers:
         return ComparisonOutcome(problem, classical, constrained, tuple(entries))

@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from lin_freq_ocp.analysis.measures import stopped_runs
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import TermKind
@@ -132,7 +132,7 @@ def moving_average(u: Array, design: Design) -> FilteredControl:
             padded = np.concatenate([np.zeros(length - 1), result[:, j]])
             result[:, j] = np.convolve(padded, np.full(length, 1 / length), mode="valid")
             descriptions.append(f"mean of the last {length} samples")
-    return FilteredControl(result, _joined(descriptions))
+    return FilteredControl(result, _join_names(descriptions))
 
 
 def butterworth(u: Array, design: Design, zero_phase: bool = False) -> FilteredControl:
@@ -155,7 +155,7 @@ def butterworth(u: Array, design: Design, zero_phase: bool = False) -> FilteredC
             edges = ", ".join(f"{design.per_radian * np.pi * edge:.3g}" for edge in np.atleast_1d(natural))
             descriptions.append(f"order {min(int(order), MAX_ORDER)} {kind}, edge {edges} {design.unit}")
     causality = "forwards and backwards" if zero_phase else "causal"
-    return FilteredControl(result, f"Butterworth, {causality}: {_joined(descriptions)}")
+    return FilteredControl(result, f"Butterworth, {causality}: {_join_names(descriptions)}")
 
 
 def _edges(first: int, last: int, length: int) -> tuple[Kind, float | list[float], float | list[float]]:
@@ -170,7 +170,7 @@ def _edges(first: int, last: int, length: int) -> tuple[Kind, float | list[float
     return ("bandstop", [below / nyquist, above / nyquist], [(below + quarter) / nyquist, (above - quarter) / nyquist])
 
 
-def _joined(descriptions: Sequence[str]) -> str:
+def _join_names(descriptions: Sequence[str]) -> str:
     return "; ".join(dict.fromkeys(descriptions)) or "nothing to remove"
 
 

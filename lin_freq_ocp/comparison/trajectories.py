@@ -1,29 +1,36 @@
-"""The trajectories of a comparison, and what is measured of each: violations, peaks, modes, all per component."""
+"""The trajectories of a comparison, and their measures: violations, peaks and modes, all per component.
+
+Each control, state and constrained output of a problem is one signal, with its bounds, its references, and the limits
+on its spectrum.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.analysis import measures
-from lin_freq_ocp.analysis.measures import Measures, measure, stopband_peak
-from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.certificate.sizes import measured_modes
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.certificate.hybrid.clarke import modes_along
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
-from lin_freq_ocp.comparison.signals import Signal, state_bounds
-from lin_freq_ocp.errors import NumericalError
-from lin_freq_ocp.problem.dynamics.mode_arrays import FACET_TOLERANCE
+from lin_freq_ocp.problem import measures
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE
+from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.problem.terms.peaks.search import peaks_above
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.sizes import stated_sizes
+from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
+from lin_freq_ocp.problem.terms.semi_infinite import Frequencies, peaks_above
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
+
+REACHED = 1e-6  # of a limit: a spectrum that comes nearer reaches it
 
 CLASSICAL, CONSTRAINED = "classical", "constrained"
 NO_MODE = -1  # in a mode sequence: the trajectory is in no region
@@ -34,6 +41,224 @@ OF_STATES = (
     *("cost", "state_violation", "stage_violation", "terminal_error", "terminal_errors"),
     *("state_stopband_energy", "state_stopband_peak"),
 )
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Values, (points,), over times in steps or frequencies in rad/sample; not a number where there are none."""
+
+    at: Array
+    values: Array
+    soft: bool = False  # a bound that may be violated at a price
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """One control or state of a problem."""
+
+    problem: OptimalControlProblem
+    index: int
+    is_state: bool
+
+    @property
+    def name(self) -> str:
+        """Return its name with its unit."""
+        return (self.problem.state_names if self.is_state else self.problem.control_names)[self.index]
+
+    @property
+    def samples(self) -> int:
+        """Return the number N of samples in its spectrum, from time 0 on."""
+        return self.problem.state_samples if self.is_state else self.problem.horizon
+
+    @property
+    def stop(self) -> Mask:
+        """Return its stopped or bounded bins, (N//2 + 1,)."""
+        return (self.problem.state_band if self.is_state else self.problem.control_band)[:, self.index]
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Return its lower and upper bounds over time, without the ends."""
+        box = self.problem.state_boxes if self.is_state else self.problem.control_tube
+        return box.lower[:, self.index], box.upper[:, self.index]
+
+    @property
+    def references(self) -> list[Line]:
+        """Return the references that a cost weighs its deviation from; none where all are zero."""
+        length = self.problem.horizon + self.is_state
+        found = list[Line]()
+        for reference, weighed in self._weighed_references():
+            if reference.any() and weighed.any():
+                values = (reference if reference.ndim == 0 else reference[..., self.index]) * np.ones(length)
+                values = np.where(weighed, values, np.nan)
+                if not any(np.array_equal(values, other.values, equal_nan=True) for other in found):
+                    found.append(Line(np.arange(length, dtype=np.float64), values))
+        return found
+
+    def _weighed_references(self) -> Iterator[tuple[Array, Mask]]:
+        """Yield references, (), (components,) or one per time, and at which times the deviation has a weight."""
+        problem, cost = self.problem, self.problem.quadratic
+        yield (
+            cost.x_ref if self.is_state else cost.u_ref,
+            _weighed_times(cost, self.index, self.is_state, problem.horizon),
+        )
+        for norm in problem.cost.norms:
+            found = norm.references(self.index, self.is_state, problem.horizon)
+            if found is not None:
+                yield found
+
+    @property
+    def row_bounds(self) -> list[Line]:
+        """Return the limits of rows on this signal alone: of polyhedra, soft boxes, stage rows; not costs of levels."""
+        levels = any(len(one.levels_of(self.problem.control_dim)) for one in entries_of(self.problem.control_set))
+        left_out = TermKind.CONTROL_SET if levels else None
+        n, column = self.problem.state_dim, self.index if self.is_state else self.problem.state_dim + self.index
+        terms = [term for term in self.problem.terms if term.penalty.polyhedral and not term.kind.is_cost]
+        terms = [term for term in terms if term.kind != left_out]
+        return [line for term in terms for line in _row_limits(term, n, self.problem.control_dim, column)]
+
+    @property
+    def levels(self) -> list[Line]:
+        """Return the limits on the magnitude of its spectrum."""
+        return _mask_levels(self.problem, self._kind, *self._rows)
+
+    @property
+    def limited_beyond_bins(self) -> bool:
+        """Whether it has a limit that is not about bins: on its held spectrum, or on what it leaves ringing."""
+        terms = [one for one in self.problem.terms if one.kind == self._kind and one.everywhere is not None]
+        return any(not len(one.map.nearest_bins) and one.map.component == self.index for one in terms)
+
+    @property
+    def _kind(self) -> TermKind:
+        return TermKind.STATE_SPECTRUM if self.is_state else TermKind.CONTROL_SPECTRUM
+
+    def touching(self, trajectory: Trajectory) -> Line:
+        """Return where its spectrum reaches the limit of a mask at every frequency, and the limits there."""
+        w, levels = list[Array](), list[Array]()
+        for term in self.problem.terms:
+            if term.everywhere is not None and term.map.spectrum_of(*self._rows):
+                peaks, ratios = peaks_above(term.everywhere, trajectory.x, trajectory.u, 1.0 - REACHED)
+                w.append(peaks[ratios < 1.0 + REACHED])
+                levels.append(term.everywhere.limit_at(w[-1]))
+        return Line(np.concatenate([np.zeros(0), *w]), np.concatenate([np.zeros(0), *levels]))
+
+    @property
+    def _rows(self) -> tuple[Array | None, Array | None]:
+        row = np.eye(self.problem.state_dim if self.is_state else self.problem.control_dim)[self.index]
+        return (row, None) if self.is_state else (None, row)
+
+    def of(self, trajectory: Trajectory) -> Array:
+        """Return its values over time."""
+        return (trajectory.x if self.is_state else trajectory.u)[:, self.index]
+
+
+def _weighed_times(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Mask:
+    if not is_state:
+        weights = np.abs(cost.R[..., index, :]).sum(-1) + np.abs(cost.S[..., :, index]).sum(-1)
+        return np.asarray(np.broadcast_to(weights > 0, horizon))
+    weights = np.abs(cost.Q[..., index, :]).sum(-1) + np.abs(cost.S[..., index, :]).sum(-1)
+    return np.append(np.broadcast_to(weights > 0, horizon), bool(cost.P[index].any()))
+
+
+def _row_limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
+    """Yield the limits of the rows on one column of (x_t, u_t) alone."""
+    form = term.map.stage_form(n, m)
+    if form is None:
+        return
+    alone = (np.count_nonzero(form[0], axis=-1) == 1) & (form[0][..., column] != 0)
+    slopes = np.broadcast_to(np.where(alone, form[0][..., column], 0.0), term.shape)
+    distance = term.penalty.bounds(term.shape)[1] - form[1]
+    distance = np.where(np.isfinite(distance), distance, np.nan)
+    for row in map(int, np.flatnonzero(slopes.any(axis=0))):
+        used = slopes[:, row] != 0
+        values = np.divide(distance[:, row], slopes[:, row], out=np.full(len(slopes), np.nan), where=used)
+        if np.isfinite(values).any():
+            yield Line(term.map.positions.astype(np.float64), values, not term.hard)
+
+
+def _mask_levels(problem: OptimalControlProblem, kind: TermKind, C: Array | None, D: Array | None) -> list[Line]:
+    """Return the limits on the magnitude of the spectrum of C x + D u, of the terms of a kind with these C and D."""
+    found = list[Line]()
+    for term in problem.terms:
+        if term.kind != kind or not len(term.map.frequencies) or not term.map.spectrum_of(C, D):
+            continue
+        match term.everywhere:
+            case Frequencies(limits=given):
+                pieces = zip(given.low, given.high, given.at_low, given.at_high, strict=True)
+                found += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
+            case _:
+                levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
+                found.append(Line(term.map.frequencies, levels, not term.hard))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Output(Signal):
+    """Output ``index`` of y = C x + D u, whose spectrum is constrained; it has no bounds over time."""
+
+    outputs: OutputSpectrum
+
+    @property
+    def name(self) -> str:
+        """Return its name with its unit."""
+        return self.outputs.output_names[self.index]
+
+    @property
+    def samples(self) -> int:
+        """Return the number N of samples in its spectrum, from time 0 on."""
+        return self.problem.horizon + (self.outputs.D is None)
+
+    @property
+    def stop(self) -> Mask:
+        """Return its stopped or bounded bins, (N//2 + 1,)."""
+        stop = np.zeros(self.samples // 2 + 1, dtype=bool)
+        for term in self.problem.terms:
+            if term.kind == TermKind.OUTPUT_SPECTRUM and term.map.spectrum_of(*self._rows):
+                stop[term.map.nearest_bins] = True
+        return stop
+
+    @property
+    def references(self) -> list[Line]:
+        """Return nothing."""
+        return []
+
+    @property
+    def row_bounds(self) -> list[Line]:
+        """Return nothing."""
+        return []
+
+    @property
+    def levels(self) -> list[Line]:
+        """Return the limits on the magnitude of its spectrum."""
+        return _mask_levels(self.problem, TermKind.OUTPUT_SPECTRUM, *self._rows)
+
+    def of(self, trajectory: Trajectory) -> Array:
+        """Return its values over time."""
+        C, D = self._rows
+        x, u = trajectory.x, trajectory.u
+        parts = ([] if C is None else [x[: len(x) if D is None else len(u)] @ C]) + ([] if D is None else [u @ D])
+        return sum(parts, np.zeros(len(parts[0])))
+
+    @property
+    def _rows(self) -> tuple[Array | None, Array | None]:
+        C, D = self.outputs.C, self.outputs.D
+        return None if C is None else C[self.index], None if D is None else D[self.index]
+
+
+def controls_of(problem: OptimalControlProblem) -> list[Signal]:
+    """Return all controls."""
+    return [Signal(problem, j, is_state=False) for j in range(problem.control_dim)]
+
+
+def states_of(problem: OptimalControlProblem) -> list[Signal]:
+    """Return all states."""
+    return [Signal(problem, i, is_state=True) for i in range(problem.state_dim)]
+
+
+def outputs_of(problem: OptimalControlProblem) -> list[Signal]:
+    """Return the outputs whose spectrum is constrained."""
+    families = entries_of(problem.output_spectrum)
+    found = [Output(problem, i, True, family) for family in families for i in range(len(family.output_names))]
+    return [output for output in found if output.stop.any()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +296,14 @@ class MeasuredTrajectory:
     @cached_property
     def controls(self) -> Violation:
         """Return the violation of the control bounds."""
-        return _violation(self.trajectory.u, self.problem.control_tube, self._least[1])
+        return _box_violation(self.trajectory.u, self.problem.control_tube, self._least[1])
 
     @cached_property
     def states(self) -> Violation | None:
         """Return the violation of the state bounds, without the ends."""
         if not self.meaningful:
             return None
-        return _violation(self.trajectory.x, state_bounds(self.problem), self._least[0])
+        return _box_violation(self.trajectory.x, self.problem.state_boxes, self._least[0])
 
     @cached_property
     def end(self) -> Violation | None:
@@ -95,7 +320,7 @@ class MeasuredTrajectory:
         """Return the violation of each hard term (rows, sets, masks), at its worst entry."""
         if not self.meaningful:
             return None
-        found = [_violation_of_term(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
+        found = [_term_violation(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
         values, allowed = np.array(found).reshape(-1, 2).T
         return Violation(values, allowed, np.ones(len(found), dtype=bool))
 
@@ -157,7 +382,30 @@ class MeasuredTrajectory:
         return SCALE_FLOOR * x, SCALE_FLOOR * u
 
 
-def replayed(label: str, problem: OptimalControlProblem, u: Array, planned: Trajectory) -> MeasuredTrajectory:
+def _box_violation(signal: Array, box: Box, least: Array) -> Violation:
+    finite = [np.where(np.isfinite(bound), np.abs(bound), 0.0).max(0) for bound in (box.lower, box.upper)]
+    scale = np.maximum(np.maximum(np.abs(signal).max(0), least), np.maximum(*finite))
+    bounded = np.asarray((np.isfinite(box.lower) | np.isfinite(box.upper)).any(0))
+    return Violation(box.violation(signal).max(0), CONDITION_TOLERANCE * scale, bounded)
+
+
+def _term_violation(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
+    """Return the violation of the entry that is worst relative to its scale, and what the certificate accepts."""
+    x, u = trajectory.x, trajectory.u
+    if term.everywhere is not None:
+        w, ratios = peaks_above(term.everywhere, x, u, 1.0)
+        if not len(w):
+            return 0.0, 0.0
+        limits, worst = term.everywhere.limit_at(w), int(np.argmax(ratios))
+        return float((ratios[worst] - 1) * limits[worst]), float(PEAK_TOLERANCE * limits[worst])
+    least = term.map.sizes(np.tile(least_x, (len(x), 1)), np.tile(least_u, (len(u), 1))).max(0)
+    violation, scale = term.violation(x, u).max(0), np.maximum(term.map.sizes(x, u).max(0), least)
+    scale = scale if len(violation) == len(scale) else scale.max(keepdims=True)
+    worst = int(np.argmax(violation - CONDITION_TOLERANCE * scale))
+    return float(violation[worst]), float(CONDITION_TOLERANCE * scale[worst])
+
+
+def replay_control(label: str, problem: OptimalControlProblem, u: Array, planned: Trajectory) -> MeasuredTrajectory:
     """Replay u, shape (T, m), from the first state of the planned trajectory, where that means anything."""
     stopped = ""
     growth = measures.growth_along(problem, planned)
@@ -186,30 +434,7 @@ def solution_label(result: Outcome) -> str:
 
 def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
     """Return the mode at every time, (T,), of dynamics with modes; NO_MODE outside all regions."""
-    arrays = measured_modes(problem.affine_at(trajectory), trajectory)
+    arrays = modes_along(problem.affine_at(trajectory), trajectory)
     x, u = trajectory.x, trajectory.u
     outside = arrays.distance(x, u).min(axis=1) > FACET_TOLERANCE
     return np.where(outside, NO_MODE, arrays.sequence(x, u))
-
-
-def _violation_of_term(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
-    """Return the violation of the entry that is worst relative to its scale, and what the certificate accepts."""
-    x, u = trajectory.x, trajectory.u
-    if term.everywhere is not None:
-        w, ratios = peaks_above(term.everywhere, x, u, 1.0)
-        if not len(w):
-            return 0.0, 0.0
-        limits, worst = term.everywhere.limit_at(w), int(np.argmax(ratios))
-        return float((ratios[worst] - 1) * limits[worst]), float(PEAK_TOLERANCE * limits[worst])
-    least = term.map.sizes(np.tile(least_x, (len(x), 1)), np.tile(least_u, (len(u), 1))).max(0)
-    violation, scale = term.violation(x, u).max(0), np.maximum(term.map.sizes(x, u).max(0), least)
-    scale = scale if len(violation) == len(scale) else scale.max(keepdims=True)
-    worst = int(np.argmax(violation - CONDITION_TOLERANCE * scale))
-    return float(violation[worst]), float(CONDITION_TOLERANCE * scale[worst])
-
-
-def _violation(signal: Array, box: Box, least: Array) -> Violation:
-    finite = [np.where(np.isfinite(bound), np.abs(bound), 0.0).max(0) for bound in (box.lower, box.upper)]
-    scale = np.maximum(np.maximum(np.abs(signal).max(0), least), np.maximum(*finite))
-    bounded = np.asarray((np.isfinite(box.lower) | np.isfinite(box.upper)).any(0))
-    return Violation(box.violation(signal).max(0), CONDITION_TOLERANCE * scale, bounded)

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, box_of
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import Band, bands_of
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, entries_of
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, entries_of
 
 ENDS = ("initial state", "terminal state")
 SETS = ("state_set", "control_set", "initial_state", "terminal_state")  # the fields of a problem that hold sets
@@ -46,9 +45,9 @@ def blocks(problem: OptimalControlProblem) -> list[Block]:
         if term.hard and term.source is not None:
             terms.setdefault(term.source, []).append(term.name)
     return [
-        *(Block(kind, kind) for kind, end in boxes if _bounded(end).any()),
-        *components("state bound", _bounded(problem.state_boxes), problem.state_names),
-        *components("control bound", _bounded(problem.control_tube), problem.control_names),
+        *(Block(kind, kind) for kind, end in boxes if _bounded_components(end).any()),
+        *components("state bound", _bounded_components(problem.state_boxes), problem.state_names),
+        *components("control bound", _bounded_components(problem.control_tube), problem.control_names),
         *(
             Block("row", f"row {i} of {rows.name}", i, rows.name)
             for rows in problem.stage_rows
@@ -61,19 +60,19 @@ def blocks(problem: OptimalControlProblem) -> list[Block]:
     ]
 
 
-def _bounded(box: Box) -> Mask:
+def _bounded_components(box: Box) -> Mask:
     """Return which components have a bound at some time."""
     return np.asarray(np.atleast_2d(np.isfinite(box.lower) | np.isfinite(box.upper)).any(0))
 
 
-def without(problem: OptimalControlProblem, dropped: Collection[Block]) -> OptimalControlProblem:
+def drop_blocks(problem: OptimalControlProblem, dropped: Collection[Block]) -> OptimalControlProblem:
     """Return the problem without these blocks; terms first, the last index first, because removal shifts indices."""
     for block in sorted(dropped, key=lambda block: (block.kind != "term", -block.index)):
-        problem = relaxed(problem, block, np.inf)
+        problem = relax_block(problem, block, np.inf)
     return problem
 
 
-def relaxed(problem: OptimalControlProblem, block: Block, amount: float | Array) -> OptimalControlProblem:
+def relax_block(problem: OptimalControlProblem, block: Block, amount: float | Array) -> OptimalControlProblem:
     """Return the problem with a block moved outwards by an amount, or dropped if it is infinite.
 
     Ends take an amount per state; stop bands the number of their outermost bins that are passed.
@@ -81,11 +80,11 @@ def relaxed(problem: OptimalControlProblem, block: Block, amount: float | Array)
     if block.kind in ENDS:
         field = block.kind.replace(" ", "_")
         end, given = (problem.initial_box, problem.terminal_box)[ENDS.index(block.kind)], getattr(problem, field)
-        return replace(problem, **{field: with_bounds(given, Box(end.lower - amount, end.upper + amount))})
+        return replace(problem, **{field: replace_bounds(given, Box(end.lower - amount, end.upper + amount))})
     if block.kind == "row":
         return replace(problem, stage_rows=[_relaxed_row(rows, block, amount) for rows in problem.stage_rows])
     if block.kind.endswith("stop band"):
-        return _narrowed(problem, block, amount)
+        return _narrow_band(problem, block, amount)
     if block.kind == "term":
         return _relaxed_term(problem, block, float(np.max(amount)))
     field = "state_set" if block.kind == "state bound" else "control_set"
@@ -93,10 +92,10 @@ def relaxed(problem: OptimalControlProblem, block: Block, amount: float | Array)
     lower, upper = tube.lower.copy(), tube.upper.copy()
     lower[:, block.index] -= amount
     upper[:, block.index] += amount
-    return replace(problem, **{field: with_bounds(getattr(problem, field), Box(lower, upper))})
+    return replace(problem, **{field: replace_bounds(getattr(problem, field), Box(lower, upper))})
 
 
-def with_bounds(given: GivenSet, bounds: Box) -> GivenSet:
+def replace_bounds(given: GivenSet, bounds: Box) -> GivenSet:
     """Return a set, or one per time, with other bounds and the same other members."""
     if isinstance(given, Sequence):
         boxes = [bounds.at(t) if bounds.lower.ndim > 1 else bounds for t in range(len(given))]
@@ -116,7 +115,7 @@ def _relaxed_row(rows: StageRows, block: Block, amount: float | Array) -> StageR
     return StageRows(rows.C, rows.D, limits, rows.name, rows.penalty)
 
 
-def _narrowed(problem: OptimalControlProblem, block: Block, bins: float | Array) -> OptimalControlProblem:
+def _narrow_band(problem: OptimalControlProblem, block: Block, bins: float | Array) -> OptimalControlProblem:
     """Return the problem where the stopped bins of one component within ``bins`` of passed bins are passed, too."""
     field = "state_spectrum" if block.kind == "state stop band" else "control_spectrum"
     stop = np.array(problem.state_stop if block.kind == "state stop band" else problem.control_stop)

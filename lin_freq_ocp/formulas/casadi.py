@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, assign, brief, positive_integer
-from lin_freq_ocp.errors import MissingExtraError, ProblemError, first_line
+from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer
+from lin_freq_ocp.base.errors import MissingExtraError, ProblemError, first_line
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.formulas.nodes import LARGEST_POWER, Formula, extreme, norm, signals
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, POWER, SUM

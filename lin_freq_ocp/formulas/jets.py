@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.formulas.intervals import Interval, outward
 from lin_freq_ocp.formulas.nodes import Formula, evaluated
 from lin_freq_ocp.formulas.operations import OPERATIONS, Points

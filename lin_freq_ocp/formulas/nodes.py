@@ -15,8 +15,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.arrays import Array, brief, positive_integer, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief, positive_integer, real_array
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas.operations import (
     MAXIMUM,
     MINIMUM,

@@ -1,6 +1,7 @@
 """The operations of formulas: of each its values, derivatives, enclosures over boxes, affine form and text.
 
-``OPERATIONS`` holds all of them. A further function of one variable is one more ``ScalarFunction`` in this table.
+``OPERATIONS`` holds all of them. A further function of one variable is one more ``ScalarFunction`` in this table. The
+rules of differentiation at points are at the end, those over boxes in ``intervals``.
 """
 
 from __future__ import annotations
@@ -11,15 +12,16 @@ from typing import Protocol
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.formulas import interval_jet_rules, intervals, jet_rules
-from lin_freq_ocp.formulas.interval_jet_rules import IntervalJet
-from lin_freq_ocp.formulas.intervals import Interval, inverse, multiply, power, scale
-from lin_freq_ocp.formulas.jet_rules import Jet
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.formulas import intervals
+from lin_freq_ocp.formulas.intervals import Interval, IntervalJet, inverse, multiply, power, scale
 
 VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
 MAXIMUM, MINIMUM, NORM, EXTERNAL = "maximum", "minimum", "norm", "external"
+# Value (points,), gradient (k, points) and Hessian (k, k, points) by the k components of (x, u).
+Jet = tuple[Array, Array, Array | None]
+Stacked = tuple[Array, Array, Array]
 
 
 class External(Protocol):
@@ -70,7 +72,11 @@ class Notation:
 
 
 class Operation:
-    """An operation; what it does not say is refused."""
+    """An operation; what it does not say is refused.
+
+    A jet is a value with its gradient and Hessian; None for a Hessian of zeros. Points are the last axis of a jet:
+    NumPy is fast along that.
+    """
 
     bracketed = False  # whether its text needs brackets within a product, a quotient or a multiple
 
@@ -79,7 +85,7 @@ class Operation:
         raise self._refused(node)
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
-        """Return the values with first and second derivatives, in the layout of ``jet_rules``."""
+        """Return the values with first and second derivatives, points along the last axis."""
         raise self._refused(node)
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
@@ -135,10 +141,10 @@ class _Sum(Operation):
         return total
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
-        return jet_rules.combination(node.data[:-1], arguments, node.data[-1], at.y.shape[::-1])
+        return sum_rule(node.data[:-1], arguments, node.data[-1], at.y.shape[::-1])
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
-        return interval_jet_rules.combination(node.data[:-1], arguments, node.data[-1], box)
+        return intervals.sum_rule(node.data[:-1], arguments, node.data[-1], box)
 
     def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
         k = sum(node.dimensions)
@@ -164,10 +170,10 @@ class _Product(Operation):
         return arguments[0] * arguments[1]
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
-        return jet_rules.product(arguments[0], arguments[1])
+        return product_rule(arguments[0], arguments[1])
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
-        return interval_jet_rules.product(arguments[0], arguments[1], curved)
+        return intervals.product_rule(arguments[0], arguments[1], curved)
 
     def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
         constant = next((i for i, row in enumerate(rows) if not row[:-1].any()), None)
@@ -188,14 +194,14 @@ class _Quotient(Operation):
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         over, under = arguments
         d = under[0]
-        return jet_rules.product(over, jet_rules.chained(under, 1 / d, -(d**-2.0), 2 * d**-3.0))
+        return product_rule(over, chain_rule(under, 1 / d, -(d**-2.0), 2 * d**-3.0))
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
         over, under = arguments
         once = inverse(under[0])
         twice = multiply(once, once)
         derivatives = scale(-1.0, twice), scale(2.0, multiply(twice, once))
-        return interval_jet_rules.product(over, interval_jet_rules.chained(under, once, *derivatives, curved), curved)
+        return intervals.product_rule(over, intervals.chain_rule(under, once, *derivatives, curved), curved)
 
     def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
         return f"{_factor(node, parts, 0, whole)} / ({parts[1]})"
@@ -209,12 +215,12 @@ class _Power(Operation):
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         p, base = node.data[0], arguments[0][0]
-        return jet_rules.chained(arguments[0], base**p, p * base ** (p - 1), p * (p - 1) * base ** (p - 2))
+        return chain_rule(arguments[0], base**p, p * base ** (p - 1), p * (p - 1) * base ** (p - 2))
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
         p, base = int(node.data[0]), arguments[0][0]
         first, second = scale(p, power(base, p - 1)), scale(p * (p - 1), power(base, p - 2))
-        return interval_jet_rules.chained(arguments[0], power(base, p), first, second, curved)
+        return intervals.chain_rule(arguments[0], power(base, p), first, second, curved)
 
     def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
         return f"({parts[0]})**{node.data[0]:g}"
@@ -227,10 +233,10 @@ class _Norm(Operation):
         return np.linalg.norm(np.stack(arguments, axis=1), axis=1)
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
-        return jet_rules.norm(arguments, at.selections.get(node))
+        return norm_rule(arguments, at.selections.get(node))
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
-        return interval_jet_rules.norm(arguments, curved)
+        return intervals.norm_rule(arguments, curved)
 
 
 class _Extreme(Operation):
@@ -258,9 +264,9 @@ class _ExternalOutput(Operation):
         function, key = _call(node)
         output, states = map(int, node.data)
         if key not in at.calls:
-            stacked = jet_rules.stacked(arguments)
+            stacked = stack_jets(arguments)
             derivatives = function.derivatives_at(stacked[0][:states].T, stacked[0][states:].T)
-            at.calls[key] = jet_rules.composed(stacked, *derivatives)
+            at.calls[key] = compose_jets(stacked, *derivatives)
         value, slope, hessian = at.calls[key]
         return value[output], slope[output], hessian[output]
 
@@ -287,11 +293,11 @@ class ScalarFunction(Operation):
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         """Return the values with derivatives, by the chain rule."""
         value = self.function(arguments[0][0])
-        return jet_rules.chained(arguments[0], value, *self.derivatives(arguments[0][0], value))
+        return chain_rule(arguments[0], value, *self.derivatives(arguments[0][0], value))
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
         """Return enclosures, by the chain rule."""
-        return interval_jet_rules.chained(arguments[0], *self.enclosures(arguments[0][0]), curved)
+        return intervals.chain_rule(arguments[0], *self.enclosures(arguments[0][0]), curved)
 
 
 def _call(node: Node) -> tuple[External, Hashable]:
@@ -340,3 +346,78 @@ OPERATIONS: dict[str, Operation] = {
 def scalar_functions() -> dict[str, ScalarFunction]:
     """Return the functions of one variable by name."""
     return {name: one for name, one in OPERATIONS.items() if isinstance(one, ScalarFunction)}
+
+
+def sum_rule(factors: Sequence[float], arguments: Sequence[Jet], constant: float, shape: tuple[int, int]) -> Jet:
+    """Return the jet of a sum of multiples and a constant, (k, points) being the shape of its gradient."""
+    value, slope, hessian = np.full(shape[1], constant), np.zeros(shape), None
+    for factor, argument in zip(factors, arguments, strict=True):
+        value += factor * argument[0]
+        slope += factor * argument[1]
+        if argument[2] is not None:
+            more = factor * argument[2]
+            hessian = more if hessian is None else hessian + more
+    return value, slope, hessian
+
+
+def product_rule(a: Jet, b: Jet) -> Jet:
+    """Return the jet of a b."""
+    cross = _outer(a[1], b[1])
+    hessian = cross + np.swapaxes(cross, 0, 1)
+    for one, other in ((a, b), (b, a)):
+        if other[2] is not None:
+            hessian += one[0] * other[2]
+    return a[0] * b[0], a[0] * b[1] + b[0] * a[1], hessian
+
+
+def chain_rule(a: Jet, value: Array, first: Array, second: Array) -> Jet:
+    """Return the jet of f(a), from f and its derivatives at a, (points,) each."""
+    hessian = _outer(second * a[1], a[1])
+    if a[2] is not None:
+        hessian += first * a[2]
+    return value, first * a[1], hessian
+
+
+def norm_rule(arguments: Sequence[Jet], selection: Array | None) -> Jet:
+    """Return the jet of |a|; where the selection (points, components) has numbers, they stand for its derivative by a.
+
+    The Hessian is zero there, and where a is zero.
+    """
+    a, slopes, hessians = stack_jets(arguments)
+    length = np.linalg.norm(a, axis=0)
+    at_zero = length == 0
+    divisor = np.where(at_zero, 1.0, length)
+    unit, flat = a / divisor, at_zero
+    if selection is not None:
+        flat = np.isfinite(selection).all(axis=1) | at_zero
+        unit = np.where(np.isfinite(selection.T), selection.T, unit)
+    slope = np.einsum("cp,ckp->kp", unit, slopes)
+    across = (np.einsum("ckp,clp->klp", slopes, slopes) - _outer(slope, slope)) / divisor
+    hessian = np.einsum("cp,cklp->klp", unit, hessians) + np.where(flat, 0.0, across)
+    return length, slope, hessian
+
+
+def stack_jets(arguments: Sequence[Jet]) -> Stacked:
+    """Return jets as one, with a first axis of components."""
+    values, slopes = np.stack([jet[0] for jet in arguments]), np.stack([jet[1] for jet in arguments])
+    hessians = np.zeros((len(slopes), *slopes.shape[1:2] * 2, slopes.shape[2]))
+    for i, (_, _, hessian) in enumerate(arguments):
+        if hessian is not None:
+            hessians[i] = hessian
+    return values, slopes, hessians
+
+
+def compose_jets(arguments: Stacked, value: Array, first: Array, second: Array) -> Stacked:
+    """Return the jets of the outputs of g(a): D = sum g_i Da_i, D2 = sum g_i D2a_i + sum g_ij Da_i Da_j'.
+
+    The arguments are those of ``stack_jets``; value (points, outputs), first (..., arguments), second (..., arguments,
+    arguments). The result has a first axis of outputs.
+    """
+    _, slopes, hessians = arguments
+    hessian = np.einsum("poi,iklp->oklp", first, hessians)
+    hessian += np.einsum("poij,ikp,jlp->oklp", second, slopes, slopes, optimize=True)
+    return value.T, np.einsum("poi,ikp->okp", first, slopes), hessian
+
+
+def _outer(a: Array, b: Array) -> Array:
+    return a[:, None] * b

@@ -1,22 +1,29 @@
-"""Formulas as text, "norm(x_0, x_1) * u_0", and back: Python's arithmetic, with a few functions, and nothing else."""
+"""Formulas as text, "norm(x_0, x_1) * u_0", and back: Python's arithmetic, with a few functions, and nothing else.
+
+Texts that are written are of moderate length: parts that are shared, long or nested deeply get names.
+"""
 
 from __future__ import annotations
 
 import ast
+import keyword
 import math
 import operator
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
-from lin_freq_ocp.arrays import brief
-from lin_freq_ocp.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas.nodes import (
     FUNCTIONS,
     LONGEST_SHOWN,
     Formula,
     as_formula,
+    evaluated,
     extreme,
     in_order,
     norm,
@@ -24,8 +31,7 @@ from lin_freq_ocp.formulas.nodes import (
     signals,
     written,
 )
-from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, scalar_functions
-from lin_freq_ocp.text.phrases import plural
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, OPERATIONS, SUM, VARIABLE, Notation, scalar_functions
 
 LONGEST = 100_000  # characters of one formula
 # What users give for formulas of x and u, "x_0 + u_0" among them; a function is called with signals.
@@ -49,6 +55,40 @@ def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
     """Return x_0 .. and u_0 .. by name."""
     x, u = signals(*dimensions)
     return {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
+
+
+def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
+    """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
+    if callable(given):
+        given = _traced(field, given, dimensions)
+    if isinstance(given, (Formula, str)):
+        given = [given]
+    if not isinstance(given, (Sequence, np.ndarray)):
+        raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
+    zero, made = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
+    for i, one in enumerate(given):
+        if isinstance(one, str):
+            one = formula_from_text(f"{field}[{i}]", one, dimensions)
+        formula = one if isinstance(one, Formula) else as_formula(zero, f"{field}[{i}]", one)
+        if formula.dimensions != dimensions:
+            expected = f"{plural(dimensions[0], 'state')} and {plural(dimensions[1], 'control')}"
+            raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
+        made.append(formula)
+    return tuple(made)
+
+
+def _traced(field: str, function: Callable[..., object], dimensions: tuple[int, int]) -> object:
+    """Return the value of a function for signals."""
+    x, u = signals(*dimensions)
+    try:
+        return function(x, u)
+    except LinFreqOCPError:
+        raise
+    except Exception as error:  # any error of a function that was not made for formulas
+        got = f"{first_line(error)}, from the function"
+        expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
+        advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
+        raise ProblemError(field, got, expected, advice) from error
 
 
 def formula_from_text(
@@ -173,6 +213,23 @@ class _Reader:
         raise self._other()
 
 
+def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
+    """Return signals and named formulas, each of which may use those before it; errors call the table ``field``."""
+    if not isinstance(given, Mapping):
+        raise ProblemError(field, brief(given), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
+    known = known_signals(dimensions)
+    for name, text in given.items():
+        entry = f"{field}.{name}"
+        if not isinstance(name, str) or not name.isidentifier() or not name.isascii() or keyword.iskeyword(name):
+            raise ProblemError(field, brief(name), "names of letters, digits and _, which begin with no digit")
+        if name in known or name in function_names():
+            raise ProblemError(entry, "the name of a signal or a function", "another name")
+        if isinstance(text, bool) or not isinstance(text, (str, int, float)):
+            raise ProblemError(entry, brief(text), "a formula in quotes, or a number")
+        known[name] = formula_from_text(entry, str(text), dimensions, known)
+    return known
+
+
 def require_formula(one: Formula, field: str = "formula") -> None:
     """Raise ProblemError if a node is a function that is no formula."""
     if one.function is not None:
@@ -184,35 +241,84 @@ def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
     return written(one, shown(labels), LONGEST_SHOWN)
 
 
-def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
-    """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
-    if callable(given):
-        given = _traced(field, given, dimensions)
-    if isinstance(given, (Formula, str)):
-        given = [given]
-    if not isinstance(given, (Sequence, np.ndarray)):
-        raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
-    zero, made = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
-    for i, one in enumerate(given):
-        if isinstance(one, str):
-            one = formula_from_text(f"{field}[{i}]", one, dimensions)
-        formula = one if isinstance(one, Formula) else as_formula(zero, f"{field}[{i}]", one)
-        if formula.dimensions != dimensions:
-            expected = f"{plural(dimensions[0], 'state')} and {plural(dimensions[1], 'control')}"
-            raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
-        made.append(formula)
-    return tuple(made)
+LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat
+SHORTEST_NAMED = 12  # characters: a shorter shared part is repeated, as a name would save nothing
+DEEPEST = 20  # brackets within brackets of one text: parsers take some hundred
+MOST_TERMS = 50  # terms of a sum in one text: parsers nest them
+EXACT = Notation(repr)  # numbers to the last bit
 
 
-def _traced(field: str, function: Callable[..., object], dimensions: tuple[int, int]) -> object:
-    """Return the value of a function for signals."""
-    x, u = signals(*dimensions)
-    try:
-        return function(x, u)
-    except LinFreqOCPError:
-        raise
-    except Exception as error:  # any error of a function that was not made for formulas
-        got = f"{first_line(error)}, from the function"
-        expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
-        advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
-        raise ProblemError(field, got, expected, advice) from error
+def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, str]]:
+    """Return the texts of formulas, and the named formulas that they use, each after those that it uses.
+
+    Formulas of up to ``LONGEST_TEXT`` characters are written as they stand; as soon as one is longer, what stands in
+    several of them is written once. So the length of all texts grows with the number of nodes.
+
+    Formulas are those of ``signals``, without other functions.
+    """
+    order = in_order(formulas)
+    uses = Counter(argument for one in order for argument in one.arguments) + Counter(formulas)
+    shared = {one for one, count in uses.items() if count > 1} if _longest(formulas) > LONGEST_TEXT else set()
+    writer = _Writer(shared)
+    for one in order:
+        writer.add(one)
+    return [writer.part(one)[0] for one in formulas], writer.definitions
+
+
+def _longest(formulas: Sequence[Formula]) -> int:
+    """Return the approximate number of characters of the longest formula as it stands."""
+
+    def length(one: Formula, arguments: list[int]) -> int:
+        numbers = 0 if one.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in one.data)
+        return 4 + numbers + sum(arguments) + 2 * len(arguments)
+
+    return max(evaluated(formulas, length), default=0)
+
+
+class _Writer:
+    """Writes nodes, arguments before what is made of them."""
+
+    def __init__(self, shared: set[Formula]):
+        self.definitions: dict[str, str] = {}
+        self._shared = shared
+        self._written: dict[Formula, tuple[str, int]] = {}
+
+    def add(self, one: Formula) -> None:
+        """Write one node."""
+        parts = [self.part(argument) for argument in one.arguments]
+        texts = [text for text, _ in parts]
+        if one.kind == SUM and len(texts) > MOST_TERMS:
+            self._written[one] = self._long_sum(one, texts), 1
+            return
+        whole = {i for i, (_, depth) in enumerate(parts) if depth == 0}
+        depth = 0 if one.kind == VARIABLE else 1 + max((depth for _, depth in parts), default=0)
+        self._written[one] = OPERATIONS[one.kind].text(one, texts, EXACT, whole), depth
+
+    def part(self, one: Formula) -> tuple[str, int]:
+        """Return how a node stands in another text, and how deeply it is nested: 0 for a name."""
+        text, depth = self._written[one]
+        large = len(text) > LONGEST_TEXT or depth > DEEPEST
+        if depth and (large or (one in self._shared and len(text) >= SHORTEST_NAMED)):
+            self._written[one] = self._named(text), 0
+        return self._written[one]
+
+    def _long_sum(self, one: Formula, texts: Sequence[str]) -> str:
+        """Return the names of parts of a sum, added up: what is read makes one sum of them again."""
+        names: list[str] = []
+        for first in range(0, len(texts), MOST_TERMS):
+            chosen = slice(first, first + MOST_TERMS)
+            last = first + MOST_TERMS >= len(texts)
+            factors = (*one.data[:-1][chosen], one.data[-1] if last else 0.0)
+            some = Formula(one.dimensions, SUM, one.arguments[chosen], factors)
+            whole = {i for i, argument in enumerate(some.arguments) if not self._written[argument][1]}
+            names.append(self._named(OPERATIONS[SUM].text(some, texts[chosen], EXACT, whole)))
+        while len(names) > MOST_TERMS:
+            names = [
+                self._named(" + ".join(names[first : first + MOST_TERMS])) for first in range(0, len(names), MOST_TERMS)
+            ]
+        return " + ".join(names)
+
+    def _named(self, text: str) -> str:
+        name = f"w_{len(self.definitions)}"
+        self.definitions[name] = text
+        return name

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lin_freq_ocp.errors import ProblemError, suggestion
+from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle as ball_and_paddle
-from lin_freq_ocp.library.buck_affine import buck_affine as buck_affine
 from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous as elliptic_rendezvous
 from lin_freq_ocp.library.flexible import crane as crane
 from lin_freq_ocp.library.flexible import flexible_joint_arm as flexible_joint_arm
@@ -19,13 +18,15 @@ from lin_freq_ocp.library.flexible import flexible_satellite as flexible_satelli
 from lin_freq_ocp.library.kinks import absolute_value as absolute_value
 from lin_freq_ocp.library.kinks import max_min_network as max_min_network
 from lin_freq_ocp.library.kinks import switched_rotation as switched_rotation
+from lin_freq_ocp.library.masses import double_integrator as double_integrator
 from lin_freq_ocp.library.masses import mass_chain as mass_chain
+from lin_freq_ocp.library.masses import scanner as scanner
 from lin_freq_ocp.library.masses import two_mass_spring as two_mass_spring
 from lin_freq_ocp.library.paper import buck_converter as buck_converter
 from lin_freq_ocp.library.paper import norm_dynamics as norm_dynamics
 from lin_freq_ocp.library.paper import pendulum as pendulum
-from lin_freq_ocp.library.single_axis import double_integrator as double_integrator
-from lin_freq_ocp.library.single_axis import scanner as scanner
+from lin_freq_ocp.library.power_electronics import buck_affine as buck_affine
+from lin_freq_ocp.library.power_electronics import pulse_pattern as pulse_pattern
 from lin_freq_ocp.library.swing_up import cart_pole as cart_pole
 from lin_freq_ocp.library.swing_up import pendulum_swing_up as pendulum_swing_up
 from lin_freq_ocp.library.swing_up import planar_quadrotor as planar_quadrotor
@@ -34,10 +35,9 @@ from lin_freq_ocp.library.vehicles import quarter_car as quarter_car
 from lin_freq_ocp.library.walls import cart_between_walls as cart_between_walls
 from lin_freq_ocp.library.walls import cart_pole_with_walls as cart_pole_with_walls
 from lin_freq_ocp.library.walls import pendulum_with_wall as pendulum_with_wall
-from lin_freq_ocp.library.waveforms.mri_gradient import mri_gradient as mri_gradient
-from lin_freq_ocp.library.waveforms.printer_move import printer_move as printer_move
-from lin_freq_ocp.library.waveforms.pulse_pattern import pulse_pattern as pulse_pattern
-from lin_freq_ocp.library.waveforms.wave_energy import wave_energy as wave_energy
+from lin_freq_ocp.library.waveforms import mri_gradient as mri_gradient
+from lin_freq_ocp.library.waveforms import printer_move as printer_move
+from lin_freq_ocp.library.waveforms import wave_energy as wave_energy
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 Benchmark = Callable[..., OptimalControlProblem]

@@ -34,10 +34,10 @@ from math import pi
 import numpy as np
 from scipy.linalg import block_diag
 
-from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.common import Spectrum, control_band, flag, sum_of_squares, symmetric
-from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.convex import Polyhedron

@@ -8,8 +8,8 @@ from math import ceil, pi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import brief, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import brief, real_array
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import Band, notch, stop_band

@@ -8,7 +8,7 @@ from math import pi, sqrt
 import numpy as np
 from scipy.linalg import eigh
 
-from lin_freq_ocp.arrays import Array, positive_number
+from lin_freq_ocp.base.arrays import Array, positive_number
 from lin_freq_ocp.library.common import notch_at, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

@@ -7,10 +7,10 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import Array, positive_integer, positive_number, shaped
 from lin_freq_ocp.library.common import Spectrum, control_band, flag, sum_of_squares, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 

@@ -1,18 +1,181 @@
-"""Masses joined by springs: a chain between two walls, and two masses that swing against each other."""
+"""Masses that move along one axis: a double integrator, a resonant scanner, and masses joined by springs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import sqrt
+from math import pi, sqrt
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, positive_number, shaped
+from lin_freq_ocp.base.arrays import Array, positive_integer, positive_number, shaped
 from lin_freq_ocp.library.common import notch_at, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.bands import low_pass
+from lin_freq_ocp.problem.spectrum.bands import low_pass, notch
+
+
+def double_integrator(
+    horizon: int = 200,
+    sampling_time: float = 0.02,
+    cutoff_hz: float | None = 5.0,
+    initial_state: Sequence[float] = (0.0, 0.0),
+    terminal_state: Sequence[float] | None = (1.0, 0.0),
+    speed_bound: float | None = 0.3,
+    control_bound: float | None = 1.0,
+) -> OptimalControlProblem:
+    """Move a unit mass from rest to rest under a speed limit and a low pass.
+
+    Minimise 1/2 sum of u_t^2. Without bounds the acceleration falls along a line and the speed is a parabola, which the
+    speed limit cuts flat over half of the time. That needs an acceleration of exactly 0 there, which a low-passed one
+    cannot have for long: it touches the limit again and again instead, and costs more.
+
+    Parameters
+    ----------
+    horizon : int
+        T.
+    sampling_time : float
+        Seconds.
+    cutoff_hz : float or None
+        Low-pass cut-off of the acceleration in Hz; None: no frequency constraint.
+    initial_state, terminal_state : (2,)
+        Position [m], speed [m/s]. A terminal_state of None is free.
+    speed_bound, control_bound : float or None
+        Symmetric bounds on the speed [m/s] and the acceleration [m/s^2].
+
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
+    The plant: Rao and Bernstein, "Naive control of the double integrator", IEEE Control Systems Magazine 21(5), 2001.
+    State bounds in minimum-energy problems on it: Bryson and Ho, "Applied Optimal Control", 1975, chapter 3.
+    The numbers are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.double_integrator().horizon
+    200
+    """
+    return OptimalControlProblem(
+        dynamics=LinearDynamics.from_continuous(
+            [[0, 1], [0, 0]],
+            [[0], [1]],
+            sampling_time,
+            state_names=["position [m]", "speed [m/s]"],
+            control_names=["acceleration [m/s^2]"],
+        ),
+        horizon=horizon,
+        cost=QuadraticCost(R=1.0),
+        control_set=symmetric("control_bound", control_bound),
+        state_set=symmetric("speed_bound", [None, speed_bound]),
+        initial_state=initial_state,
+        terminal_state=terminal_state,
+        control_spectrum=None if cutoff_hz is None else low_pass(cutoff_hz=cutoff_hz),
+        name="double_integrator",
+    )
+
+
+STROKE = 10.0  # um, length of the line
+DAMPING_RATIO = 0.02
+TRACKING_WEIGHT = 100.0  # 1/um^2, on the squared tracking error against 1 for the squared deviation of the drive
+
+
+def scanner(
+    horizon: int = 250,
+    sampling_time: float = 1e-4,
+    resonance_hz: float = 850.0,
+    cutoff_hz: float | None = 1500.0,
+    notch_width_hz: float | None = 200.0,
+    initial_state: Sequence[float] = (-STROKE / 2, 0.0),
+    terminal_state: Sequence[float] | None = (-STROKE / 2, 0.0),
+    speed_bound: float | None = 0.95,
+    drive_bound: float | None = 6.0,
+) -> OptimalControlProblem:
+    """Follow a triangle wave with a resonant scanner, two stop bands united on its drive.
+
+    Minimise 1/2 sum of 100 (x_t - r_t)^2 + (u_t - r_t)^2, where x is the position and r one period of a triangle of
+    10 um that fills the horizon (40 Hz). The scanner has a resonance, x'' + 2 zeta w x' + w^2 x = w^2 u; the drive has
+    neither the bins around it nor those above the cut-off. Lines follow one another without end, so that here the
+    horizon is a true period and the DFT bins are all the frequencies there are.
+
+    Parameters
+    ----------
+    horizon : int
+        T, the samples of one period of the triangle.
+    sampling_time : float
+        Seconds.
+    resonance_hz : float
+        Of the scanner, w/(2 pi); its damping ratio zeta is 0.02.
+    cutoff_hz, notch_width_hz : float or None
+        Low-pass cut-off, and width of the band removed around the resonance, in Hz; each None: not there.
+    initial_state, terminal_state : (2,)
+        Position [um], speed [mm/s]. A terminal_state of None is free.
+    speed_bound, drive_bound : float or None
+        Symmetric bounds on the speed [mm/s] and on the drive, given as the position [um] that it holds at rest.
+
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
+    Perez, Zou and Devasia, "Design and control of optimal scan trajectories: scanning tunneling microscope example",
+    J. Dynamic Systems, Measurement, and Control 126(1), 2004; Fleming and Wills, "Optimal periodic trajectories for
+    band-limited systems", IEEE Transactions on Control Systems Technology 17(3), 2009. The numbers are chosen here, of
+    the size usual for a piezoelectric tube.
+
+    Examples
+    --------
+    >>> lfo.library.scanner().horizon
+    250
+    """
+    T = positive_integer("horizon", horizon)
+    frequency = 2 * pi * positive_number("resonance_hz", resonance_hz)
+    line = STROKE / 2 * (1 - 4 * np.abs(np.arange(T + 1) / T - 0.5))
+    bands = [low_pass(cutoff_hz=cutoff_hz)] if cutoff_hz is not None else []
+    if notch_width_hz is not None:
+        bands.append(notch(centre_hz=resonance_hz, width_hz=notch_width_hz))
+    return OptimalControlProblem(
+        dynamics=LinearDynamics.from_continuous(
+            *_scanner_model(frequency),
+            sampling_time,
+            state_names=["position [um]", "speed [mm/s]"],
+            control_names=["drive [um]"],
+        ),
+        horizon=T,
+        cost=QuadraticCost(
+            Q=np.diag([TRACKING_WEIGHT, 0.0]),
+            R=1.0,
+            x_ref=np.column_stack([line, np.zeros(T + 1)]),
+            u_ref=line[:-1, None],
+        ),
+        control_set=symmetric("drive_bound", drive_bound),
+        state_set=symmetric("speed_bound", [None, speed_bound]),
+        initial_state=initial_state,
+        terminal_state=terminal_state,
+        control_spectrum=bands or None,
+        name="scanner",
+    )
+
+
+def _scanner_model(frequency: float) -> tuple[Array, Array]:
+    """Return the matrices in um and mm/s, of which 1 mm/s = 1000 um/s, for the resonance in rad/s."""
+    A = np.array([[0, 1e3], [-1e-3 * frequency**2, -2 * DAMPING_RATIO * frequency]])
+    B = np.array([[0], [1e-3 * frequency**2]])
+    return A, B
+
 
 MASSES = 4  # of 1 kg each
 

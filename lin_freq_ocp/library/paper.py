@@ -8,13 +8,13 @@ from math import exp, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas.nodes import Formula, norm
 from lin_freq_ocp.library.common import Spectrum, control_band, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import low_pass

@@ -8,11 +8,11 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.arrays import positive_integer, positive_number
+from lin_freq_ocp.base.arrays import positive_integer, positive_number
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.library.common import symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import low_pass

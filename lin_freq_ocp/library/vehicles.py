@@ -7,7 +7,7 @@ from math import pi
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import Array, positive_integer, positive_number, shaped
 from lin_freq_ocp.library.common import symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

@@ -7,10 +7,10 @@ from math import pi
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number, shaped
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number, shaped
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.common import Spectrum, control_band, sum_of_squares, symmetric
-from lin_freq_ocp.problem.dynamics.piecewise_affine import AffineMode, PiecewiseAffineDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_affine import AffineMode, PiecewiseAffineDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 GRAVITY, STIFFNESS, DAMPING = 10.0, 100.0, 30.0  # m/s^2; N/m and N s/m of the soft walls; all masses and lengths are 1

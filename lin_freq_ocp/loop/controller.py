@@ -1,4 +1,9 @@
-"""A receding-horizon controller: at every step a problem from the measured state, of whose plan the first control."""
+"""A receding-horizon controller: each step solves a problem from the measured state and applies the first control.
+
+If a solve ends without an answer, the controller applies the better of its best point and the rest of the previous
+plan. A feasible one is better than one that is not; of two feasible ones that of lower cost, prices of soft constraints
+included; of two others the one that violates the constraints less. The judge says what is feasible.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +13,33 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, brief, one_component, real_array
-from lin_freq_ocp.comparison.many.repeated import Repeated
-from lin_freq_ocp.errors import LinFreqOCPError, ProblemError
-from lin_freq_ocp.loop.choice import better
+from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.batch.repeated import Repeated
+from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
-from lin_freq_ocp.loop.softening import checked_penalties, excess, softened
-from lin_freq_ocp.loop.window import disturbed, first_state_free, remembers, with_past
+from lin_freq_ocp.loop.step_problem import (
+    add_disturbance,
+    checked_penalties,
+    depends_on_past,
+    excess,
+    free_first_state,
+    soften,
+    with_past,
+)
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.solving.kept import Change, KeptTree
+from lin_freq_ocp.solving.hybrid.modes import KeptTree
+from lin_freq_ocp.solving.hybrid.smooth import no_multipliers
+from lin_freq_ocp.solving.judging import allowed_residual
+from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
 
@@ -52,11 +68,11 @@ class Controller:
         if delay not in (0, 1) or isinstance(delay, bool):
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
-        self._problem = first_state_free(problem)
+        self._problem = free_first_state(problem)
         self._hard = Repeated(self._problem, method)
-        self._soft = Repeated(softened(self._problem, self.penalties), method) if self.penalties else None
+        self._soft = Repeated(soften(self._problem, self.penalties), method) if self.penalties else None
         self._trees = {one: KeptTree() for one in (self._hard, self._soft) if one is not None}
-        self._remembers, self._method, self._limit = remembers(problem), method, time_limit
+        self._remembers, self._method, self._limit = depends_on_past(problem), method, time_limit
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.dynamics.stepper(problem.horizon)
@@ -117,7 +133,7 @@ class Controller:
         """Return the trajectory of the last plan's controls in the problem of a step; None if there is none."""
         plan = self._steps[-1].plan if self._steps else None
         try:
-            return plan and simulate(problem, _later(plan.u))
+            return plan and simulate(problem, _shift_controls(plan.u))
         except LinFreqOCPError:  # no mode holds where it leads, or it overflows
             return None
 
@@ -125,20 +141,20 @@ class Controller:
         """Return the answer of the problem of a measured state, and of the softened one where it has no solution."""
         begin, bounds = self._after_delay(x), preview.bounds
         if bounds and bounds.get("state_set") is not None:
-            first_free = first_state_free(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
+            first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
             bounds = {**bounds, "state_set": first_free.state_set}
         change = Change(begin, references=preview.references, bounds=bounds)
-        hard = self._solved(self._hard, change, preview, x)
+        hard = self._solve_step(self._hard, change, preview, x)
         if hard.status not in NO_SOLUTION or self._soft is None:
             return hard, None
-        return hard, self._solved(self._soft, change, preview, x)
+        return hard, self._solve_step(self._soft, change, preview, x)
 
-    def _solved(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
+    def _solve_step(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
         """Solve the problem of a step, from what was set up for all of them if its data are the same."""
         tree = self._trees[repeated]
         problem = with_past(repeated.problem, *self._past(x)) if self._remembers else repeated.problem
         if preview.disturbance is not None:
-            problem = disturbed(problem, preview.disturbance)
+            problem = add_disturbance(problem, preview.disturbance)
         if problem is not repeated.problem:
             repeated = Repeated(problem, self._method)
         return repeated.solve(change, self._limit, self._later_plan(), tree)
@@ -169,7 +185,7 @@ class Controller:
             last = self._step(len(plan.u) - 1, plan.x[-1], plan.u[-1])
         except LinFreqOCPError:  # no mode holds there
             return None
-        return Trajectory(np.vstack([plan.x[1:], last]), _later(plan.u))
+        return Trajectory(np.vstack([plan.x[1:], last]), _shift_controls(plan.u))
 
     def measured(self, field: str, value: ArrayLike, size: int) -> Array:
         """Return a vector of this size; ProblemError if it is none, or not finite."""
@@ -179,14 +195,27 @@ class Controller:
         return found
 
 
-def _later(controls: Array) -> Array:
-    """Return controls from the second on, the last one twice."""
-    return np.vstack([controls[1:], controls[-1:]])
-
-
 def _source(outcome: Outcome, own: bool, is_soft: bool) -> Source:
     if not own:
         return Source.PREVIOUS_PLAN
     if not outcome.status.solved:
         return Source.BEST_POINT
     return Source.SOFTENED if is_soft else Source.PLAN
+
+
+def _shift_controls(controls: Array) -> Array:
+    """Return controls from the second on, the last one twice."""
+    return np.vstack([controls[1:], controls[-1:]])
+
+
+def better(problem: OptimalControlProblem, one: Trajectory, other: Trajectory, tolerance: float | None) -> Trajectory:
+    """Return the better trajectory, the first if they are as good; ``tolerance`` is that asked of the solver."""
+    return min(one, other, key=lambda given: rank(problem, given, tolerance))
+
+
+def rank(problem: OptimalControlProblem, trajectory: Trajectory, tolerance: float | None) -> tuple[bool, float]:
+    """Return what is less for the better trajectory: whether it is infeasible, and its cost, or else its violation."""
+    near = translation_of(problem)
+    none = replace(no_multipliers(near.problem), eta_C=0.0)  # so that the judge looks for no bound
+    certificate = judge(near.problem, near.translated(trajectory), none, allowed_residual(tolerance))
+    return (False, certificate.cost) if certificate.feasible else (True, certificate.violation)

@@ -1,17 +1,23 @@
-"""What happened in a control loop, step by step."""
+"""The steps of a control loop, and the plants that take them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, real_array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, first_line
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.problem.dynamics.base import Dynamics
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.status import Status
+
+Plant = Callable[[int, Array, Array], Array]  # from k, x (n,) and u (m,) to the next state (n,)
 
 
 class Source(StrEnum):
@@ -143,10 +149,10 @@ class LoopRecord:
     def table(self) -> list[dict[str, object]]:
         """Return a flat row for each step, for pandas.DataFrame."""
         names = [*self.problem.state_names, *self.problem.control_names]
-        return [_row(k, step, names) for k, step in enumerate(self.steps)]
+        return [_step_row(k, step, names) for k, step in enumerate(self.steps)]
 
 
-def _row(k: int, step: Step, names: Sequence[str]) -> dict[str, object]:
+def _step_row(k: int, step: Step, names: Sequence[str]) -> dict[str, object]:
     signals = zip(names, [*step.state.tolist(), *step.control.tolist()], strict=True)
     return {
         "step": k,
@@ -161,3 +167,51 @@ def _row(k: int, step: Step, names: Sequence[str]) -> dict[str, object]:
         "solve_seconds": step.solve_seconds,
         "certify_seconds": step.certify_seconds,
     }
+
+
+def plant_of(given: object, problem: OptimalControlProblem) -> Plant:
+    """Return a plant as a function of the step, the state and the control; ProblemError if it is none."""
+    if given is None:
+        return _plant_of_dynamics("problem.dynamics", problem.dynamics, problem)
+    if isinstance(given, Dynamics):
+        return _plant_of_dynamics("plant", given, problem)
+    if hasattr(given, "A") and hasattr(given, "B") and hasattr(given, "dt"):
+        model = LinearDynamics.from_statespace(given, problem.sampling_time)
+        return _plant_of_dynamics("plant", model, problem)
+    if not callable(given):
+        expected = "a function of (x, u), a model of python-control, or dynamics"
+        raise ProblemError("plant", brief(given), expected)
+    return _plant_of_function(given, problem.state_dim)
+
+
+def _plant_of_dynamics(field: str, dynamics: Dynamics, problem: OptimalControlProblem) -> Plant:
+    got, expected = (dynamics.state_dim, dynamics.control_dim), (problem.state_dim, problem.control_dim)
+    if got != expected:
+        raise ProblemError(field, f"{got} states and controls", f"{expected}, as the problem has")
+    try:
+        for steps in (1, 2):
+            dynamics.require_horizon(steps)
+    except ProblemError:
+        advice = "Give the plant that is controlled."
+        raise ProblemError(field, "dynamics given per time", "a plant that does not depend on time", advice) from None
+    step = dynamics.stepper(1)
+    return lambda k, x, u: step(0, x, u)
+
+
+def _plant_of_function(function: Callable[..., object], n: int) -> Plant:
+    try:
+        takes = len(inspect.signature(function).parameters)
+    except ValueError:  # a function that does not say
+        takes = 2
+
+    def step(k: int, x: Array, u: Array) -> Array:
+        try:
+            found = function(k, x, u) if takes == 3 else function(x, u)
+        except Exception as error:
+            raise UnsupportedError(f"plant: at step {k} it raised {first_line(error)}") from error
+        state = np.asarray(found, dtype=float)
+        if state.shape != (n,) or not np.isfinite(state).all():
+            raise ProblemError("plant", f"{brief(found)} at step {k}", f"a finite state of shape {(n,)}")
+        return real_array("plant", state)
+
+    return step

@@ -1,6 +1,6 @@
 """Costs that are convex over a frequency response, but not at each time, as squares of further outputs.
 
-With H_k = L_k^2 >= 0, L_k Hermitian (analysis/response_curvature.py), the quadratic part of the cost is 1/2 sum w_t^2
+With H_k = L_k^2 >= 0, L_k Hermitian (problem/response_curvature.py), the quadratic part of the cost is 1/2 sum w_t^2
 of the outputs w = L u, for x = Y u + g and up to a constant:
 
     1/2 x'Q x + x'S u + 1/2 u'R u  =  1/2 w'w + (Q g)'x + (S'g)'u.
@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.analysis.response_curvature import BinCurvature, bin_curvature
-from lin_freq_ocp.arrays import Mask, with_columns
+from lin_freq_ocp.base.arrays import Mask, with_columns
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.problem.augmented import wider
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
-from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import wider
+from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -44,22 +44,22 @@ class AbsorbedCost:
         if trajectory is not None:
             trajectory = Trajectory(trajectory.x[:, :n], trajectory.u)
         if trajectory is not None and multipliers is not None:
-            multipliers = self._moved(self._cut(multipliers), trajectory)
-        ray = None if found.ray is None else self._cut(found.ray)
+            multipliers = self._with_given_gradients(self._without_outputs(multipliers), trajectory)
+        ray = None if found.ray is None else self._without_outputs(found.ray)
         descent = None if found.descent is None else Trajectory(found.descent.x[:, :n], found.descent.u)
         return replace(found, trajectory=trajectory, multipliers=multipliers, ray=ray, descent=descent)
 
-    def _cut(self, given: Multipliers) -> Multipliers:
+    def _without_outputs(self, given: Multipliers) -> Multipliers:
         """Return the multipliers without those of the further outputs."""
         n = self.given.state_dim
         stage = dict(given.stage)
         for term in self.problem.terms:
-            if term.name in stage and stage[term.name].shape[1] > self._values[term.name]:
+            if term.name in stage and stage[term.name].shape[1] > self._group_sizes[term.name]:
                 stage[term.name] = stage[term.name][:, self._own_values(term)]
         return replace(given, eta=given.eta[:, :n], mu=given.mu[:, :n], rho_x=given.rho_x[:, :n], stage=stage)
 
     @property
-    def _values(self) -> dict[str, int]:
+    def _group_sizes(self) -> dict[str, int]:
         """Return the number of values of each group of the given problem's terms."""
         return {term.name: term.shape[1] for term in self.given.terms}
 
@@ -68,11 +68,11 @@ class AbsorbedCost:
         n, m = self.given.state_dim, self.given.control_dim
         form = term.map.stage_form(self.problem.state_dim, m)
         if form is None:
-            return slice(0, self._values[term.name])
+            return slice(0, self._group_sizes[term.name])
         matrix = form[0][0]
         return np.asarray(matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1))
 
-    def _moved(self, found: Multipliers, at: Trajectory) -> Multipliers:
+    def _with_given_gradients(self, found: Multipliers, at: Trajectory) -> Multipliers:
         """Return multipliers whose gradients are those of the given cost at a trajectory."""
         cost, link = self.given.quadratic, self.given.links[-1].name
         absorbed = at.u @ cost.S.T

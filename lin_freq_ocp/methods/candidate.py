@@ -1,11 +1,23 @@
-"""What every method returns: a point with multipliers, measured but never judged."""
+"""What every method returns, and what every method checks first.
+
+A candidate is a point with multipliers, or a ray: measured by the method, judged elsewhere.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from lin_freq_ocp.base.arrays import NO_BOUND, Array
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.response_curvature import require_convex_bins
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.program import Residuals
+from lin_freq_ocp.program.program import Residuals
+
+SOLVED_TOLERANCE = 1e-6  # relative residuals up to which a method's "solved" is accepted, in units of the answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,3 +33,47 @@ class Candidate:
     seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
     interrupted: bool = False  # by Ctrl-C
     descent: Trajectory | None = None  # if unbounded: a claimed direction (dx, du) of unlimited descent
+
+
+def require_convex(problem: OptimalControlProblem) -> None:
+    """Raise UnsupportedError, with the time or the bins and the eigenvalue, unless the cost is convex."""
+    response = problem.dynamics.response(problem.horizon)
+    if response is not None:
+        require_convex_bins(problem, response)
+        return
+    worst = problem.quadratic.nonconvexity()
+    if worst is not None:
+        where = "P" if worst[0] < 0 else f"[[Q, S], [S', R]] at t = {worst[0]}"
+        raise UnsupportedError(
+            f"cost: {where} has the eigenvalue {worst[1]:g}; a convex method needs it positive semidefinite. "
+            "certify() judges trajectories of nonconvex problems too."
+        )
+
+
+def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
+    """Return a Farkas ray of one hard row on x_0 or x_T that no point of that end satisfies, or None."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    for t, end in zip((0, T), problem.ends, strict=True):
+        for name, k, C, limit in _rows_at(problem, t):
+            nearest = np.clip(np.where(C > 0, end.lower, end.upper), -NO_BOUND, NO_BOUND)
+            violation = np.where(C == 0, 0.0, C * nearest).sum(1) - limit
+            row = int(np.argmax(violation))
+            if violation[row] <= 0:
+                continue
+            weights = {term.name: np.zeros(term.shape) for term in problem.terms}
+            weights[name][k, row] = 1.0
+            mu = np.zeros((T + 1, n))
+            mu[t] = -C[row]
+            rho_u, rho_x = (np.zeros(stop.shape, dtype=complex) for stop in (problem.control_stop, problem.state_stop))
+            return Multipliers(0.0, np.zeros((T, n)), mu, np.zeros((T, m)), rho_u, rho_x, weights)
+    return None
+
+
+def _rows_at(problem: OptimalControlProblem, t: int) -> Iterator[tuple[str, int, Array, Array]]:
+    """Yield every term of hard rows C x_t <= limit: its name, the index of t in it, C and limit."""
+    for term in problem.terms:
+        rows = term.polyhedron(problem.state_dim, problem.control_dim)
+        if rows is None or t not in rows.times or len(term.map.control_times):
+            continue
+        k = int(np.flatnonzero(rows.times == t)[0])
+        yield term.name, k, rows.matrix(k)[:, : problem.state_dim], rows.e[k]

@@ -17,16 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.analysis.sizes import measured_modes
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
-from lin_freq_ocp.backends.blas_threads import one_blas_thread
-from lin_freq_ocp.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.methods.convex.recession import consecutive
-from lin_freq_ocp.methods.convex.sparse_program import scaled_program
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.methods.convex.polish import consecutive
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
+from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.program.units import scaled_program
 
 ACTIVE = 1e-6  # distance to a bound, on a program scaled to order 1, at which it is active; other tools stop near 1e-8
 GAP_PRICE = 1e-3  # of a cone's gap, against squares of residuals: gaps are squares of errors in direction
@@ -126,13 +125,10 @@ class Uniqueness:
 
 
 def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Uniqueness:
-    """Return the number and rank of the active gradients at a trajectory; with modes, of its mode sequence.
+    """Return the number and rank of the active gradients at a trajectory of a linear problem.
 
     UnsupportedError if there are more than MOST_GRADIENTS.
     """
-    problem = problem.affine_at(trajectory)
-    if problem.dynamics.mode_names:
-        problem = problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))
     transcription, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, scaling.scaled_primal(transcription.point(trajectory)), ACTIVE, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from textwrap import shorten
 
+from lin_freq_ocp.base.phrases import interval, intervals, listed, number, plural, short_name
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.text.phrases import interval, intervals, listed, number, plural, short_name
 
 LONGEST = 300  # characters of a fact; names of any length could make it longer
 Fact = tuple[str, str]  # a term, and its description

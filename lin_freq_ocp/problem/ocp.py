@@ -6,36 +6,26 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, known_entries, positive_integer
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import html_table, plural
+from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, printable
+from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, in_form, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics, as_sequence
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
-from lin_freq_ocp.problem.dynamics.switched.levels import with_levels
-from lin_freq_ocp.problem.problem_data import ProblemData
-from lin_freq_ocp.problem.problem_terms import bounded_bins, terms_of
+from lin_freq_ocp.problem.levels import with_levels
+from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets, box_of, end_set, end_within
-from lin_freq_ocp.problem.sets.stage_sets import StageSets, stage_sets
-from lin_freq_ocp.problem.spectrum.base import Constraints
-from lin_freq_ocp.problem.spectrum.outputs import OutputSpectrum
-from lin_freq_ocp.problem.terms.stage_rows import StageRows, row_families
+from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
+from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.system.memory import require_horizon
-from lin_freq_ocp.text.html import html_table
-from lin_freq_ocp.text.phrases import plural
-
-Kind = TypeVar("Kind", bound=Dynamics)
 
 
 class OptimalControlProblem(ProblemData):
@@ -194,23 +184,13 @@ class OptimalControlProblem(ProblemData):
     def linear(self) -> LinearDynamics:
         """Return the dynamics, which must be linear; else raise UnsupportedError."""
         advice = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
-        return _in_form(self.dynamics, LinearDynamics, advice)
+        return in_form(self.dynamics, LinearDynamics, advice)
 
     @property
     def equations(self) -> StateEquations:
         """Return the dynamics, which must be linear or known by a frequency response; else raise UnsupportedError."""
         advice = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
-        return _in_form(self.dynamics, StateEquations, advice)
-
-    @property
-    def piecewise(self) -> PiecewiseAffineDynamics:
-        """Return the dynamics, which must be piecewise affine; else raise UnsupportedError."""
-        return _in_form(self.dynamics, PiecewiseAffineDynamics)
-
-    @property
-    def smooth_pieces(self) -> PiecewiseSmoothDynamics:
-        """Return the dynamics, which must be piecewise smooth; else raise UnsupportedError."""
-        return _in_form(self.dynamics, PiecewiseSmoothDynamics)
+        return in_form(self.dynamics, StateEquations, advice)
 
     def affine_at(
         self, trajectory: Trajectory, selections: Mapping[Formula, Array] | None = None
@@ -247,16 +227,15 @@ class OptimalControlProblem(ProblemData):
         UnsupportedError
             If the dynamics have no modes.
         """
-        modes = as_sequence("sequence", sequence, self.horizon, len(self.piecewise.modes))
-        rows = (*self.stage_rows, self.piecewise.region_rows(modes))
-        return replace(self, dynamics=self.piecewise.along(modes), stage_rows=rows)
+        dynamics, rows = self.dynamics.with_modes(sequence, self.horizon)
+        return replace(self, dynamics=dynamics, stage_rows=(*self.stage_rows, rows))
 
     def dynamics_along(self, trajectory: Trajectory) -> LinearDynamics:
         """Return the linear dynamics along a trajectory: those of the modes that it is in, linearised if smooth."""
-        return _in_form(self.dynamics.linear_at(trajectory.x, trajectory.u), LinearDynamics)
+        return in_form(self.dynamics.linear_at(trajectory.x, trajectory.u), LinearDynamics)
 
     @cached_property
-    def borders(self) -> tuple[SwitchingFacet, ...]:
+    def borders(self) -> tuple[SwitchingBoundary, ...]:
         """Where regions of affine modes meet within the sets, and whether the map jumps there; else empty."""
         return self.dynamics.borders(self.stage_sets) if self.dynamics.mode_names else ()
 
@@ -315,14 +294,6 @@ class OptimalControlProblem(ProblemData):
 
     def _repr_html_(self) -> str:
         return html_table(self.name or "Optimal control problem", problem_facts(self, self.gap))
-
-
-def _in_form(dynamics: Dynamics, kind: type[Kind], advice: str = "") -> Kind:
-    """Return the standard form of dynamics, which must be of this kind."""
-    form = dynamics.standard_form
-    if isinstance(form, kind):
-        return form
-    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {kind.__name__}. {advice}".rstrip())
 
 
 def require_problem(problem: object) -> None:

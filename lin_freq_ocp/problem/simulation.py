@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import brief, one_component, real_array
-from lin_freq_ocp.errors import NumericalError, ProblemError
+from lin_freq_ocp.base.arrays import brief, one_component, real_array
+from lin_freq_ocp.base.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.arrays import Array, Indices, brief
-from lin_freq_ocp.errors import NumericalError, ProblemError, UnsupportedError
-from lin_freq_ocp.problem.dynamics.affine_mode import located_at
-from lin_freq_ocp.problem.dynamics.piecewise_affine import as_sequence
+from lin_freq_ocp.base.arrays import Array, Indices, brief
+from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError, located_at
+from lin_freq_ocp.problem.dynamics.base import as_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -57,9 +56,9 @@ def _trajectory(problem: OptimalControlProblem, given: Trajectory | Mapping[str,
         if set(given) != {"x", "u"}:
             expected = f"x {(problem.horizon + 1, problem.state_dim)} and u {(problem.horizon, problem.control_dim)}"
             raise ProblemError("start", f"a table of {', '.join(map(str, given)) or 'nothing'}", expected)
-        with located_at("start"):
+        with located_at("start", "mode"):
             given = Trajectory(given["x"], given["u"])
-    with located_at("start", own="trajectory"):
+    with located_at("start", "trajectory"):
         problem.require(given)
     return given
 
@@ -82,7 +81,7 @@ def _array(problem: OptimalControlProblem, given: object) -> NDArray[Any]:
 
 def _replayed(problem: OptimalControlProblem, controls: Array) -> Trajectory:
     try:
-        with located_at("start"):
+        with located_at("start", "mode"):
             return simulate(problem, controls)
     except NumericalError as error:
         got = f"controls that cannot be replayed ({error})"

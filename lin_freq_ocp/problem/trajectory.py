@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, ComplexArray, assign, brief, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, real_array
+from lin_freq_ocp.base.errors import ProblemError
 
 
 @dataclass(frozen=True, eq=False, init=False)

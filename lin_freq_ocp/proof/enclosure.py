@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from lin_freq_ocp.errors import MissingExtraError
+from lin_freq_ocp.base.errors import MissingExtraError
 
 LONGEST_CHECK = 20_000  # horizon up to which a file is checked before it is written
 
@@ -51,9 +51,8 @@ class Enclosure:
 
 
 def require_checker() -> None:
-    """Raise MissingExtraError unless the checker and its numbers are installed."""
-    for module, name in (("flint", "python-flint"), ("lfo_check", "the module lfo_check")):
-        if find_spec(module) is None:
-            raise MissingExtraError(
-                f"proofs need {name}, which is not installed. Install it with: pip install 'lin-freq-ocp[proof]'."
-            )
+    """Raise MissingExtraError unless the numbers of the checker are installed."""
+    if find_spec("flint") is None:
+        raise MissingExtraError(
+            "proofs need python-flint, which is not installed. Install it with: pip install 'lin-freq-ocp[proof]'."
+        )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array
 
 CHUNK = 1 << 16  # numbers turned into text at once: the text of a long signal is never whole in memory
 
@@ -20,17 +20,17 @@ class Text(str):
 
 def line(**fields: Value) -> str:
     """Return a line of the file: names and integers as they are, real numbers in hexadecimal."""
-    return "{" + ", ".join(f'"{name}": {encoded(value)}' for name, value in fields.items()) + "}\n"
+    return "{" + ", ".join(f'"{name}": {encode(value)}' for name, value in fields.items()) + "}\n"
 
 
-def encoded(value: Value) -> str:
+def encode(value: Value) -> str:
     """Return a value as JSON; arrays and floats are real numbers."""
     if isinstance(value, Text):
         return value
     if isinstance(value, np.ndarray):
         if value.ndim > 1:
-            return "[" + ", ".join(map(encoded, value)) + "]"
-        return vector(value) if value.ndim else encoded(float(value))
+            return "[" + ", ".join(map(encode, value)) + "]"
+        return vector(value) if value.ndim else encode(float(value))
     return f'"{value.hex()}"' if isinstance(value, float) else json.dumps(value)
 
 

@@ -1,41 +1,44 @@
-"""A proof of the answer to a problem: its sections in turn, and what the checker makes of them."""
+"""A proof of the answer to a problem: its sections in turn, and the interval that the checker derives from them.
+
+A lower bound follows from the multipliers, or from those of the leaves of a search tree; an upper one from a point
+strictly inside all inequalities. The checker runs in this process on the lines: the file is never whole in memory.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from flint import ctx
-from lfo_check import Failed
+from flint import arb, ctx
 
-from lin_freq_ocp.analysis.mode_tree import ModeTree
+from lin_freq_ocp.base.errors import SolveError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import cost_is_never_negative, optimum_box
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.modes.reach import IntervalReach
+from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
 from lin_freq_ocp.certificate.reach import Enclosure as Region
 from lin_freq_ocp.certificate.reach import stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE
-from lin_freq_ocp.errors import SolveError
-from lin_freq_ocp.problem.frequencies import at_frequencies
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.proof.checked import checked
 from lin_freq_ocp.proof.convex import LARGER_RISE, convex_problem, raised_by
-from lin_freq_ocp.proof.dual.dual import Dual, dual_of
-from lin_freq_ocp.proof.dual.growth import precision
+from lin_freq_ocp.proof.dual import Dual, dual_of, precision
 from lin_freq_ocp.proof.enclosure import Enclosure
+from lin_freq_ocp.proof.lfo_check import Failed, check
 from lin_freq_ocp.proof.lines import line
-from lin_freq_ocp.proof.point.point import Point, points
-from lin_freq_ocp.proof.statement.problem import problem_lines
+from lin_freq_ocp.proof.point import Point, points
+from lin_freq_ocp.proof.statement import problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
+from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.status import Status
 
-UNCHECKED_MARGIN = (2.0**-36,)  # room to limits relative to sizes, of a point that is not tried
+UNCHECKED_MARGIN = (2.0**-36,)  # distance to limits relative to sizes, of a point that is not checked
 UNCHECKED_SLACK = 1e-6  # by which the claim is wider than what the certificate says, relative to the cost
 CLAIM_SLACK = 1e-9  # by which the claim is wider than what is proven, relative to it
 TREE_BITS = 192  # of balls, without a linear system to solve in them; products of three doubles are exact
@@ -73,74 +76,101 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
     SolveError
         If the outcome has nothing to prove, its multipliers prove nothing, or its cost lies outside of what is proven.
     """
-    proof, enclosure = _of_linear(outcome) if outcome.tree is None else _of_tree(outcome, outcome.tree)
+    found = tree_of(outcome)
+    proof, enclosure = _linear_proof(outcome) if found is None else _tree_proof(outcome, found.tree)
     _require_cost(outcome, enclosure)
     return proof, enclosure
 
 
-def _of_linear(outcome: Outcome) -> tuple[Proof, Enclosure]:
+def _linear_proof(outcome: Outcome) -> tuple[Proof, Enclosure]:
     """Return a proof of an answer for linear dynamics, with a point if the checker accepts one.
 
     Where Hessians are singular, or so but for rounding, that with the narrower interval of two rises.
     """
-    proven = _with_rise(outcome, 0.0)
+    proven = _raised_proof(outcome, 0.0)
     stated = outcome.ray is not None or convex_problem(outcome.problem) is outcome.problem
     if not (stated and proven[1].lower > -np.inf):
         with suppress(SolveError):
-            proven = min(proven, _with_rise(outcome, LARGER_RISE), key=lambda found: found[1].width)
+            proven = min(proven, _raised_proof(outcome, LARGER_RISE), key=lambda found: found[1].width)
     return proven
 
 
-def _with_rise(outcome: Outcome, least: float) -> tuple[Proof, Enclosure]:
+def _raised_proof(outcome: Outcome, least: float) -> tuple[Proof, Enclosure]:
     """Return a proof of the problem with Hessians that are raised at least so much, and the interval of the given."""
-    bare, at = _without_point(outcome, least)
-    found = None if outcome.ray is not None else _with_point(bare, outcome, at)
-    proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
+    bare, at = _bound_proof(outcome, least)
+    found = None if outcome.ray is not None else _first_accepted_point(bare, outcome, at)
+    proof, enclosure = (bare, _confirmed_enclosure(bare, outcome)) if found is None else found
     given, multipliers = outcome.problem, outcome.multipliers
     if outcome.ray is None and multipliers is not None and convex_problem(given, least) is not given:
         given = at_frequencies(given, multipliers.frequencies)
         region = optimum_box(extremal_at(given, at, multipliers), GAP_TOLERANCE * cost_scale(given, at))
-        lower = min(_below(enclosure.lower, raised_by(given, bare.problem, region)), region.level)
+        lower = min(_subtract_downwards(enclosure.lower, raised_by(given, bare.problem, region)), region.level)
         enclosure = replace(enclosure, lower=max(lower, 0.0) if cost_is_never_negative(given) else lower)
-    return replace(proof, claim=_claimed(enclosure)), enclosure
+    return replace(proof, claim=_widened_claim(enclosure)), enclosure
 
 
-def unchecked_proof(outcome: Outcome) -> Proof:
-    """Return a proof of what a solve found of linear dynamics, without a check; errors are those of ``proof_of``.
-
-    It claims what the certificate says, a little less.
-    """
-    bare, at = _without_point(outcome)
-    if outcome.ray is not None:
-        return replace(bare, claim=Enclosure(np.inf, np.inf))
-    certificate, bound = outcome.certificate, outcome.lower_bound
-    slack = UNCHECKED_SLACK * (0.0 if certificate is None else certificate.cost_scale)
-    lower = -np.inf if bound is None else bound - slack
-    for point, moved in points(bare.problem, outcome, at, UNCHECKED_MARGIN):
-        upper = bare.problem.value(moved.x, moved.u) + slack
-        return replace(bare, point=point, claim=Enclosure(lower, upper))
-    return replace(bare, claim=Enclosure(lower, np.inf))
-
-
-def _without_point(outcome: Outcome, least: float = 0.0) -> tuple[Proof, Trajectory]:
+def _bound_proof(outcome: Outcome, least: float = 0.0) -> tuple[Proof, Trajectory]:
     """Return a proof of a lower bound alone, without a claim, and the trajectory at which it is tight."""
     at, multipliers = outcome.trajectory, outcome.multipliers
     if outcome.ray is not None:
-        at, multipliers = _rest(outcome.problem), outcome.ray
+        at, multipliers = _resting_trajectory(outcome.problem), outcome.ray
     if at is None or multipliers is None:
         raise SolveError(f"There is nothing to prove: the solve ended as '{outcome.status}'.", outcome)
     problem = convex_problem(at_frequencies(outcome.problem, multipliers.frequencies), least)
-    _require_stated(problem)
+    _require_statement(problem)
     bits = precision(problem.linear.A, problem.horizon)
     with ctx.workprec(bits):
         dual = dual_of(problem, at, multipliers)
     return Proof(problem, bits, NOTHING, None, dual), at
 
 
-def _of_tree(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
+def _resting_trajectory(problem: OptimalControlProblem) -> Trajectory:
+    """Return the point nearest to zero within the bounds, at every time."""
+    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
+    return Trajectory(problem.state_tube.project(np.zeros((T + 1, n))), problem.control_tube.project(np.zeros((T, m))))
+
+
+def _require_statement(problem: OptimalControlProblem) -> None:
+    """Raise UnsupportedError if the format does not hold the problem."""
+    for _ in problem_lines(problem):
+        pass
+
+
+def _first_accepted_point(bare: Proof, outcome: Outcome, at: Trajectory) -> tuple[Proof, Enclosure] | None:
+    """Return the proof with the point nearest to the trajectory that the checker accepts; None if there is none."""
+    for point, _ in points(bare.problem, outcome, at):
+        proof = replace(bare, point=point)
+        with suppress(Failed):
+            return proof, checked_enclosure(proof.lines())
+    return None
+
+
+def _confirmed_enclosure(proof: Proof, outcome: Outcome) -> Enclosure:
+    """Return what the checker makes of a proof; SolveError if it proves nothing."""
+    try:
+        return checked_enclosure(proof.lines())
+    except Failed as failed:
+        raise SolveError(f"The multipliers prove nothing ({failed}).", outcome) from failed
+
+
+def _subtract_downwards(lower: float, by: float) -> float:
+    """Return the difference, rounded downwards."""
+    return float(np.nextafter(lower - by, -np.inf))
+
+
+def _widened_claim(proven: Enclosure) -> Enclosure:
+    """Return a claim that is a little wider than what is proven: the checker may round otherwise elsewhere."""
+    if proven.infeasible:
+        return proven
+    ends = [abs(one) for one in (proven.lower, proven.upper) if np.isfinite(one)]
+    slack = CLAIM_SLACK * max(ends, default=0.0)
+    return Enclosure(proven.lower - slack, proven.upper + slack)
+
+
+def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
     """Return a proof by a search over modes, with the point of the best sequence alone if the checker accepts it."""
     problem, found = convex_problem(outcome.problem), None
-    _require_stated(problem)
+    _require_statement(problem)
     dual = TreeDual(problem, written_nodes(problem, tree))
     bare = Proof(problem, TREE_BITS, NOTHING, None, dual)
     if outcome.sequence is not None:
@@ -148,12 +178,12 @@ def _of_tree(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
             alone, _ = proof_of(solve_judged(sequence_problem(problem, outcome.sequence)))
             point = alone.point and replace(alone.point, modes=outcome.sequence.tolist())
             proof = replace(bare, bits=max(TREE_BITS, alone.bits), point=point)
-            found = proof, checked(proof.lines())
-    proof, enclosure = (bare, _confirmed(bare, outcome)) if found is None else found
+            found = proof, checked_enclosure(proof.lines())
+    proof, enclosure = (bare, _confirmed_enclosure(bare, outcome)) if found is None else found
     if problem is not outcome.problem:
         by = raised_by(outcome.problem, problem, _reachable_box(outcome.problem))
-        enclosure = replace(enclosure, lower=_below(enclosure.lower, by))
-    return replace(proof, claim=_claimed(enclosure)), enclosure
+        enclosure = replace(enclosure, lower=_subtract_downwards(enclosure.lower, by))
+    return replace(proof, claim=_widened_claim(enclosure)), enclosure
 
 
 def _reachable_box(problem: OptimalControlProblem) -> Region:
@@ -164,28 +194,6 @@ def _reachable_box(problem: OptimalControlProblem) -> Region:
     lower, upper = np.array([stage.lower for stage in whole]), np.array([stage.upper for stage in whole])
     x = np.where(lower > -FINITE, lower, -np.inf), np.where(upper < FINITE, upper, np.inf)
     return Region(x, problem.control_tube.bounds, np.inf, "forward reach")
-
-
-def _below(lower: float, by: float) -> float:
-    """Return the difference, rounded downwards."""
-    return float(np.nextafter(lower - by, -np.inf))
-
-
-def _with_point(bare: Proof, outcome: Outcome, at: Trajectory) -> tuple[Proof, Enclosure] | None:
-    """Return the proof with the point nearest to the trajectory that the checker accepts; None if there is none."""
-    for point, _ in points(bare.problem, outcome, at):
-        proof = replace(bare, point=point)
-        with suppress(Failed):
-            return proof, checked(proof.lines())
-    return None
-
-
-def _confirmed(proof: Proof, outcome: Outcome) -> Enclosure:
-    """Return what the checker makes of a proof; SolveError if it proves nothing."""
-    try:
-        return checked(proof.lines())
-    except Failed as failed:
-        raise SolveError(f"The multipliers prove nothing ({failed}).", outcome) from failed
 
 
 def _require_cost(outcome: Outcome, proven: Enclosure) -> None:
@@ -203,22 +211,44 @@ def _require_cost(outcome: Outcome, proven: Enclosure) -> None:
         )
 
 
-def _claimed(proven: Enclosure) -> Enclosure:
-    """Return a claim that is a little wider than what is proven: the checker may round otherwise elsewhere."""
-    if proven.infeasible:
-        return proven
-    ends = [abs(one) for one in (proven.lower, proven.upper) if np.isfinite(one)]
-    slack = CLAIM_SLACK * max(ends, default=0.0)
-    return Enclosure(proven.lower - slack, proven.upper + slack)
+def unchecked_proof(outcome: Outcome) -> Proof:
+    """Return a proof of what a solve found of linear dynamics, without a check; errors are those of ``proof_of``.
+
+    It claims what the certificate says, a little less.
+    """
+    bare, at = _bound_proof(outcome)
+    if outcome.ray is not None:
+        return replace(bare, claim=Enclosure(np.inf, np.inf))
+    certificate, bound = outcome.certificate, outcome.lower_bound
+    slack = UNCHECKED_SLACK * (0.0 if certificate is None else certificate.cost_scale)
+    lower = -np.inf if bound is None else bound - slack
+    for point, moved in points(bare.problem, outcome, at, UNCHECKED_MARGIN):
+        upper = bare.problem.value(moved.x, moved.u) + slack
+        return replace(bare, point=point, claim=Enclosure(lower, upper))
+    return replace(bare, claim=Enclosure(lower, np.inf))
 
 
-def _require_stated(problem: OptimalControlProblem) -> None:
-    """Raise UnsupportedError if the format does not hold the problem."""
-    for _ in problem_lines(problem):
-        pass
+def checked_enclosure(lines: Iterable[str]) -> Enclosure:
+    """Return what a proof proves; raise the checker's error if it proves nothing."""
+    with ctx.workprec(ctx.prec):  # the checker sets the precision
+        lower, upper = check(Lines(lines), lambda summary: None)
+    return Enclosure(_round_towards(lower, -np.inf), _round_towards(upper, np.inf))
 
 
-def _rest(problem: OptimalControlProblem) -> Trajectory:
-    """Return the point nearest to zero within the bounds, at every time."""
-    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    return Trajectory(problem.state_tube.project(np.zeros((T + 1, n))), problem.control_tube.project(np.zeros((T, m))))
+def _round_towards(exact: arb, towards: float) -> float:
+    """Return an exact ball as a float, rounded one way."""
+    found = float(exact)
+    while arb(found) > exact if towards < 0 else arb(found) < exact:
+        found = float(np.nextafter(found, towards))
+    return found
+
+
+class Lines:
+    """Lines as a file of bytes."""
+
+    def __init__(self, lines: Iterable[str]):
+        self.lines = iter(lines)
+
+    def readline(self, limit: int) -> bytes:
+        """Return the next line."""
+        return next(self.lines, "").encode()

@@ -13,20 +13,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.mode_tree import ModeMultipliers, ModeTree
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.certificate.modes.bound import LeafJudge, reached_nodes
-from lin_freq_ocp.certificate.modes.reach import Stages
-from lin_freq_ocp.explanation.blocks import with_bounds
-from lin_freq_ocp.problem.frequencies import at_frequencies
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.certificate.hybrid.tree import LeafJudge, Stages, reached_nodes
+from lin_freq_ocp.explanation.blocks import replace_bounds
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import time_signal
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
-from lin_freq_ocp.proof.dual.dual import signal_lines
-from lin_freq_ocp.proof.dual.multipliers import inside
-from lin_freq_ocp.proof.lines import Text, Value, encoded, line
-from lin_freq_ocp.proof.statement.terms import multiplier_lines
+from lin_freq_ocp.proof.dual import domain_multipliers, signal_lines
+from lin_freq_ocp.proof.lines import Text, Value, encode, line
+from lin_freq_ocp.proof.statement import multiplier_lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,7 @@ def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[Node]:
     children: dict[int, list[int]] = {}
     for index, node in enumerate(tree.nodes):
         children.setdefault(node.parent, []).append(index)
-    found, waiting = list[Node](), [(0, -1, 0, np.arange(len(problem.piecewise.modes)))]
+    found, waiting = list[Node](), [(0, -1, 0, np.arange(len(piecewise_affine(problem).modes)))]
     while waiting:
         index, parent, t, modes = waiting.pop()
         stages, below = reached[index], children.get(index, [])
@@ -63,7 +62,7 @@ def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[Node]:
 
 
 def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> OptimalControlProblem:
-    """Return the linear problem of a mode sequence, with as few rows as can be: a point needs room to each.
+    """Return the linear problem of a mode sequence, with the fewest rows: a point must be strictly inside each.
 
     Rows of a single control are bounds, which may fix it (a level); those that a fixed x_0 decides are left out.
     """
@@ -82,7 +81,7 @@ def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> Optim
             else:
                 lower[t, j] = max(lower[t, j], bound)
         found.append(StageRows(rows.C, rows.D, np.where(single, np.inf, limits), rows.name, rows.penalty))
-    controls = with_bounds(alone.control_set, Box(lower, upper))
+    controls = replace_bounds(alone.control_set, Box(lower, upper))
     return replace(alone, stage_rows=found, control_set=controls) if found else alone
 
 
@@ -119,10 +118,13 @@ def _leaf_lines(
     yield line(section="dual", node=number, cost=int(given.eta_C > 0))
     yield from signal_lines(0, problem.in_time(given.rho_x)[: problem.state_samples])
     yield from signal_lines(problem.state_dim, time_signal(given.rho_u, T))
-    weights = [inside(term, given.stage.get(term.name, np.zeros(term.shape)), given.eta_C) for term in problem.terms]
+    weights = [
+        domain_multipliers(term, given.stage.get(term.name, np.zeros(term.shape)), given.eta_C)
+        for term in problem.terms
+    ]
     yield from multiplier_lines(problem.terms, weights)
     yield line(t=T, z=at.end, eta=eta[T - 1])
-    bounded = np.isfinite(problem.piecewise.arrays(T).h)
+    bounded = np.isfinite(piecewise_affine(problem).arrays(T).h)
     for t in reversed(range(T)):
         fields: dict[str, Value] = {"z": by_edge(at.z[t], at.edges[t], keep=True)}
         found = multiplier_texts(proof, at.edges[t], bounded[t], t)
@@ -160,4 +162,4 @@ def by_edge(values: Array, edges: Mask, used: Mask | None = None, keep: bool = F
 
 def as_object(entries: dict[str, Array]) -> Text:
     """Return numbers by key as JSON."""
-    return Text("{" + ", ".join(f"{json.dumps(key)}: {encoded(value)}" for key, value in entries.items()) + "}")
+    return Text("{" + ", ".join(f"{json.dumps(key)}: {encode(value)}" for key, value in entries.items()) + "}")

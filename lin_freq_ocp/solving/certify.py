@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
-from lin_freq_ocp.analysis.mode_tree import ModeTree
-from lin_freq_ocp.analysis.peaks import peak_points
-from lin_freq_ocp.arrays import real_array
-from lin_freq_ocp.certificate.directions import descent_direction
-from lin_freq_ocp.certificate.modes.bound import tree_bound
+from lin_freq_ocp.base.arrays import real_array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.certificate.peaks import peak_points
+from lin_freq_ocp.certificate.rays import descent_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Rounded, decimals_of, judge
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
-from lin_freq_ocp.problem.frequencies import at_frequencies
+from lin_freq_ocp.problem.dynamics.base import entry_for
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.reformulations import at_frequencies, translation_of
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.problem.translation import translation_of
-from lin_freq_ocp.solving.certify_modes import certify_modes
 from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE
+from lin_freq_ocp.solving.outcome import Evidence
 
 NEAR_LIMIT = 0.99  # part of its limit from which a peak of a spectrum may have a multiplier
 ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried for a trajectory of few decimals that fails the usual one
@@ -80,30 +81,33 @@ def certify(
             f"tolerance: got {tolerance!r}; expected a number above zero, {LARGEST_TOLERANCE:g} at most."
         )
     allowed = CONDITION_TOLERANCE if tolerance is None else tolerance
-    tree = getattr(trajectory, "tree", None)
+    evidence = getattr(trajectory, "evidence", None)
     trajectory, multipliers = _unpacked(trajectory, multipliers)
     if not isinstance(trajectory, Trajectory):
         trajectory = simulate(problem, real_array("u", trajectory))
     problem.require(trajectory)
     translation = translation_of(problem)
     at = translation.translated(trajectory)
-    return _certified(translation.problem, at, multipliers, tree, allowed).raised(translation.cost)
+    return _certified(translation.problem, at, multipliers, evidence, allowed).raised(translation.cost)
 
 
 def _certified(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
     multipliers: Multipliers | None,
-    tree: ModeTree | None,
+    evidence: Evidence | None,
     allowed: float,
 ) -> Certificate:
     """Judge a trajectory with given multipliers, or with those that fit best."""
     if multipliers is not None:
         certificate = judge(problem, trajectory, multipliers, allowed)
-        return certificate if tree is None else replace(certificate, bound=tree_bound(problem, tree).bound_for(problem))
+        return certificate if evidence is None else replace(certificate, bound=evidence.verified(problem))
     problem = at_frequencies(problem, peak_points(problem, trajectory.x, trajectory.u, NEAR_LIMIT))
-    if problem.dynamics.mode_names:
-        return certify_modes(problem, trajectory).within(allowed)
+    return entry_for(CERTIFIERS, problem.dynamics)(problem, trajectory, allowed)
+
+
+def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allowed: float) -> Certificate:
+    """Judge a trajectory with the multipliers that fit best; also with abnormal ones where normal ones fail."""
     fit = fit_multipliers(problem, trajectory, max(allowed, ACTIVE))
     normal = judge(problem, trajectory, fit.multipliers, allowed)
     if normal.pmp == "satisfied":
@@ -137,3 +141,10 @@ def _unpacked(given: object, multipliers: Multipliers | None) -> tuple[object, M
         got = f"a result without one, which ended as {getattr(given, 'status', None)!r}"
         raise ProblemError("trajectory", got, expected)
     return trajectory, getattr(given, "multipliers", None) if multipliers is None else multipliers
+
+
+CERTIFIERS: dict[type, Callable[[OptimalControlProblem, Trajectory, float], Certificate]] = {
+    LinearDynamics: _certify_linear,
+    FrequencyResponse: _certify_linear,
+}
+"""By kind of dynamics: the certificate of a trajectory without multipliers, with a tolerance of its conditions."""

@@ -1,7 +1,7 @@
 """Which methods solve which dynamics, and which options of ``solve`` each of them takes: one table.
 
 A new kind of dynamics is a subclass of ``Dynamics``; with an entry here it has methods of its own, else it has those of
-its standard form.
+its standard form. Dynamics with modes or kinks register theirs in solving/hybrid.
 """
 
 from __future__ import annotations
@@ -9,19 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from lin_freq_ocp.errors import UnsupportedError, suggestion
+from lin_freq_ocp.base.errors import UnsupportedError, suggestion
+from lin_freq_ocp.base.kinds import register_all
 from lin_freq_ocp.problem.dynamics.base import entry_for
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.dynamics.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.dynamics.response.frequency_response import FrequencyResponse
-from lin_freq_ocp.problem.dynamics.switched.pulse_train import PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.linear import Convex, LinearAuto, Spectral, Structured
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.solving.modes import BranchAndBound, Enumeration, MixedInteger
-from lin_freq_ocp.solving.smooth import Nonsmooth
-from lin_freq_ocp.solving.switched.pulse_train import Angles
 
 
 @dataclass(frozen=True)
@@ -53,11 +48,7 @@ class Family:
 
 
 RESIDUALS = {"tolerance": "tolerance"}
-GAPS = {"tolerance": "gap", "gap": "gap"}
-SEARCH = {**GAPS, "node_limit": "node_limit"}
-PARALLEL = {**SEARCH, "executor": "executor"}
 SOLVER = {"backend": "backend"}
-BOUND = {"global_bound": "global_bound"}
 
 FAMILIES: dict[type, Family] = {
     LinearDynamics: Family(
@@ -77,31 +68,10 @@ FAMILIES: dict[type, Family] = {
             "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
         },
     ),
-    PiecewiseAffineDynamics: Family(
-        "piecewise-affine",
-        {
-            "auto": Shorthand(BranchAndBound(), PARALLEL),
-            "branch_and_bound": Shorthand(BranchAndBound(), PARALLEL),
-            "enumerate": Shorthand(Enumeration(), SEARCH),
-            "miqp": Shorthand(MixedInteger(), {**SEARCH, **SOLVER}),
-        },
-    ),
-    PulseTrain: Family(
-        "pulse-train",
-        {
-            "auto": Shorthand(Angles(), GAPS),
-            "angles": Shorthand(Angles(), GAPS),
-            "nonsmooth": Shorthand(Nonsmooth(global_bound=False)),
-        },
-    ),
-    PiecewiseSmoothDynamics: Family(
-        "piecewise-smooth",
-        {"auto": Shorthand(Nonsmooth(), {**GAPS, **BOUND}), "nonsmooth": Shorthand(Nonsmooth(global_bound=False))},
-    ),
 }
 
 # Methods of earlier versions, and what to do instead.
-REMOVED = {"minlp": "SCIP's claims are an independent check in scripts/verify_nonsmooth.py now; use 'auto'"}
+REMOVED = {"minlp": "SCIP's claims are an independent check in scripts/verify/nonsmooth.py now; use 'auto'"}
 
 # Why other methods do not take an option.
 ONLY = {
@@ -124,6 +94,9 @@ def require_shorthand(name: str) -> None:
     """Raise UnsupportedError unless a method of some family has this name."""
     if name in REMOVED:
         raise UnsupportedError(f"method: got {name!r}, which is no method any more: {REMOVED[name]}.")
+    if any(name in family.shorthands for family in FAMILIES.values()):
+        return
+    register_all()
     names = list(dict.fromkeys(name for family in FAMILIES.values() for name in family.shorthands))
     if name not in names:
         known = ", ".join(map(repr, names[:-1]))
@@ -181,6 +154,7 @@ def saved_options(problem: OptimalControlProblem, name: str | Method, method: Me
 
 
 def _for_others(name: str, family: Family) -> str:
+    register_all()
     kinds = " and ".join(other.kind for other in FAMILIES.values() if name in other.shorthands)
     known = ", ".join(map(repr, family.shorthands))
     return f"method: got {name!r}, which is for {kinds} dynamics; expected one of {known} for {family.kind} dynamics."

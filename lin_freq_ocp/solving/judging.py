@@ -6,19 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.analysis.level_rows import with_few_between
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.certificate.directions import Direction, unbounded_direction
+from lin_freq_ocp.certificate.rays import Direction, prove_infeasible, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.problem.level_rows import with_few_between
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
 
 ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
 DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray: the judge decides

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Indices, known_entries
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, known_entries
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import AbsorbedCost, absorbed_cost
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound as TreeSearch
-from lin_freq_ocp.methods.modes.cover import CoverNode
-from lin_freq_ocp.methods.modes.search import SearchLimits, SearchOutcome, SearchProgress
+from lin_freq_ocp.methods.candidate import Candidate, require_convex
 from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_form
-from lin_freq_ocp.methods.spectral.algorithm.together import Together
-from lin_freq_ocp.methods.spectral.model.row_form import RowForm
-from lin_freq_ocp.methods.spectral.model.soft_bins import SoftBins, soft_bins
-from lin_freq_ocp.methods.structured.prepared import Prepared
+from lin_freq_ocp.methods.spectral.recovery import Together
+from lin_freq_ocp.methods.spectral.reductions import RowForm, SoftBins, soft_bins
+from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.transcription.modes.relaxation import ModeRelaxation
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,39 +155,14 @@ class Kept:
         return self._form, self._solver
 
 
-class KeptTree:
-    """What a search over modes leaves for that of the next step of a control loop: its relaxations, and a cover.
+class SearchCache(ABC):
+    """What a search leaves for that of the next step of a control loop.
 
     ``solved`` is the number of relaxations that the last search has solved.
     """
 
-    def __init__(self):
-        self._of: OptimalControlProblem | None = None  # from which the problem of a step differs in its start alone
-        self._relaxation: ModeRelaxation | None = None
-        self._cover: Sequence[CoverNode] = ()
-        self._base: OptimalControlProblem | None = None
-        self.solved = 0
+    solved: int
 
+    @abstractmethod
     def begins(self, base: OptimalControlProblem | None) -> None:
         """Say from which problem the next differs in its start alone; None if in more."""
-        self._base = base
-
-    def search(
-        self,
-        problem: OptimalControlProblem,
-        limits: SearchLimits,
-        progress: Callable[[SearchProgress], None] | None,
-        start: Indices | None,
-    ) -> SearchOutcome:
-        """Search from what the step before has left, and keep what this leaves."""
-        kept, cover = self._relaxation, self._cover
-        if kept is not None and self._base is not None and self._base is self._of:
-            search = TreeSearch(problem, limits, progress, kept.moved, compiled_from=0)
-        else:
-            search = TreeSearch(problem, limits, progress, compiled_from=0)
-            cover = [replace(node, duals=None) for node in cover]  # theirs are the units of other data
-        self._cover, self.solved = (), 0  # should this one fail
-        outcome = search.run(start, cover=cover)
-        self.solved = outcome.nodes
-        self._of, self._relaxation, self._cover = self._base, search.final_relaxation, search.cover_after_step()
-        return outcome

@@ -9,28 +9,30 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.analysis.sizes import stated_sizes
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
-from lin_freq_ocp.certificate.conflict import proof_margin, prove_infeasible
-from lin_freq_ocp.certificate.directions import DIRECTION_TOLERANCE, unbounded_direction
-from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.choice import structured_first
-from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
-from lin_freq_ocp.methods.convex.free_of_cost import free_of_cost, free_of_slope
-from lin_freq_ocp.methods.convex.recession import steepest_recession
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
+from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, proof_margin, prove_infeasible, unbounded_direction
+from lin_freq_ocp.methods.candidate import Candidate, contradiction_at_ends
+from lin_freq_ocp.methods.convex.polish import steepest_recession
+from lin_freq_ocp.methods.convex.sparse_program import (
+    convex_candidates,
+    free_of_cost,
+    free_of_slope,
+    solve_convex,
+    structured_first,
+)
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.kept import spectral_form
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import now
 
 PROVER = "clarabel"  # The backend that proves infeasibility and unboundedness, whichever backend met it
 
@@ -188,7 +190,7 @@ class Structured:
 class LinearAuto:
     """The Fourier-domain method where it applies and its answer is proven, else the structured or the sparse one.
 
-    Which of these two comes first is measured (``methods/choice.py``); the other is tried where that ends without an
+    Which of these two comes first is measured (``structured_first``); the other is tried where that ends without an
     answer. ``result.reason`` says why the method was taken.
 
     Attributes

@@ -8,16 +8,13 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from lin_freq_ocp.methods.modes.search import SearchProgress
-from lin_freq_ocp.methods.nonsmooth.local_search import SmoothProgress
+from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
-from lin_freq_ocp.solving.kept import Change, Kept, KeptTree
+from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
 from lin_freq_ocp.solving.outcome import Outcome
 
 LEAST_SECONDS = 1e-3  # for a second method when the first has used all the time: it ends at once with its status
-
-Progress = SearchProgress | SmoothProgress
 
 Report = Callable[[Progress], None]
 
@@ -34,7 +31,7 @@ class Request:
     progress: Report | None = None
     start: Start | None = None
     again: tuple[Kept, Change] | None = None
-    tree: KeptTree | None = None
+    tree: SearchCache | None = None
 
 
 class Method(Protocol):

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from lin_freq_ocp.analysis.level_rows import LevelUse, level_use
-from lin_freq_ocp.analysis.mode_tree import ModeTree
-from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.conflict import Conflict, InfeasibilityProof
-from lin_freq_ocp.certificate.directions import Direction
-from lin_freq_ocp.certificate.modes.bound import TreeBound
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
+from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProof
 from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.problem.level_rows import LevelUse, level_use
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.status import Status
 
 
 @dataclass(frozen=True)
@@ -78,6 +77,30 @@ class Explanation:
         return "\n".join(lines)
 
 
+class Evidence(ABC):
+    """What only some kinds of problems have to prove an answer: a search tree."""
+
+    @property
+    @abstractmethod
+    def lower_bound(self) -> float:
+        """Return the bound on the cost of every trajectory that the judge verified; inf if there is none."""
+
+    @abstractmethod
+    def verified(self, problem: OptimalControlProblem) -> Bound | None:
+        """Check the evidence once more, and return the bound that it proves."""
+
+    @abstractmethod
+    def raised(self, constant: float) -> Evidence:
+        """Return the evidence for a cost that is higher by a constant."""
+
+    @abstractmethod
+    def with_multipliers(self, restated: Callable[[Multipliers], Multipliers]) -> Evidence:
+        """Return the evidence with all its multipliers restated."""
+
+    @abstractmethod
+    def __str__(self) -> str: ...
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """The outcome of a solve; a field that does not apply is None.
@@ -108,10 +131,8 @@ class Outcome:
         if given.
     sequence : (T,) integers or None
         With modes: the mode at every time.
-    tree : ModeTree or None
-        With modes: the nodes of the search, with the multipliers that prove its leaves.
-    tree_bound : TreeBound or None
-        The bound that the judge verified of the tree.
+    evidence : Evidence or None
+        With modes: the search tree, and the bound that the judge verified of it.
     explanation : Explanation or None
         If ``lfo.solve`` raised an InfeasibleError: the constraints in conflict, and the least change that helps.
     reason : str
@@ -132,8 +153,7 @@ class Outcome:
     direction: Direction | None = None
     options: dict[str, object] = field(default_factory=dict[str, object])
     sequence: Indices | None = None
-    tree: ModeTree | None = None
-    tree_bound: TreeBound | None = None
+    evidence: Evidence | None = None
     explanation: Explanation | None = None
     reason: str = ""
 
@@ -156,8 +176,8 @@ class Outcome:
     @property
     def lower_bound(self) -> float | None:
         """Return the judge's bound on the optimal cost."""
-        if self.certificate is None and self.tree_bound is not None and np.isfinite(self.tree_bound.value):
-            return self.tree_bound.value
+        if self.certificate is None and self.evidence is not None and np.isfinite(self.evidence.lower_bound):
+            return self.evidence.lower_bound
         return None if self.certificate is None else self.certificate.lower_bound
 
     @property
@@ -206,8 +226,7 @@ class Outcome:
     def __str__(self) -> str:
         lines = [f"status    {self.status}" + (f": {self.message}" if self.message else "")]
         lines += [] if self.certificate is None else [str(self.certificate)]
-        if self.tree is not None and self.tree_bound is not None:
-            lines.append(f"tree      {len(self.tree.nodes)} nodes, {self.tree_bound.leaves} leaves, each checked")
+        lines += [] if self.evidence is None else [str(self.evidence)]
         levels = self.level_use
         lines += [] if levels is None else [f"levels    {levels}"]
         lines.append(f"method    {self.solver}" + (f": {self.reason}" if self.reason else ""))

@@ -15,11 +15,11 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
-from lin_freq_ocp import errors
-from lin_freq_ocp.comparison.sweep.tasks import process_pool
-from lin_freq_ocp.interchange.problem_file import toml_file
-from lin_freq_ocp.methods.spectral.rows.violations import Violations
-from lin_freq_ocp.report import page
+from lin_freq_ocp.base import errors
+from lin_freq_ocp.batch.tasks import process_pool
+from lin_freq_ocp.files import problem_file as toml_file
+from lin_freq_ocp.methods.spectral.rows import Violations
+from lin_freq_ocp.pages.report import page
 
 SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cutoff_hz=1.0)
 

@@ -6,7 +6,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.api import progress
+from lin_freq_ocp.api import solve
 
 SHORT = {"horizon": [60, 80]}
 STARTS = [[0.0, 0.0], [0.1, 0.0]]
@@ -45,8 +45,8 @@ def displayed(monkeypatch):
     display.display = found.display
     monkeypatch.setitem(sys.modules, "IPython", ipython)
     monkeypatch.setitem(sys.modules, "IPython.display", display)
-    monkeypatch.setattr(progress, "FIRST_SECONDS", 0.0)
-    monkeypatch.setattr(progress, "BETWEEN_SECONDS", 0.0)
+    monkeypatch.setattr(solve, "FIRST_SECONDS", 0.0)
+    monkeypatch.setattr(solve, "BETWEEN_SECONDS", 0.0)
     return found
 
 
@@ -80,32 +80,32 @@ def test_nothing_is_shown_where_there_is_no_kernel(displayed, name, shell, monke
 
 def test_without_ipython_nothing_is_imported(monkeypatch):
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
-    assert not progress.in_notebook()
+    assert not solve.in_notebook()
     CALLS["sweep"][0]()
     assert "IPython" not in sys.modules
 
 
 def test_a_worker_of_a_pool_shows_nothing(displayed, monkeypatch):
-    assert progress.in_notebook()
-    monkeypatch.setattr(progress, "parent_process", lambda: "the kernel")
-    assert not progress.in_notebook()
+    assert solve.in_notebook()
+    monkeypatch.setattr(solve, "parent_process", lambda: "the kernel")
+    assert not solve.in_notebook()
 
 
 def test_quick_calls_show_nothing(displayed, monkeypatch):
-    monkeypatch.setattr(progress, "FIRST_SECONDS", 1e3)
+    monkeypatch.setattr(solve, "FIRST_SECONDS", 1e3)
     CALLS["sweep"][0]()
     assert displayed.bundles == []
 
 
 def test_changes_in_quick_succession_are_left_out(displayed, monkeypatch):
-    monkeypatch.setattr(progress, "BETWEEN_SECONDS", 1e3)
+    monkeypatch.setattr(solve, "BETWEEN_SECONDS", 1e3)
     CALLS["sweep"][0]()
     assert [one.get("text/plain") for one in displayed.bundles] == ["0 of 2 solved", None]
 
 
 def test_an_error_leaves_nothing_of_the_line(displayed):
     def failing():
-        with progress.reporting(None, lambda reached: f"<b>{reached}</b>") as report:
+        with solve.report_progress(None, lambda reached: f"<b>{reached}</b>") as report:
             report(3)
             raise RuntimeError
 

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate import bound as bound_module
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.problem.costs.semidefinite import RISES, is_semidefinite
-from lin_freq_ocp.testing.reference import STATED, reference_problem
-from lin_freq_ocp.transcription.linear import real_rows
+from lin_freq_ocp.problem.costs.quadratic import RISES, is_semidefinite
+from lin_freq_ocp.program import real_rows
+from lin_freq_ocp.testing import STATED, reference_problem
 
 JUDGED = ["paper, constrained", "velocity bound", "slow sampling, constrained"]
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.directions import DIRECTION_TOLERANCE, descent_direction
-from lin_freq_ocp.testing.random_convex import random_problem
-from lin_freq_ocp.testing.random_mixed import Model, problem_of, random_model
+from helpers.random.convex import random_problem
+from helpers.random.mixed import Model, problem_of, random_model
+from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, descent_direction
 
 ALONE = (5, 11)
 """Seeds whose constraints leave a single trajectory, or nearly so: that of least control is the optimum, too."""

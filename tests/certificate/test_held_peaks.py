@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.certificate.peaks.proven import proven_peak
-from lin_freq_ocp.problem.terms.continua.held import HeldFrequencies, HeldMap
-from lin_freq_ocp.problem.terms.limits import limits_on
-from lin_freq_ocp.problem.terms.peaks.search import peaks_above
+from lin_freq_ocp.certificate.peaks import proven_peak
+from lin_freq_ocp.problem.terms.semi_infinite import HeldFrequencies, HeldMap, limits_on, peaks_above
 
 ABOVE = 1e-9  # of the proven ratio over the largest value
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.conflict import exclusion, prove_infeasible
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
+from lin_freq_ocp.certificate.rays import exclusion, prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 
 COST = lfo.QuadraticCost(Q=np.diag([1.0, 0.1]), R=0.5, S=[[0.1], [0.0]], P=2.0, q=[0.1, 0.0], x_ref=[0.1, 0.0])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal.windows import chebwin
 
-from lin_freq_ocp.certificate.peaks import cells
-from lin_freq_ocp.certificate.peaks.masks import certified_peak
-from lin_freq_ocp.problem.terms.limits import limits_on
+from lin_freq_ocp.certificate import peaks as cells
+from lin_freq_ocp.certificate.peaks import certified_peak
+from lin_freq_ocp.problem.terms.semi_infinite import limits_on
 
 WHOLE = [(0.0, np.pi)]
 ABOVE = 3e-10  # RATIO, and as much for rounding at -100 dB

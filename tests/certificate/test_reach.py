@@ -10,7 +10,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp import certificate as judging
 from lin_freq_ocp.certificate.reach import reachable_bounds
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.testing.reference import time_varying
+from lin_freq_ocp.testing import time_varying
 
 T = 30
 OF_SCIPY = re.compile(r"^\s*from scipy\.linalg import (?!block_diag$)", re.MULTILINE)

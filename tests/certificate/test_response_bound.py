@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 T = 16

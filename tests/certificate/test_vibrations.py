@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.certificate.peaks.vibrations import certified_vibration
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox, VibrationMap
+from lin_freq_ocp.certificate.peaks import certified_vibration
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox, VibrationMap
 
 ABOVE = 5e-8  # of the proven ratio over the largest value: 2e-8 of the chord
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from helpers.checks import convex, explain, flips, frequencies, mixed, modes, sequences, structured
-from lin_freq_ocp.certificate.modes.clarke import Flip
-from lin_freq_ocp.testing import random_mixed
-from lin_freq_ocp.testing.random_convex import random_problem
+from helpers.random.convex import random_problem
+from helpers.random.mixed import random_model
+from lin_freq_ocp.certificate.hybrid.clarke import Flip
 
 
 @pytest.mark.parametrize("seed", range(16))
@@ -74,7 +74,7 @@ def test_a_problem_of_mixed_features_is_solved_like_by_cvxpy_and_the_judge_refus
 
 def test_the_sample_of_mixed_features_has_most_of_them_and_spoils_something():
     outcomes = [check_mixed(seed) for seed in range(6)]
-    assert len({one for seed in range(20) for one in random_mixed.random_model(seed).features}) >= 17
+    assert len({one for seed in range(20) for one in random_model(seed).features}) >= 17
     assert sum(len(outcome.tried) for outcome in outcomes) >= 6
 
 

@@ -7,12 +7,12 @@ import shlex
 import sys
 from pathlib import Path
 
-import lfo_check
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
+from lin_freq_ocp.proof import lfo_check
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from lin_freq_ocp.system import starting
+from lin_freq_ocp.base import interrupts
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
 
@@ -56,7 +56,7 @@ def working(process):
         time.sleep(0.01)
 
 
-@pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.arrays"])
+@pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.base.arrays"])
 def test_during_imports(module):
     assert interrupted(("solve", "pendulum"), imported(module)) == (130, "", [])
 
@@ -103,9 +103,9 @@ def test_scripts_that_import_the_package_keep_their_ctrl_c(monkeypatch, argument
     monkeypatch.setattr(sys, "orig_argv", ["python", "-m", "lin_freq_ocp", "solve"])
     before = signal.getsignal(signal.SIGINT)
     try:
-        starting.leave_silently()
-        assert (signal.getsignal(signal.SIGINT) is starting.leave) == ours
-        assert starting.let_commands_decide() == ours
+        interrupts.leave_silently()
+        assert (signal.getsignal(signal.SIGINT) is interrupts.leave) == ours
+        assert interrupts.let_commands_decide() == ours
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
@@ -114,5 +114,5 @@ def test_scripts_that_import_the_package_keep_their_ctrl_c(monkeypatch, argument
 def test_other_modules_keep_their_ctrl_c(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["-m"])
     monkeypatch.setattr(sys, "orig_argv", ["python", "-m", "my_module", "lin_freq_ocp"])
-    starting.leave_silently()
+    interrupts.leave_silently()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

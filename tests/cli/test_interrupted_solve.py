@@ -14,11 +14,11 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_json import SOLVE, require, require_words
 from helpers.command_line import COMMAND, parsed, run
-from lin_freq_ocp.backends import clarabel_
-from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import solver
-from lin_freq_ocp.methods.spectral.algorithm.exchange import deadline
+from lin_freq_ocp.methods.spectral.exchange import deadline
+from lin_freq_ocp.program.backends import clarabel_
+from lin_freq_ocp.program.backends.base import Claim, Solution
 
 # --- interrupted ----------------------------------------------------------------------------------------------------
 

@@ -1,11 +1,15 @@
 """lin-freq-ocp solve --proof FILE, and the checker's command."""
 
+import shutil
+import subprocess
 import sys
+from pathlib import Path
 
-import lfo_check
+import flint
 import pytest
 
 from helpers.command_line import run
+from lin_freq_ocp.proof import lfo_check
 
 
 def test_a_proof_is_written_and_confirmed(tmp_path, monkeypatch, capsys):
@@ -43,3 +47,18 @@ def test_without_a_file_the_checker_says_how_it_is_used(arguments, status, monke
     monkeypatch.setattr(sys, "argv", ["lfo-check", *arguments])
     assert lfo_check.main() == status
     assert "lfo_check.py FILE" in capsys.readouterr().out
+
+
+def test_the_checker_needs_nothing_but_python_and_flint(tmp_path):
+    alone = shutil.copy(lfo_check.__file__, tmp_path)
+    packages, numbers = Path(flint.__file__).parents[1], tmp_path / "numbers"
+    numbers.mkdir()
+    for folder in (packages / "flint", *packages.glob("python_flint.libs")):
+        (numbers / folder.name).symlink_to(folder)
+    program = "import runpy, sys; sys.path.append(sys.argv[1]); sys.argv = sys.argv[2:]; "
+    program += "runpy.run_path(sys.argv[0], run_name='__main__')"
+    proof = Path(__file__).parents[1] / "proof" / "double_integrator.proof"
+    command = [sys.executable, "-I", "-S", "-c", program, str(numbers), str(alone), str(proof)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.splitlines()[-1].startswith("VERIFIED ")

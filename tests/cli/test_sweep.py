@@ -13,8 +13,8 @@ import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.schemas import SWEEP, faults
 from helpers.sweeps import SHORT, assert_same, broken_builder
-from lin_freq_ocp.comparison.sweep import point as sweep_point
-from lin_freq_ocp.interchange.runs.sweep_file import sweep_summary
+from lin_freq_ocp.batch import sweep as sweep_point
+from lin_freq_ocp.files.batch_files import sweep_summary
 
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1")
 

@@ -7,13 +7,12 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.comparison import moves as moves_of
-from lin_freq_ocp.comparison.moves import why_not_shaped
-from lin_freq_ocp.comparison.vibrations import vibration
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.report.figures.vibration import ringing_of
-from lin_freq_ocp.report.moves import moves_rows, moves_sentence
-from lin_freq_ocp.report.page import draw, render
+from lin_freq_ocp.comparison.moves import vibration, why_not_shaped
+from lin_freq_ocp.pages.figures.continua import ringing_of
+from lin_freq_ocp.pages.report.page import draw, render
+from lin_freq_ocp.pages.report.tables import moves_rows, moves_sentence
 
 CALM = lfo.ResidualVibration(frequency=(18.0, 22.0), damping=(0.02, 0.1), limit=0.5)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.comparison.shapers import INSENSITIVITY, SHAPERS, described, impulses, shaped
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox, VibrationMap
+from lin_freq_ocp.comparison.moves import INSENSITIVITY, SHAPERS, impulse_text, impulses, shaped
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox, VibrationMap
 
 H = 1e-3  # half a period of 10 Hz is 50 samples
 
@@ -56,7 +56,7 @@ def test_a_shaped_control_is_longer_and_has_the_same_sum():
     found = shaped("ZVD", box, u)
     assert found.shape == (120, 2)
     np.testing.assert_allclose(found.sum(0), u.sum(0), atol=1e-12)
-    assert described("ZV", box_of(0.0)) == "0.5 at t = 0, 0.5 at t = 50"
+    assert impulse_text("ZV", box_of(0.0)) == "0.5 at t = 0, 0.5 at t = 50"
 
 
 def test_impulses_that_share_a_sample_are_one():

@@ -9,11 +9,11 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.command_line import run
-from lin_freq_ocp.comparison.compare import SEARCH_SECONDS, compared
-from lin_freq_ocp.interchange.results.summary import comparison_summary
-from lin_freq_ocp.report.findings import finding
-from lin_freq_ocp.status import Status
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.comparison.compare import SEARCH_SECONDS, compare_methods
+from lin_freq_ocp.files.summary import comparison_summary
+from lin_freq_ocp.pages.report.findings import finding
 
 
 def wall():
@@ -44,7 +44,7 @@ def solving(found, asked=None, plan=None):
 
 
 def test_filters_are_shown_beside_no_point(plan):
-    comparison = compared(wall(), solving(["classical"], plan=plan), ["brickwall", "clipped"], "auto", None)
+    comparison = compare_methods(wall(), solving(["classical"], plan=plan), ["brickwall", "clipped"], "auto", None)
     assert [one.name for one in comparison.filtered] == ["brickwall", "clipped"]
     assert comparison.constrained_solution is None
     assert str(comparison).splitlines()[-1] == "constrained  limit, no point found"
@@ -56,7 +56,7 @@ def test_filters_are_shown_beside_no_point(plan):
 
 def test_a_constrained_point_is_where_the_classical_search_begins(plan):
     asked = []
-    comparison = compared(wall(), solving(["constrained"], asked, plan), ["brickwall"], "auto", None)
+    comparison = compare_methods(wall(), solving(["constrained"], asked, plan), ["brickwall"], "auto", None)
     assert [kind for kind, *_ in asked] == ["classical", "constrained", "classical"]
     assert asked[-1][2] is plan
     assert comparison.classical_solution.trajectory is plan
@@ -64,14 +64,14 @@ def test_a_constrained_point_is_where_the_classical_search_begins(plan):
 
 def test_without_any_point_the_error_says_how_one_is_given():
     with pytest.raises(lfo.errors.LimitError, match="Nothing can be filtered: begin with a traj"):
-        compared(wall(), solving([]), ["brickwall"], "auto", None)
+        compare_methods(wall(), solving([]), ["brickwall"], "auto", None)
 
 
 @pytest.mark.parametrize(("given", "total"), [(None, SEARCH_SECONDS), (8.0, 8.0), (120.0, 120.0)])
 def test_the_limit_is_one_for_both_solves(given, total, plan):
     asked = []
     with use_clock(Clock(0.5)):
-        compared(wall(), solving(["classical"], asked, plan), ["brickwall"], "auto", given)
+        compare_methods(wall(), solving(["classical"], asked, plan), ["brickwall"], "auto", given)
     (_, first, _), (_, second, _) = asked
     assert first == pytest.approx((total - 0.5) / 2)
     assert second < total - 0.5
@@ -84,7 +84,7 @@ def test_linear_problems_have_no_limit_by_themselves():
         asked.append(options["time_limit"])
         return lfo.solve(problem, **options)
 
-    compared(lfo.library.double_integrator(cutoff_hz=3.0), solve, ["brickwall"], "auto", None)
+    compare_methods(lfo.library.double_integrator(cutoff_hz=3.0), solve, ["brickwall"], "auto", None)
     assert asked == [None, None]
 
 

@@ -11,11 +11,11 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.explanation import explanation as explanation_module
-from lin_freq_ocp.explanation.blocks import blocks, relaxed, without
-from lin_freq_ocp.explanation.relaxation import least_cure
+from lin_freq_ocp.explanation.blocks import blocks, drop_blocks, relax_block
+from lin_freq_ocp.explanation.explanation import least_cure
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.system.clock import use_clock
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2
@@ -99,9 +99,9 @@ def test_the_family_clashes_and_can_spare_no_block(case):
     assert explanation.irreducible
     named = {block.name: block for block in blocks(problem)}
     others = [block for name, block in named.items() if name not in family]
-    assert not feasible(without(problem, others))
+    assert not feasible(drop_blocks(problem, others))
     for name in family:
-        assert feasible(without(problem, [*others, named[name]])), name
+        assert feasible(drop_blocks(problem, [*others, named[name]])), name
 
 
 def test_a_cure_helps_and_less_does_not(case):
@@ -116,11 +116,11 @@ def test_a_cure_helps_and_less_does_not(case):
             if isinstance(problem.state_set, lfo.Box) and problem.state_set.upper[-1] == 9.0:
                 units = np.array([1.0, 9.0])
         if "stop band" in name:
-            assert feasible(relaxed(problem, block, cure.amount))
-            assert not feasible(relaxed(problem, block, cure.amount - 1))
+            assert feasible(relax_block(problem, block, cure.amount))
+            assert not feasible(relax_block(problem, block, cure.amount - 1))
         elif block.kind not in ENDS:
-            assert feasible(relaxed(problem, block, 1.001 * cure.amount * units))
-            assert not feasible(relaxed(problem, block, 0.98 * cure.amount * units))
+            assert feasible(relax_block(problem, block, 1.001 * cure.amount * units))
+            assert not feasible(relax_block(problem, block, 0.98 * cure.amount * units))
     for name, amount in amounts.items():
         assert cures[name].amount == pytest.approx(amount, rel=1e-3)
 
@@ -168,8 +168,8 @@ def test_time_varying_dynamics_and_state_bands_are_explained_too():
     assert explanation.irreducible
     named = {block.name: block for block in blocks(problem)}
     others = [block for name, block in named.items() if name not in explanation.family]
-    assert not feasible(without(problem, others))
-    assert all(feasible(without(problem, [*others, named[name]])) for name in explanation.family)
+    assert not feasible(drop_blocks(problem, others))
+    assert all(feasible(drop_blocks(problem, [*others, named[name]])) for name in explanation.family)
 
 
 def test_a_problem_with_a_solution_is_not_explained():

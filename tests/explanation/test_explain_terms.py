@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.explanation.blocks import ENDS, blocks, relaxed, without
+from lin_freq_ocp.certificate.rays import prove_infeasible
+from lin_freq_ocp.explanation.blocks import ENDS, blocks, drop_blocks, relax_block
+from lin_freq_ocp.problem.sizes import stated_sizes
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2
@@ -113,9 +113,9 @@ def test_the_family_clashes_and_can_spare_no_block(name):
     named = {block.name: block for block in blocks(problem)}
     assert set(explanation.family) <= set(named)
     others = [block for block in named.values() if block.name not in explanation.family]
-    assert not feasible(without(problem, others))
+    assert not feasible(drop_blocks(problem, others))
     for member in explanation.family:
-        assert feasible(without(problem, [*others, named[member]])), member
+        assert feasible(drop_blocks(problem, [*others, named[member]])), member
 
 
 @pytest.mark.parametrize("name", EVERY_OTHER)
@@ -128,8 +128,8 @@ def test_a_cure_cures_and_less_does_not(name):
         if block.kind in ENDS:
             continue  # in the sizes of the states; tried below
         amount = cures[block.name].amount
-        assert feasible(relaxed(problem, block, 1.001 * amount)), block.name
-        assert not feasible(relaxed(problem, block, 0.95 * amount)), block.name
+        assert feasible(relax_block(problem, block, 1.001 * amount)), block.name
+        assert not feasible(relax_block(problem, block, 0.95 * amount)), block.name
 
 
 @pytest.mark.parametrize("name", ["an energy bound", "a mask and a bound", "a ball", "a polyhedron"])

@@ -14,13 +14,12 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.formulas import random_formula
 from lin_freq_ocp import library
+from lin_freq_ocp.batch.grid import fingerprint
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.comparison.sweep.grid import fingerprint
 from lin_freq_ocp.dynamics import SmoothMode
-from lin_freq_ocp.formulas.definitions import EXACT
 from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, in_order, written
-from lin_freq_ocp.formulas.text import formula_from_text
+from lin_freq_ocp.formulas.text import EXACT, formula_from_text
 
 X, U = lfo.signals(2, 1)
 POLE, KEPT = 2.0, exp(-0.5)

@@ -14,6 +14,7 @@ from jsonschema import Draft202012Validator
 import lin_freq_ocp as lfo
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import in_order
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 
 DOCS = Path(__file__).parents[2] / "docs"
 SCHEMA = Draft202012Validator(json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8")))
@@ -30,7 +31,7 @@ def written(dynamics, folder):
     lfo.write_problem(problem_of(dynamics), path)
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
     assert list(SCHEMA.iter_errors(tables)) == []
-    return lfo.read_problem(path).smooth_pieces, tables["dynamics"]
+    return piecewise_smooth(lfo.read_problem(path)), tables["dynamics"]
 
 
 def nodes(dynamics):
@@ -67,8 +68,8 @@ def test_what_formulas_share_is_written_once(tmp_path, branched):
 def test_a_run_of_shared_formulas_is_dumped_and_loaded(tmp_path):
     problem = problem_of(lfo.PiecewiseSmoothDynamics.from_formulas(shared(25), 2, 1))
     lfo.solve(problem, method="nonsmooth", throw=False).dump(tmp_path / "run.zip")
-    again = lfo.load_run(tmp_path / "run.zip").problem.smooth_pieces
-    assert nodes(again) == nodes(problem.smooth_pieces)
+    again = piecewise_smooth(lfo.load_run(tmp_path / "run.zip").problem)
+    assert nodes(again) == nodes(piecewise_smooth(problem))
 
 
 def deep(x, u):
@@ -111,9 +112,9 @@ def test_short_formulas_stand_as_they_are(tmp_path):
 
 def dynamics_with(**table):
     head = {"schema": 1, "horizon": 2, "cost": {}}
-    from lin_freq_ocp.interchange.problem_file.tables import problem_from_tables
+    from lin_freq_ocp.files.problem_tables import problem_from_tables
 
-    return problem_from_tables({**head, "dynamics": {"control_dim": 1, **table}}).smooth_pieces
+    return piecewise_smooth(problem_from_tables({**head, "dynamics": {"control_dim": 1, **table}}))
 
 
 def test_named_formulas_may_use_those_before_them():

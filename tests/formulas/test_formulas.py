@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.formulas import random_formula
-from lin_freq_ocp.formulas.definitions import EXACT
 from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, in_order, written
-from lin_freq_ocp.formulas.text import formula_from_text, text_of
+from lin_freq_ocp.formulas.text import EXACT, formula_from_text, text_of
 
 N, M = 2, 1
 X, U = lfo.signals(N, M)

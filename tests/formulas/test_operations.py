@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.formulas.definitions import EXACT, defined
 from lin_freq_ocp.formulas.intervals import add, exponential, inverse, multiply, outward, scale
 from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, written
 from lin_freq_ocp.formulas.operations import OPERATIONS, ScalarFunction
-from lin_freq_ocp.formulas.text import formula_from_text, text_of
+from lin_freq_ocp.formulas.text import EXACT, defined, formula_from_text, text_of
 
 X, U = lfo.signals(1, 1)
 

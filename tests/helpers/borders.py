@@ -6,7 +6,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers import kinks
-from lin_freq_ocp.methods.modes.weights import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 
 
 def changed(multipliers, **fields):

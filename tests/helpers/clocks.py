@@ -1,4 +1,4 @@
-"""Clocks for ``lin_freq_ocp.system.clock.use_clock``, by which a limit is over when a test says so."""
+"""Clocks for ``lin_freq_ocp.base.clock.use_clock``, by which a limit is over when a test says so."""
 
 from __future__ import annotations
 

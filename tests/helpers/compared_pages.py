@@ -8,11 +8,11 @@ from functools import cache
 from helpers.pages import double_integrator, parsed
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.library import pendulum
+from lin_freq_ocp.pages.figures.figures import comparison_data, price_figure
+from lin_freq_ocp.pages.report.page import draw, render
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import low_pass, stop_band
-from lin_freq_ocp.report.figures.figures import comparison_data, price_figure
-from lin_freq_ocp.report.page import draw, render
 
 CASES: dict[str, Callable[[], OptimalControlProblem]] = {
     "pendulum": pendulum,

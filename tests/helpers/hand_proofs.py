@@ -22,7 +22,7 @@ WHOLE = (
 @cache
 def checker():
     """Return the checker as a module: its one file, as a stranger runs it."""
-    spec = importlib.util.spec_from_file_location("lfo_check_alone", ROOT / "scripts" / "lfo_check.py")
+    spec = importlib.util.spec_from_file_location("lfo_check_alone", ROOT / "lin_freq_ocp" / "proof" / "lfo_check.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -8,8 +8,8 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, Everything
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, stop_band
-from lin_freq_ocp.problem.terms.stage_rows import StageRows
 
 
 def bands(given) -> list[Band]:

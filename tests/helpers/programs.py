@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.backends.base import Claim, Solution, backend
-from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE
+from lin_freq_ocp.program.backends.base import Claim, Solution, backend
+from lin_freq_ocp.program.program import Program
 
 OWN = ["clarabel", "osqp"]
 INF = np.inf

@@ -8,7 +8,7 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from lin_freq_ocp.interchange.results.summary import to_json
+from lin_freq_ocp.files.summary import to_json
 
 DOCS = Path(__file__).parents[2] / "docs"
 PROBLEM = json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8"))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.measures import one_step_residual
+from lin_freq_ocp.problem.measures import one_step_residual
 
 A = np.array([[0.9, 0.3, 0.0], [-0.2, 0.8, 0.1], [0.0, 0.2, 0.7]])
 B = np.array([[0.5, 0.0], [0.2, 0.6], [0.3, -0.4]])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.softening import softened
+from lin_freq_ocp.loop.step_problem import soften
 from lin_freq_ocp.methods.structured.solver import solve_structured
 
 PENALTIES = 1e2, 1e3, 1e5
@@ -34,7 +34,7 @@ def test_a_softened_plan_is_that_of_the_softened_problem(seed):
     for _ in range(2):
         control, step = loop.step(state), loop.log.steps[-1]
         upper = np.vstack([[np.inf, np.inf], *[problem.state_set.upper] * problem.horizon])
-        posed = softened(replace(problem, initial_state=state, state_set=lfo.Box(-upper, upper)), penalty)
+        posed = soften(replace(problem, initial_state=state, state_set=lfo.Box(-upper, upper)), penalty)
         best = lfo.solve(posed)
         assert step.status == "infeasible"
         assert step.source == "softened problem"
@@ -48,7 +48,7 @@ def test_a_softened_plan_is_that_of_the_softened_problem(seed):
 @pytest.mark.parametrize("penalty", [1.0, 1e3, 1e6])
 def test_the_structured_method_takes_few_steps_whatever_a_price_is(penalty):
     """Rows with a price of 1e6 begin with products of slacks and multipliers as large as those of the mask."""
-    problem = softened(replace(random_problem(1), initial_state=[4.0, 4.0]), {"state_set": penalty})
+    problem = soften(replace(random_problem(1), initial_state=[4.0, 4.0]), {"state_set": penalty})
     (candidate,) = solve_structured(problem)
     assert candidate.status == "optimal"
     assert int(candidate.message.split()[2]) <= 15

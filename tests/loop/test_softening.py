@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.softening import checked_penalties, excess, softened
+from lin_freq_ocp.loop.step_problem import checked_penalties, excess, soften
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]])
 MASK = lfo.MagnitudeBound(0.2, bins=[2, 3])
@@ -31,10 +31,10 @@ def test_a_large_penalty_is_exact_and_a_small_one_is_not(field):
     hard = problem(**{field: FIELDS[field]})
     best, without = lfo.solve(hard), lfo.solve(problem())
     assert best.cost > without.cost + 1e-3  # the constraint costs something
-    exact = lfo.solve(softened(hard, {field: 1e3}))
+    exact = lfo.solve(soften(hard, {field: 1e3}))
     assert exact.cost == pytest.approx(best.cost, rel=1e-6)
     assert excess(exact.problem, exact.trajectory) == {}
-    cheap = lfo.solve(softened(hard, {field: 1e-3}))
+    cheap = lfo.solve(soften(hard, {field: 1e-3}))
     assert without.cost <= cheap.cost < best.cost
     assert sum(excess(cheap.problem, cheap.trajectory).values()) > 1e-3
 
@@ -45,7 +45,7 @@ def test_what_is_soft_already_keeps_its_price():
         control_spectrum=lfo.MagnitudeBound(0.2, bins=[2], penalty=0.3),
         stage_rows=lfo.StageRows([[1.0, 1.0]], None, [0.5], penalty=0.4),
     )
-    again = softened(soft, {"state_set": 9.0, "control_spectrum": 9.0, "stage_rows": 9.0})
+    again = soften(soft, {"state_set": 9.0, "control_spectrum": 9.0, "stage_rows": 9.0})
     x, u = np.random.default_rng(0).standard_normal((11, 2)), np.random.default_rng(1).standard_normal((10, 1))
     assert again.value(x, u) == pytest.approx(soft.value(x, u))
 
@@ -53,7 +53,7 @@ def test_what_is_soft_already_keeps_its_price():
 def test_bounds_per_time_become_soft_at_their_times():
     upper = np.full((11, 2), np.inf)
     upper[3] = 0.1
-    soft = softened(problem(state_set=lfo.Box(None, upper)), {"state_set": 2.0})
+    soft = soften(problem(state_set=lfo.Box(None, upper)), {"state_set": 2.0})
     x, u = np.ones((11, 2)), np.zeros((10, 1))
     assert soft.value(x, u) == pytest.approx(problem().value(x, u) + 2 * 2 * 0.9)
 

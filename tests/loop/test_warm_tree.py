@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.window import first_state_free
-from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
+from lin_freq_ocp.loop.step_problem import free_first_state
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 
 
 def wall(horizon=10):
@@ -29,7 +29,7 @@ def states(steps, jumps):
 @pytest.mark.parametrize("jumps", [(), (2, 4)], ids=["disturbed", "into another mode"])
 def test_steps_cost_what_their_problems_cost_alone(jumps):
     measured, log = states(6, jumps)
-    free = first_state_free(wall())
+    free = free_first_state(wall())
     alone = [lfo.solve(free.with_ends(x)) for x in measured]
     np.testing.assert_allclose(log.costs, [one.cost for one in alone], rtol=2e-6)
     assert set(log.statuses) == {"optimal"}
@@ -53,7 +53,7 @@ def test_a_reference_that_changes_keeps_the_splits_alone():
     for k in range(3):
         references = {"x_ref": np.full((7, 2), 0.01 * k)}
         controller.step(x, references=references)
-        alone = lfo.solve(first_state_free(problem).with_references(references).with_ends(x))
+        alone = lfo.solve(free_first_state(problem).with_references(references).with_ends(x))
         assert controller.log.costs[-1] == pytest.approx(alone.cost, rel=2e-6)
         assert controller.log.statuses[-1] == "optimal"
 

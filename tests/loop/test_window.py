@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.window import disturbed, first_state_free, remembers, with_past
+from lin_freq_ocp.loop.step_problem import add_disturbance, depends_on_past, free_first_state, with_past
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 COST = lfo.QuadraticCost(Q=1.0, R=0.1)
@@ -65,10 +65,10 @@ def test_the_past_of_states_and_outputs_is_theirs():
 
 
 def test_what_remembers():
-    assert not remembers(problem(control_spectrum=MASK))
-    assert remembers(problem(control_spectrum=[MASK, lfo.spectrum.Spectrogram(MASK, 4)]))
+    assert not depends_on_past(problem(control_spectrum=MASK))
+    assert depends_on_past(problem(control_spectrum=[MASK, lfo.spectrum.Spectrogram(MASK, 4)]))
     outputs = lfo.spectrum.OutputSpectrum([[1.0, 2.0]], None, lfo.spectrum.Spectrogram(MASK, 4))
-    assert remembers(problem(output_spectrum=outputs))
+    assert depends_on_past(problem(output_spectrum=outputs))
 
 
 def sets():
@@ -83,21 +83,21 @@ def sets():
 def test_the_first_state_may_lie_anywhere(given):
     base = problem(state_set=given, initial_state=[0.6, 0.0])
     assert lfo.solve(base, throw=False).status == "infeasible"
-    free = first_state_free(base)
+    free = free_first_state(base)
     plan = lfo.solve(replace(free, dynamics=replace(DYNAMICS, A=0.6 * DYNAMICS.A))).trajectory
     assert np.abs(plan.x[1:]).max() <= 0.4 + 1e-7
 
 
 def test_rows_of_the_state_alone_are_left_out_at_the_first_time():
     rows = lfo.StageRows([[1.0, 0.0], [1.0, 0.0]], [[0.0], [1.0]], [0.1, 0.2])
-    free = first_state_free(problem(stage_rows=rows))
+    free = free_first_state(problem(stage_rows=rows))
     assert free.stage_rows[0].e[0].tolist() == [np.inf, 0.2]
     assert free.stage_rows[0].e[1].tolist() == [0.1, 0.2]
 
 
 def test_a_disturbance_is_added_to_the_offset():
-    now = disturbed(problem(), [0.1, 0.2])
+    now = add_disturbance(problem(), [0.1, 0.2])
     assert now.linear.offset.tolist() == [0.1, 0.2]
     with pytest.raises(lfo.errors.ProblemError) as caught:
-        disturbed(problem(), [1.0])
+        add_disturbance(problem(), [1.0])
     assert caught.value.field == "disturbance"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.backends.base import Claim, Solution
 from lin_freq_ocp.methods.convex.attempts import Solves
-from lin_freq_ocp.methods.convex.sparse_program import scaled_program
+from lin_freq_ocp.program.backends.base import Claim, Solution
+from lin_freq_ocp.program.units import scaled_program
 
 
 @pytest.mark.parametrize("claim", [Claim.SOLVED, Claim.LIMIT, Claim.INFEASIBLE])

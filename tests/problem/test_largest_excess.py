@@ -6,7 +6,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from lin_freq_ocp.problem.terms.largest_excess import LargestExcess
+from lin_freq_ocp.problem.terms.penalties import LargestExcess
 
 
 def sample(seed: int) -> tuple[LargestExcess, np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 from helpers.linear_problems import VARYING, M, N, T, at_time, dynamics_data, generator
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 
 

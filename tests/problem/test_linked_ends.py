@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.terms.ends_map import EndsMap, Within
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.problem.terms.maps import EndsMap
+from lin_freq_ocp.problem.terms.penalties import Within
 
 LinkedEnds = lfo.sets.LinkedEnds
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import assign
+from lin_freq_ocp.base.arrays import assign
+from lin_freq_ocp.pages.report.page import draw, render
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
-from lin_freq_ocp.report.page import draw, render
 from lin_freq_ocp.solving.families import FAMILIES, Family, Shorthand
-from lin_freq_ocp.solving.smooth import Nonsmooth
+from lin_freq_ocp.solving.hybrid.smooth import Nonsmooth
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -11,7 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.linear_problems import problem
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.sets.box import Box, Point

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.testing.random_mixed import problem_of as problem_of_model
-from lin_freq_ocp.testing.random_mixed import random_model
+from helpers.random.mixed import problem_of as problem_of_model
+from helpers.random.mixed import random_model
 
 T, N, M = 30, 3, 2
 A = np.array([[0.9, 0.3, 0.0], [-0.2, 0.8, 0.1], [0.0, 0.2, 0.7]])

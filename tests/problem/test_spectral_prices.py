@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import get_window
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.softening import excess
+from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram
 
 T, CUTOFF, PRICE, LIMIT = 7, 1.2, 0.6, 0.3

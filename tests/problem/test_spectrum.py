@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lin_freq_ocp.errors import BandWarning, ProblemError
+from lin_freq_ocp.base.errors import BandWarning, ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -41,7 +41,7 @@ def half(length: int) -> range:
 EDGES = [Fraction(p, q) for p, q in ((1, 3), (2, 5), (1, 2), (4, 5), (7, 12), (119, 120))]  # of pi
 
 
-@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
 @pytest.mark.parametrize("length", LENGTHS)
 @pytest.mark.parametrize("edge", EDGES, ids=str)
 def test_low_and_high_pass_keep_what_exact_fractions_say(length, edge):
@@ -51,7 +51,7 @@ def test_low_and_high_pass_keep_what_exact_fractions_say(length, edge):
     assert removed(high_pass(cutoff), length) == [k for k in half(length) if Fraction(2 * k, length) < edge]
 
 
-@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
 @pytest.mark.parametrize("length", LENGTHS)
 @pytest.mark.parametrize(("low", "high"), [(EDGES[0], EDGES[2]), (EDGES[1], EDGES[3]), (EDGES[4], EDGES[5])])
 def test_band_pass_and_notch_are_closed_and_open_intervals(length, low, high):
@@ -116,7 +116,7 @@ def test_the_pendulum_of_the_paper():
     sampling_time=st.sampled_from([0.01, 0.1, 1 / 3, 2.0]),
     fractions=st.tuples(st.floats(0.02, 0.98), st.floats(0.02, 0.98)),
 )
-@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
 def test_hertz_and_radians_agree(length, sampling_time, fractions):
     low, high = sorted(fractions)
     hz = np.array([low, high]) * 0.5 / sampling_time

@@ -8,12 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.terms.continua.held import HeldMap
-from lin_freq_ocp.problem.terms.continua.vibration import VibrationMap
-from lin_freq_ocp.problem.terms.frequency_map import FrequencyMap
 from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
-from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
-from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
+from lin_freq_ocp.problem.terms.semi_infinite import HeldMap, VibrationMap
+from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
 
 N, M = 3, 2
 DIM = 4

@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.rounded_products import KINDS, exact_optimum, rounded_product
 from lin_freq_ocp.certificate.reach import Enclosure
-from lin_freq_ocp.problem.costs.semidefinite import is_semidefinite
+from lin_freq_ocp.problem.costs.quadratic import is_semidefinite
 from lin_freq_ocp.proof.convex import convex_problem, raised_by
 
 

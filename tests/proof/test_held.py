@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.proof.point.held import needs_feedback, with_feedback
+from lin_freq_ocp.proof.point import add_feedback, needs_feedback
 
 
 def exact_end(problem, u):
@@ -20,7 +20,7 @@ def test_the_exact_trajectory_stays_near_the_given_one():
     dynamics = lfo.LinearDynamics([[1.7]], [[0.3]])
     problem = lfo.OptimalControlProblem(dynamics, 100, lfo.QuadraticCost(Q=1.0, R=1.0), initial_state=[1.0])
     at = lfo.solve(problem).trajectory
-    held = with_feedback(problem, at)
+    held = add_feedback(problem, at)
     assert needs_feedback(problem)
     assert abs(exact_end(problem, at.u)) > 1.0
     assert abs(exact_end(problem, held.u)) < 1e-14

@@ -1,4 +1,4 @@
-"""Proofs with one number changed, and proofs of random problems: a seeded sample of scripts/verify_proofs.py."""
+"""Proofs with one number changed, and proofs of random problems: a seeded sample of scripts/verify/proofs.py."""
 
 from functools import cache
 

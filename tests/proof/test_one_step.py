@@ -2,11 +2,11 @@
 
 import io
 
-import lfo_check
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.proof import lfo_check
 from lin_freq_ocp.proof.proof import proof_of
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram
 
@@ -70,7 +70,7 @@ PROBLEMS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")  # a single control has a single bin
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")  # a single control has a single bin
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_the_checker_accepts_a_single_step(name):
     result = lfo.solve(one_step(**PROBLEMS[name]), throw=False)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.proof.lines import exact, vector
-from lin_freq_ocp.proof.statement.problem import problem_lines
+from lin_freq_ocp.proof.statement import problem_lines
 
 
 def stated(problem):
@@ -78,7 +79,7 @@ def test_modes_have_the_rows_of_their_regions():
     modes = lines_with(lines, "mode")
     assert lines[0]["modes"] == list(problem.dynamics.mode_names)
     assert [one["mode"] for one in modes] == [0, 1]
-    for one, mode in zip(modes, problem.piecewise.modes, strict=True):
+    for one, mode in zip(modes, piecewise_affine(problem).modes, strict=True):
         assert np.array_equal(numbers(one["A"]), mode.linear.A)
         assert np.array_equal(numbers(one["h"]), mode.region.e)
 

@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-import lfo_check
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.proof import lfo_check
 from lin_freq_ocp.proof.proof import proof_of
 from lin_freq_ocp.proof.tree import written_nodes
-from lin_freq_ocp.testing.reference import PIECEWISE_AFFINE
+from lin_freq_ocp.testing import PIECEWISE_AFFINE
 
 GAP = 1e-6  # relative, of the search
 
@@ -83,7 +83,7 @@ def test_a_leaf_that_reaches_nothing_need_not_be_in_the_tree():
     assert not any(node.parent == empty for node in tree.nodes)
     rest = (node for k, node in enumerate(tree.nodes) if k != empty)
     without = replace(tree, nodes=tuple(replace(one, parent=one.parent - (one.parent > empty)) for one in rest))
-    proof, found = proof_of(replace(result, tree=without))
+    proof, found = proof_of(replace(result, evidence=replace(result.evidence, tree=without)))
     assert len(proof.dual.nodes) == len(tree.nodes)
     assert found.width <= GAP * found.upper
 
@@ -94,7 +94,7 @@ def test_a_leaf_that_is_not_proven_is_found():
     leaf = int(np.nanargmin(result.tree_bound.bounds))
     spoiled = replace(tree, nodes=tuple(replace(n, proof=None) if k == leaf else n for k, n in enumerate(tree.nodes)))
     with pytest.raises(lfo.errors.SolveError, match="prove nothing"):
-        proof_of(replace(result, tree=spoiled))
+        proof_of(replace(result, evidence=replace(result.evidence, tree=spoiled)))
 
 
 def test_a_hessian_of_rank_one_costs_no_more_than_the_gap():

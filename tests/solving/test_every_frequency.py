@@ -9,11 +9,10 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.comparison.signals import Signal
-from lin_freq_ocp.comparison.trajectories import measured_solution
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.comparison.trajectories import Signal, measured_solution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.system.clock import use_clock
 
 MASK = lfo.MagnitudeBound
 PEAK_OF_CLASSICAL = 29.343  # of the double integrator's bang-off-bang control, at frequency 0

@@ -13,20 +13,18 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.analysis.mode_tree import ModeTree
-from lin_freq_ocp.backends.clarabel_ import solve as clarabel_solve
-from lin_freq_ocp.certificate.modes.bound import TreeBound, tree_bound
+from lin_freq_ocp.base import resources
+from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.modes.branch_and_bound import BranchAndBound
-from lin_freq_ocp.methods.modes.search import SearchLimits
-from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
-from lin_freq_ocp.methods.spectral.kkt.bordered_system import LARGEST_BORDER
-from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point
-from lin_freq_ocp.solving import modes
-from lin_freq_ocp.system import memory
-from lin_freq_ocp.system.clock import use_clock
-from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
-from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.search import SearchLimits
+from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDER
+from lin_freq_ocp.methods.spectral.qp import BorderedQp, interior_point
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
+from lin_freq_ocp.program.backends.clarabel_ import solve as clarabel_solve
+from lin_freq_ocp.program.transcription import LinearTranscription, dense_rows
+from lin_freq_ocp.solving.hybrid import modes
 
 LOOK = 0.01
 """Seconds that a look at the clock takes here: it runs by how often a method looks at it, on every machine the same."""
@@ -59,7 +57,7 @@ PATHS: dict[str, tuple[Callable[[], lfo.OptimalControlProblem], str]] = {
 
 @pytest.mark.parametrize("path", PATHS)
 def test_every_path_ends_at_its_time_limit(path: str) -> None:
-    """How long that takes by a real clock is what scripts/verify_limits.py measures."""
+    """How long that takes by a real clock is what scripts/verify/limits.py measures."""
     make, method = PATHS[path]
     problem, clock = make(), Clock(LOOK)
     with use_clock(clock), pytest.raises(lfo.errors.LimitError, match=r"time limit|MaxTime|timelimit") as raised:
@@ -161,15 +159,15 @@ def test_a_limit_error_without_a_result_has_none_of_them() -> None:
 
 
 def small_memory(monkeypatch: pytest.MonkeyPatch, size: float) -> None:
-    monkeypatch.setattr(memory, "memory_limit", lambda: size)
-    monkeypatch.setattr(memory, "ALWAYS_THERE", 0.0)
+    monkeypatch.setattr(resources, "memory_limit", lambda: size)
+    monkeypatch.setattr(resources, "ALWAYS_THERE", 0.0)
 
 
 def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*arguments: Any) -> Any:
         raise AssertionError("dense rows were made")
 
-    monkeypatch.setattr("lin_freq_ocp.transcription.linear.transcription.spectrum_rows", never)
+    monkeypatch.setattr("lin_freq_ocp.program.transcription.spectrum_rows", never)
     problem = lfo.library.pendulum(horizon=5000)
     small_memory(monkeypatch, 1e8)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: .*dense rows.* GiB.*spectral"):

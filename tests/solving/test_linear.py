@@ -11,10 +11,10 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import linear
 from helpers.checks.units import solved
-from lin_freq_ocp.methods.convex.polish import polished, without_rounding
+from helpers.random.linear import random_linear
+from lin_freq_ocp.methods.convex.polish import polish_point, without_rounding
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
-from lin_freq_ocp.testing.random_linear import random_linear
-from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
+from lin_freq_ocp.program.transcription import LinearTranscription
 
 BRAKING = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),
@@ -206,7 +206,7 @@ def test_a_rough_point_is_polished_to_rounding():
     rng = np.random.default_rng(0)
     rough = z + 1e-4 * rng.standard_normal(len(z)), y * (1 + 1e-4 * rng.standard_normal(len(y)))
     assert program.residuals(*rough).worst > 1e-5
-    better = polished(program, *rough)
+    better = polish_point(program, *rough)
     assert program.residuals(*better).worst < 1e-11
     assert (np.abs(problem.control_set.upper - exact.trajectory.u) < 1e-9).any()
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.conflict import prove_infeasible
+from helpers.random.linear import random_linear
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.testing.random_linear import random_linear
 
 T = 20
 BRAKES = 0.4

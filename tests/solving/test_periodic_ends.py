@@ -11,8 +11,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.api.solve import raise_for
-from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.errors import InfeasibleError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import InfeasibleError, ProblemError, UnsupportedError
+from lin_freq_ocp.certificate.rays import prove_infeasible
 
 T, METHODS = 12, ("auto", "convex", "structured")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.testing.random_mixed import problem_of, random_model
+from helpers.random.mixed import problem_of, random_model
 
 SUM = lfo.LinearDynamics([[1.0]], [[1.0]])
 

@@ -8,12 +8,12 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
-from lin_freq_ocp.backends import clarabel_
-from lin_freq_ocp.backends.base import Claim, Solution
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.system.clock import use_clock
-from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, reference_problem
-from lin_freq_ocp.transcription.program import Block
+from lin_freq_ocp.program.backends import clarabel_
+from lin_freq_ocp.program.backends.base import Claim, Solution
+from lin_freq_ocp.program.program import Block
+from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
 METHODS = pytest.mark.parametrize("method", ["auto", "convex"])
 """The default, which is "spectral" wherever that applies, and the sparse program."""

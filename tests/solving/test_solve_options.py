@@ -106,7 +106,7 @@ def test_options_beside_an_object_are_refused():
         lfo.solve(PROBLEMS["piecewise-affine"], tolerance=0.1, gap=0.1)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"method: got 3; expected a text"):
         lfo.solve(PROBLEMS["linear"], 3)
-    with pytest.raises(lfo.errors.UnsupportedError, match=r"'minlp', which is no method any more: .*verify_nonsmooth"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"'minlp', which is no method any more: .*verify/nonsmooth"):
         lfo.solve(PROBLEMS["piecewise-smooth"], "minlp")
 
 

@@ -21,7 +21,7 @@ from helpers.stage_rows import (
     replace_limits,
     solve,
 )
-from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.multipliers import fit_multipliers
 
 # ----------------------------------------------------------------------------------------------------------- solution

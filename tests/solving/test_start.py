@@ -14,8 +14,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.cli import app as cli
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 
 HORIZON, STEP = 30, 0.1
 SLIDE, STICK = 0, 1
@@ -98,7 +99,7 @@ def test_the_local_search_ends_no_worse_than_its_start(obvious, looks):
 
 def test_the_local_search_takes_controls_and_modes_first(obvious):
     problem, tried = block(smooth=True), []
-    modes = problem.smooth_pieces.sequence_of(obvious.trajectory.x, obvious.trajectory.u)
+    modes = piecewise_smooth(problem).sequence_of(obvious.trajectory.x, obvious.trajectory.u)
     for start in (obvious.trajectory.u, modes):
         limits = {"time_limit": 200.0, "throw": False, "progress": tried.append}
         with use_clock(Clock(1.0)):

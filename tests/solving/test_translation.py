@@ -11,11 +11,11 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import translation
 from helpers.rounded_products import exact_optimum
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.solving import linear
 from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.status import Status
 
 SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
 UTM = 5.4e6  # a northing in metres

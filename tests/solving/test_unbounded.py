@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.random_unbounded import random_unbounded, with_cost_times
-from lin_freq_ocp.certificate.directions import unbounded_direction
+from helpers.random.unbounded import random_unbounded, with_cost_times
+from lin_freq_ocp.certificate.rays import unbounded_direction
 
 T = 10
 ONE = lfo.LinearDynamics([[1.0]], [[1.0]])
@@ -254,7 +254,7 @@ def test_what_is_infeasible_and_unbounded_ends_as_infeasible(name, method):
     assert within_reach.direction is not None
 
 
-ALL_REMOVED = pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
+ALL_REMOVED = pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
 
 
 @ALL_REMOVED

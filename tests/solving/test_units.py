@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers import random_units
 from helpers.checks import units
+from helpers.random.units import CLASSES, drawn
 from lin_freq_ocp.certificate.sizes import cost_scale, trajectory_sizes
 
 SEEDS = {change: [3, 4, 8] for change in units.CHANGES}
@@ -31,8 +31,8 @@ def test_global_bounds_do_not_compare_states_with_controls():
 
 
 def test_the_sample_has_every_class():
-    kinds = Counter(random_units.drawn(seed).kind for seed in range(60))
-    assert set(kinds) == set(random_units.CLASSES)
+    kinds = Counter(drawn(seed).kind for seed in range(60))
+    assert set(kinds) == set(CLASSES)
 
 
 SMALL = lfo.OptimalControlProblem(

@@ -6,17 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.backends.base import Claim, Solution, Solver
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.polish import polished
-from lin_freq_ocp.methods.convex.recession import nearest_recession
-from lin_freq_ocp.system.clock import now
-from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
-from lin_freq_ocp.transcription.linear.units import own_scaling, own_sizes
-from lin_freq_ocp.transcription.program import Program, Residuals, Scaling
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate
+from lin_freq_ocp.methods.convex.polish import nearest_recession, polish_point
+from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
+from lin_freq_ocp.program.program import Program, Residuals, Scaling
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import own_scaling, own_sizes
 
-SOLVED_TOLERANCE = 1e-6  # relative residuals up to which a backend's "solved" is accepted, in units of the answer
 ACCURATE = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units
 DIVERGED_SIZE = 1e100  # size, in expected units, of a diverged point
 FAR_BOUND = 1e4  # size, in expected units, from which bounds are left out at first, as they disturb solvers
@@ -57,6 +55,11 @@ class Solves:
         """The seconds that are left, or None for no limit."""
         return None if self.end == np.inf else max(self.end - now(), LEAST_TIME)
 
+    @property
+    def over(self) -> bool:
+        """Whether there is no time left."""
+        return now() >= self.end
+
     def attempt(self, scaling: Scaling, tolerance: float | None = None) -> Attempt:
         """Solve in the given units, and measure."""
         program = self.transcription.program.scaled(scaling)
@@ -64,7 +67,7 @@ class Solves:
         if near is None:
             return self._solve(program, scaling, tolerance)
         attempt = self._solve(near, scaling, tolerance)
-        if attempt.ended or attempt.candidate.status in ("optimal", "infeasible") or over(self):
+        if attempt.ended or attempt.candidate.status in ("optimal", "infeasible") or self.over:
             return attempt
         complete = self._solve(program, scaling, tolerance)
         return complete if attempt.candidate.status == "unbounded" else better_of(attempt, complete)
@@ -126,11 +129,11 @@ class Solves:
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
         solution = self.solver(program, tolerance or self.asked, self.left)
         attempt = self.measured(scaling, program, solution)
-        if attempt.z is None or attempt.ended or attempt.error <= self.target or program.cones or over(self):
+        if attempt.z is None or attempt.ended or attempt.error <= self.target or program.cones or self.over:
             return attempt
         assert solution.z is not None
         assert solution.y is not None
-        better = polished(program, solution.z, solution.y)
+        better = polish_point(program, solution.z, solution.y)
         if better is None:
             return attempt
         claimed = replace(solution, claim=Claim.SOLVED, z=better[0], y=better[1])
@@ -142,11 +145,6 @@ def better_of(one: Attempt, other: Attempt) -> Attempt:
     if other.ended:
         return replace(one, candidate=replace(one.candidate, interrupted=other.candidate.interrupted))
     return other if other.error < one.error else one
-
-
-def over(solves: Solves) -> bool:
-    """Whether there is no time left."""
-    return now() >= solves.end
 
 
 def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y: Array) -> Residuals:

@@ -1,34 +1,54 @@
-"""Transcribe to a scaled sparse program, hand it to a backend, measure the answer, and map it back."""
+"""One sparse convex program: transcribed, scaled, solved by a backend, measured, and mapped back.
+
+Where the best answer is not proven, others follow. Small residuals of a program do not suffice if a component that
+should be zero holds rounding, which is judged by its own size, or if a far bound disturbed the solver. So answers are
+polished and rounded, and the program is solved in other units, with and without far bounds. Trajectories without cost
+or slope are computed directly: solvers approach them only to the root of their tolerance.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
+import scipy.sparse as sp
 
-from lin_freq_ocp.analysis.response_curvature import require_convex_bins
-from lin_freq_ocp.backends.base import DEFAULT_TOLERANCE, backend
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.attempts import ACCURATE, SOLVED_TOLERANCE, Attempt, Solves, better_of, over
-from lin_freq_ocp.methods.convex.retries import further
+from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, require_convex
+from lin_freq_ocp.methods.convex.attempts import ACCURATE, Attempt, Solves, better_of
+from lin_freq_ocp.methods.convex.polish import polish_point, without_rounding
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.system.clock import now
-from lin_freq_ocp.transcription.linear.dense_rows import dense_rows
-from lin_freq_ocp.transcription.linear.transcription import LinearTranscription
-from lin_freq_ocp.transcription.linear.units import (
+from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.sizes import stated_sizes
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
+from lin_freq_ocp.program.program import Program, Scaling
+from lin_freq_ocp.program.transcription import LinearTranscription, dense_rows
+from lin_freq_ocp.program.units import (
+    bounds_scaling,
     natural_scaling,
     own_scaling,
     plain_scaling,
     revised_scaling,
+    scaled_program,
     stated_scaling,
 )
-from lin_freq_ocp.transcription.program import Program, Scaling
 
+ROUNDING_LEVELS = (1e-12, 1e-9)  # parts of the units of variables and duals that may be rounding: the judge decides
+LARGEST_ERROR = 1e-3  # relative residuals up to which versions of a point are judged
+FLAT_SLOPE = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
 GRACE = 0.25  # seconds beyond a time limit in which a solver may return a point
 REVISIONS = 2  # of the units by the answer
+# The sparse program needs a dense row for every frequency constraint, and its time grows with the entries of these
+# rows; the structured method needs none, but more time for a small problem. Measured by scripts/benchmark.py choice.
+DENSE_ENTRIES = 3e4  # of dense rows, from which the structured method is the faster one; both take 0.2 s there
+PLAIN_ENTRIES = 1.2e5  # the same without compiled loops
+VARIABLES = 9e3  # of a program without dense rows, from which it is, by a little; compiled only
 
 
 def solve_convex(
@@ -75,46 +95,29 @@ def convex_candidates(
     target = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
     asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
     solves = Solves(transcription, solver, tolerance, asked, end, target)
-    best = _best(solves, scaling)
+    best = _best_attempt(solves, scaling)
     seconds = {"setup": ready - started, "solve": now() - ready}
     yield replace(best.candidate, seconds=seconds)
-    for candidate in further(solves, scaling, best):
+    for candidate in other_candidates(solves, scaling, best):
         yield replace(candidate, seconds={**seconds, "solve": now() - ready})
 
 
-def _best(solves: Solves, scaling: Scaling) -> Attempt:
+def _best_attempt(solves: Solves, scaling: Scaling) -> Attempt:
     """Return the best attempt: in the given units, in those of the answers, and in others if none is accurate."""
-    best = _followed(solves, solves.attempt(scaling))
+    best = _revise_units(solves, solves.attempt(scaling))
     allowed = max(SOLVED_TOLERANCE, solves.tolerance or 0.0)
-    for other in _others(solves, scaling):
-        if best.ended or best.error <= allowed or over(solves):
+    for other in _other_attempts(solves, scaling):
+        if best.ended or best.error <= allowed or solves.over:
             break
-        best = better_of(best, _followed(solves, other(best)))
+        best = better_of(best, _revise_units(solves, other(best)))
     return best
 
 
-def _others(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Attempt]]:
-    """Return further solves, each from the best attempt so far."""
-    transcription = solves.transcription
-    ways: list[Callable[[Attempt], Attempt]] = [
-        lambda best: solves.attempt(_of_point(transcription, best, natural, per_time=True)),
-        lambda best: solves.attempt(stated_scaling(transcription)),
-        lambda best: solves.attempt(plain_scaling(transcription)),
-    ]
-    if solves.asked > DEFAULT_TOLERANCE:
-        ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
-    return ways
-
-
-def _of_point(transcription: LinearTranscription, best: Attempt, natural: Scaling, per_time: bool) -> Scaling:
-    return natural if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
-
-
-def _followed(solves: Solves, attempt: Attempt) -> Attempt:
+def _revise_units(solves: Solves, attempt: Attempt) -> Attempt:
     """Return the attempt, or a better one in units of its own answer."""
     best = attempt
     for _ in range(REVISIONS):
-        if best.ended or best.z is None or best.error <= solves.target or over(solves):
+        if best.ended or best.z is None or best.error <= solves.target or solves.over:
             break
         revised = revised_scaling(solves.transcription, best.scaling, best.z)
         if revised is None:
@@ -126,23 +129,158 @@ def _followed(solves: Solves, attempt: Attempt) -> Attempt:
     return best
 
 
-def require_convex(problem: OptimalControlProblem) -> None:
-    """Raise UnsupportedError, with the time or the bins and the eigenvalue, unless the cost is convex."""
-    response = problem.dynamics.response(problem.horizon)
-    if response is not None:
-        require_convex_bins(problem, response)
+def _other_attempts(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Attempt]]:
+    """Return further solves, each from the best attempt so far."""
+    transcription = solves.transcription
+    ways: list[Callable[[Attempt], Attempt]] = [
+        lambda best: solves.attempt(
+            natural if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time=True)
+        ),
+        lambda best: solves.attempt(stated_scaling(transcription)),
+        lambda best: solves.attempt(plain_scaling(transcription)),
+    ]
+    if solves.asked > DEFAULT_TOLERANCE:
+        ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
+    return ways
+
+
+def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
+    """Yield other candidates than the best attempt until the time limit or Ctrl-C; ``natural``: the expected units."""
+    if best.ended:
         return
-    worst = problem.quadratic.nonconvexity()
-    if worst is not None:
-        where = "P" if worst[0] < 0 else f"[[Q, S], [S', R]] at t = {worst[0]}"
-        raise UnsupportedError(
-            f"cost: {where} has the eigenvalue {worst[1]:g}; a convex method needs it positive semidefinite. "
-            "certify() judges trajectories of nonconvex problems too."
-        )
+    yield from _versions(solves, natural, best)
+    for units in _other_units(solves, natural):
+        for solve in (solves.complete, solves.near):
+            if solves.over:
+                return
+            scaling = units(best)
+            attempt = None if scaling is None else solve(scaling)
+            if attempt is None:
+                continue
+            if attempt.ended:
+                if attempt.candidate.interrupted:
+                    yield replace(best.candidate, interrupted=True)
+                return
+            if attempt.z is not None or attempt.candidate.status in ("infeasible", "unbounded"):
+                yield attempt.candidate
+            yield from _versions(solves, natural, attempt)
+            best = better_of(best, attempt)
 
 
-def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription, Scaling, Program]:
-    """Return the transcription, its natural units, and the program in them."""
-    transcription = LinearTranscription(problem)
-    scaling = natural_scaling(transcription)
-    return transcription, scaling, transcription.program.scaled(scaling)
+def _other_units(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Scaling | None]]:
+    """Return other units, each from the best attempt so far; units that need its point come last."""
+    transcription = solves.transcription
+
+    def own(best: Attempt, per_time: bool) -> Scaling | None:
+        return None if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
+
+    return [
+        lambda _: plain_scaling(transcription),
+        lambda _: stated_scaling(transcription),
+        lambda _: natural,
+        lambda _: bounds_scaling(transcription, natural),
+        lambda best: own(best, per_time=False),
+        lambda best: own(best, per_time=True),
+    ]
+
+
+def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
+    """Yield a point with exact zeros for rounding, polished, and both."""
+    if attempt.z is None or attempt.y is None or attempt.error > LARGEST_ERROR:
+        return
+    yield from _rounded_versions(solves, natural, attempt)
+    program = solves.transcription.program.scaled(attempt.scaling)
+    if program.cones or solves.over:
+        return
+    scaling = attempt.scaling
+    found = polish_point(program, scaling.scaled_primal(attempt.z), scaling.scaled_dual(attempt.y))
+    if found is not None:
+        better = solves.measured(scaling, program, Solution(Claim.SOLVED, *found, "polished"))
+        if better.z is not None and better.error <= LARGEST_ERROR:
+            yield better.candidate
+            yield from _rounded_versions(solves, natural, better)
+
+
+def _rounded_versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
+    """Yield a point with exact zeros for what is rounding in the natural units, if that changes it."""
+    assert attempt.z is not None
+    assert attempt.y is not None
+    program, before = solves.transcription.program.scaled(natural), (attempt.z, attempt.y)
+    for level in ROUNDING_LEVELS:
+        z = without_rounding(attempt.z, natural.columns, level)
+        y = without_rounding(attempt.y, natural.rows / natural.cost, level)
+        if np.array_equal(z, before[0]) and np.array_equal(y, before[1]):
+            continue
+        before = z, y
+        scaled = natural.scaled_primal(z), natural.scaled_dual(y)
+        yield solves.measured(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
+
+
+def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
+    """Return the trajectory of controls at their references, with multipliers of zero; None if it diverges.
+
+    Controls without a cost, and the first state, are those of ``near``.
+    """
+    cost, (T, m) = problem.quadratic, near.u.shape
+    priced = np.broadcast_to(np.diagonal(cost.R, axis1=-2, axis2=-1) > 0, (T, m))
+    u = np.where(priced, cost.u_ref, near.u)
+    follows = problem.dynamics.response(T) is not None  # x_0, too, from the controls
+    try:
+        trajectory = simulate(problem, u, None if follows else problem.state_tube.at(0).project(near.x[0]))
+    except NumericalError:
+        return None
+    rho_u, rho_x = np.zeros(problem.control_stop.shape), np.zeros(problem.state_stop.shape)
+    none = Multipliers(1.0, np.zeros((T, near.x.shape[1])), np.zeros_like(near.x), np.zeros((T, m)), rho_u, rho_x)
+    return Candidate("optimal", trajectory, none, message="controls at their references")
+
+
+def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: float | None) -> Candidate | None:
+    """Return a trajectory that satisfies all constraints and P z + q = 0, with multipliers of zero, or None.
+
+    It is computed where the slope at ``near`` is small.
+    """
+    if any(not term.hard for term in problem.terms) or _slope(problem, near) > FLAT_SLOPE:
+        return None
+    transcription, scaling, program = scaled_program(problem)
+    curved = np.flatnonzero(abs(program.P).sum(1) + np.abs(program.q))
+    flat = Program(
+        P=sp.csc_array(program.P.shape),
+        q=np.zeros_like(program.q),
+        constant=0.0,
+        A=sp.csc_array(sp.vstack([program.A, program.P[curved]])),
+        lower=np.concatenate([program.lower, -program.q[curved]]),
+        upper=np.concatenate([program.upper, -program.q[curved]]),
+        rows=program.rows,
+        cones=program.cones,
+    )
+    solution = backend("clarabel")(flat, DEFAULT_TOLERANCE, time_limit)
+    if solution.claim is not Claim.SOLVED or solution.z is None or solution.y is None:
+        return None
+    better = None if program.cones else polish_point(flat, solution.z, np.zeros_like(solution.y))
+    z: Array = scaling.primal(solution.z if better is None else better[0])
+    none = transcription.multipliers(np.zeros(len(program.lower)), 1.0)
+    return Candidate("optimal", transcription.trajectory(z), none, message="a point where the cost has no slope")
+
+
+def _slope(problem: OptimalControlProblem, at: Trajectory) -> float:
+    """Return the largest slope of the cost, relative to that of terms of the stated sizes."""
+    steady = [
+        np.broadcast_to(size, signal.shape) for size, signal in zip(stated_sizes(problem), (at.x, at.u), strict=True)
+    ]
+    slopes = zip(problem.quadratic.gradient(at.x, at.u), steady, strict=True)
+    usual = zip(problem.quadratic.gradient_magnitudes(*steady), steady, strict=True)
+    most, least = (max(float(np.abs(g * size).max()) for g, size in pairs) for pairs in (usual, slopes))
+    return least / most if most > 0 else np.inf
+
+
+def structured_first(problem: OptimalControlProblem) -> str:
+    """Return why the structured method is taken before the sparse program; an empty text if it is not."""
+    signals = problem.state_dim, problem.control_dim
+    if any(len(term.map.places) and term.map.spectrum_form(*signals) is None for term in problem.terms):
+        return "frequencies of a mask that are close together cost the sparse program digits"
+    rows, compiled = dense_rows(problem), find_spec("numba") is not None
+    if rows.entries >= (DENSE_ENTRIES if compiled else PLAIN_ENTRIES):
+        return f"the sparse program would have {rows.count} dense rows"
+    if compiled and rows.variables >= VARIABLES:
+        return f"the sparse program would have {rows.variables} variables"
+    return ""

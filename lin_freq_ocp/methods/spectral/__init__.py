@@ -1,13 +1,20 @@
 """The Fourier-domain method for linear time-invariant problems, as docs/spectral.md derives it.
 
-``model``      the problem in units of order 1, its null spaces at every bin, and kernels of pointwise rows
-``kkt``        the bordered KKT system, and the small QPs with it
-``rows``       the working set, violated rows, and responses of nearby or of all values without FFTs
-``algorithm``  what is kept between solves (``structure``), the first working set, the exchange, rays, multipliers
-``solver``     SpectralSolver, which puts these together
+In reading order:
+
+``reductions``  polyhedral sets, soft sets and soft stop bands as constraints that the method takes
+``model``       the problem in units of order 1, with time as the last axis
+``spaces``      null spaces and particular responses at every bin, and kernels of pointwise rows
+``kkt``         the bordered KKT system: the unknowns and equations that belong to no single bin
+``rows``        pointwise rows: which are violated, which form the working set, how they act on each other
+``qp``          the small quadratic programs over the working rows
+``structure``   all that depends on the problem, then on its data; points from multipliers; rays of infeasible data
+``exchange``    from the first working set to the optimum
+``recovery``    multipliers of the maximum principle and their residuals, for one problem or for a batch
+``solver``      SpectralSolver, which puts these together; ``tolerances`` are those of all files
 """
 
-from lin_freq_ocp.methods.spectral.model.row_form import row_form
+from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.solver import SpectralSolution, SpectralSolver
 
 __all__ = ["SpectralSolution", "SpectralSolver", "row_form"]

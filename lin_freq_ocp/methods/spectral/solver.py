@@ -10,29 +10,39 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, brief, known_entries, positive_number
-from lin_freq_ocp.backends.blas_threads import one_blas_thread
-from lin_freq_ocp.backends.interrupt import interrupts_noted
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.attempts import SOLVED_TOLERANCE
-from lin_freq_ocp.methods.convex.ends import contradiction_at_ends
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
+from lin_freq_ocp.base.arrays import Array, brief, known_entries, positive_number
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.interrupts import interrupts_noted
+from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, contradiction_at_ends, require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.algorithm.ends_model import EndsModel, ends_model
-from lin_freq_ocp.methods.spectral.algorithm.exchange import Exchange, Outcome, Stop, deadline
-from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
-from lin_freq_ocp.methods.spectral.algorithm.recovery import Recovered, in_units, recover, residuals, trajectory
-from lin_freq_ocp.methods.spectral.algorithm.structure import Structure, prepare
-from lin_freq_ocp.methods.spectral.algorithm.together import Together, fits, solve_together
-from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem, natural_units, refusal, revised_units
-from lin_freq_ocp.methods.spectral.model.row_form import row_form
-from lin_freq_ocp.methods.spectral.rows.working_set import Rows
+from lin_freq_ocp.methods.spectral.exchange import (
+    Exchange,
+    ExchangeOutcome,
+    Stop,
+    batch_working_sets,
+    deadline,
+    first_working_set,
+)
+from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
+from lin_freq_ocp.methods.spectral.recovery import (
+    BatchRecovery,
+    Recovered,
+    Together,
+    in_units,
+    recover,
+    residuals,
+    takes_batches,
+    trajectory,
+)
+from lin_freq_ocp.methods.spectral.reductions import row_form
+from lin_freq_ocp.methods.spectral.rows import Rows
+from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_of, ends_model
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.system.clock import now
-from lin_freq_ocp.transcription.program import Residuals
+from lin_freq_ocp.program.program import Residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +71,10 @@ class SpectralSolution(Candidate):
     rounds: int = 0
 
 
-class Answer(NamedTuple):
+class MeasuredOutcome(NamedTuple):
     """How an exchange ended, with the multipliers and residuals of its point, or of its ray without residuals."""
 
-    outcome: Outcome
+    outcome: ExchangeOutcome
     found: Recovered
     measured: Residuals | None
 
@@ -122,6 +132,31 @@ class SpectralSolver:
         """Restore the state, with a new lock."""
         self.__dict__.update(state, _turn=threading.Lock())
 
+    def _set_up(self, units: LtiUnits) -> None:
+        """Compute everything that does not depend on data, in the given units."""
+        started = now()
+        with one_blas_thread():
+            self._units, self._lti = units, lti_problem(self.problem, units)
+            try:
+                self._structure = Structure(self._lti)
+            except np.linalg.LinAlgError as error:
+                raise UnsupportedError(
+                    f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
+                ) from None
+        self._coarser: dict[int, Structure] = {}
+        self._solves = 0
+        self._ends_model: EndsModel | None = None
+        self._last_rows: Rows | None = None
+        self.setup_seconds = now() - started
+
+    @classmethod
+    def _in_units(cls, problem: OptimalControlProblem, units: LtiUnits) -> SpectralSolver:
+        """Return a solver for the same problem, set up in other units."""
+        solver = cls.__new__(cls)
+        solver.problem = problem
+        solver._set_up(units)
+        return solver
+
     def solve(
         self,
         initial_state: ArrayLike | ConvexSet | None = None,
@@ -161,7 +196,7 @@ class SpectralSolver:
                 positive_number(field, value)
         with self._turn:
             started = now()
-            problem, lti = self._with(initial_state, terminal_state, references, bounds)
+            problem, lti = self._changed_problem(initial_state, terminal_state, references, bounds)
             ray = contradiction_at_ends(problem)
             if ray is not None:
                 message, both = ("an end lies outside the state set", {"setup": 0.0, "solve": now() - started})
@@ -169,134 +204,11 @@ class SpectralSolver:
             if warm_start is not None:
                 self._require_own(warm_start)
             first = None if warm_start is None else warm_start.active
-            return self._solved(problem, lti, first, tolerance or tol.VIOLATION_TOLERANCE, time_limit, started)
-
-    def solve_together(self, initial_states: Array) -> Together | None:
-        """Solve from many initial states, each from the working rows of the one before, and all signals at once.
-
-        Parameters
-        ----------
-        initial_states : (N, n)
-
-        Returns
-        -------
-        Together or None
-            Claims without residuals, for a judge. None where joint rows, state bands, or more than 2500 bounded values
-            prevent it.
-        """
-        if not fits(self._structure) or np.isnan(self._lti.start).any():
-            return None
-        if self._last_rows is None:
-            self._last_rows = self.solve(initial_state=initial_states[0]).active  # which may revise the units
-        with self._turn, one_blas_thread(), np.errstate(all="ignore"), interrupts_noted() as interrupt:
-            self._ends_model = self._ends_model or ends_model(self._structure, self._lti)
-            if self._ends_model is None:
-                return None
-            stop, rows = deadline(None, interrupt.is_set), self._last_rows
-            state, starts = (self._structure, self._ends_model, self._units), initial_states / self._units.x
-
-            def failed(i: int) -> None:
-                self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tol.VIOLATION_TOLERANCE, stop)
-
-            answer = solve_together(*state, initial_states, rows, tol.VIOLATION_TOLERANCE, stop, failed)
-            self._last_rows = answer.rows
-            return replace(answer, interrupted=interrupt.is_set())
-
-    def _solved(
-        self,
-        problem: OptimalControlProblem,
-        lti: Lti,
-        first: Rows | None,
-        allowed: float,
-        limit: float | None,
-        started: float,
-    ) -> SpectralSolution:
-        """Solve, in revised units if the first turn out to be wrong; the caller holds the lock."""
-        with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
-            stop = deadline(limit, interrupt.is_set)
-            answer = self._exchange(lti, first, allowed, stop)
-            y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
-            units = revised_units(self._units, y) if optimal else None
-            if units is not None:
-                better = SpectralSolver._in_units(self.problem, units)
-                second = better._exchange(lti_problem(problem, units), None, allowed, stop)
-                if second.outcome.status == "optimal":
-                    self.__dict__.update(better.__dict__)
-                    answer = second
-            return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
-
-    @classmethod
-    def _in_units(cls, problem: OptimalControlProblem, units: Units) -> SpectralSolver:
-        """Return a solver for the same problem, set up in other units."""
-        solver = cls.__new__(cls)
-        solver.problem = problem
-        solver._set_up(units)
-        return solver
-
-    def _set_up(self, units: Units) -> None:
-        """Compute everything that does not depend on data, in the given units."""
-        started = now()
-        with one_blas_thread():
-            self._units, self._lti = units, lti_problem(self.problem, units)
-            try:
-                self._structure = Structure(self._lti)
-            except np.linalg.LinAlgError as error:
-                raise UnsupportedError(
-                    f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
-                ) from None
-        self._coarser: dict[int, Structure] = {}
-        self._solves = 0
-        self._ends_model: EndsModel | None = None
-        self._last_rows: Rows | None = None
-        self.setup_seconds = now() - started
-
-    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> Answer:
-        if first is None:
-            first = first_working_set(lti, stop, self._coarser)
-        model = self._model_between(lti)
-        known = None if model is None else model.at(lti)
-        if model is None or known is None:
-            exchange = Exchange(self._structure, prepare(self._structure, lti), first, tolerance, stop)
-            answer = self._measured(exchange, exchange.run())
-        else:
-            exchange = Exchange(self._structure, known[0], first, tolerance, stop, model.violations, known[1])
-            ray = model.refuting(*known)
-            answer = self._measured(exchange, exchange.run() if ray is None else exchange.refuted(ray))
-            if ray is None and answer.outcome.ray is not None:
-                model.keep(answer.outcome.ray)
-        if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
-            exchange.slope_tolerance = tol.STRICT_SLOPE
-            second = self._measured(exchange, exchange.run())
-            answer = second if second.accurate else answer
-        return answer
-
-    def _model_between(self, lti: Lti) -> EndsModel | None:
-        """Return the model of other ends, from the second solve on, if the problem differs in nothing else."""
-        self._solves += 1
-        if self._solves == 1 or lti.lower is not self._lti.lower or lti.linear is not self._lti.linear:
-            return None
-        if self._solves == 2:
-            self._ends_model = ends_model(self._structure, self._lti)
-        return self._ends_model
-
-    def _measured(self, exchange: Exchange, outcome: Outcome) -> Answer:
-        found = recover(self._structure, exchange.data, outcome, exchange.spectrum)
-        del exchange.spectrum  # large; further rounds make another
-        return Answer(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
-
-    def _require_own(self, warm_start: SpectralSolution) -> None:
-        if not isinstance(warm_start, SpectralSolution):
-            raise ProblemError("warm_start", type(warm_start).__name__, "a SpectralSolution", "What solve() returned.")
-        got, shape = (
-            given and (given.horizon, given.state_dim, given.control_dim, sum(rows.rows for rows in given.stage_rows))
-            for given in (warm_start.problem, self.problem)
-        )
-        if got != shape:
-            raise ProblemError(
-                "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
+            return self._solve_in_best_units(
+                problem, lti, first, tolerance or tol.VIOLATION_TOLERANCE, time_limit, started
             )
 
-    def _with(
+    def _changed_problem(
         self,
         initial_state: ArrayLike | ConvexSet | None,
         terminal_state: ArrayLike | ConvexSet | None,
@@ -339,7 +251,79 @@ class SpectralSolver:
             )
         return problem, lti
 
-    def _solution(self, problem: OptimalControlProblem, answer: Answer, started: float) -> SpectralSolution:
+    def _require_own(self, warm_start: SpectralSolution) -> None:
+        if not isinstance(warm_start, SpectralSolution):
+            raise ProblemError("warm_start", type(warm_start).__name__, "a SpectralSolution", "What solve() returned.")
+        got, shape = (
+            given and (given.horizon, given.state_dim, given.control_dim, sum(rows.rows for rows in given.stage_rows))
+            for given in (warm_start.problem, self.problem)
+        )
+        if got != shape:
+            raise ProblemError(
+                "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
+            )
+
+    def _solve_in_best_units(
+        self,
+        problem: OptimalControlProblem,
+        lti: Lti,
+        first: Rows | None,
+        allowed: float,
+        limit: float | None,
+        started: float,
+    ) -> SpectralSolution:
+        """Solve, in revised units if the first turn out to be wrong; the caller holds the lock."""
+        with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
+            stop = deadline(limit, interrupt.is_set)
+            answer = self._exchange(lti, first, allowed, stop)
+            y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
+            units = revised_units(self._units, y) if optimal else None
+            if units is not None:
+                better = SpectralSolver._in_units(self.problem, units)
+                second = better._exchange(lti_problem(problem, units), None, allowed, stop)
+                if second.outcome.status == "optimal":
+                    self.__dict__.update(better.__dict__)
+                    answer = second
+            return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
+
+    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> MeasuredOutcome:
+        """Exchange from the first working rows, or a kept ray; with a stricter slope where residuals are too large."""
+        if first is None:
+            first = first_working_set(lti, stop, self._coarser)
+        model = self._model_between(lti)
+        known = None if model is None else model.at(lti)
+        if model is None or known is None:
+            exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
+            answer = self._measured_answer(exchange, exchange.run())
+        else:
+            exchange = Exchange(self._structure, known[0], first, tolerance, stop, model.violations, known[1])
+            ray = model.known_ray(*known)
+            answer = self._measured_answer(exchange, exchange.run() if ray is None else exchange.infeasible_by(ray))
+            if ray is None and answer.outcome.ray is not None:
+                model.keep_ray(answer.outcome.ray)
+        if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
+            exchange.slope_tolerance = tol.STRICT_SLOPE
+            second = self._measured_answer(exchange, exchange.run())
+            answer = second if second.accurate else answer
+        return answer
+
+    def _model_between(self, lti: Lti) -> EndsModel | None:
+        """Return the model of other ends, from the second solve on, if the problem differs in nothing else."""
+        self._solves += 1
+        if self._solves == 1 or lti.lower is not self._lti.lower or lti.linear is not self._lti.linear:
+            return None
+        if self._solves == 2:
+            self._ends_model = ends_model(self._structure, self._lti)
+        return self._ends_model
+
+    def _measured_answer(self, exchange: Exchange, outcome: ExchangeOutcome) -> MeasuredOutcome:
+        """Recover the multipliers, and measure the point with them."""
+        found = recover(self._structure, exchange.data, outcome, exchange.spectrum)
+        del exchange.spectrum  # large; further rounds make another
+        return MeasuredOutcome(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
+
+    def _solution(self, problem: OptimalControlProblem, answer: MeasuredOutcome, started: float) -> SpectralSolution:
+        """Return the solution in the user's units; not optimal with large residuals or numbers that are not finite."""
         outcome, measured = answer.outcome, answer.measured
         status, message = outcome.status, outcome.message
         finite = all(np.isfinite(part).all() for part in (answer.found.eta, answer.found.band, answer.found.rho_x))
@@ -349,8 +333,6 @@ class SpectralSolver:
         infeasible = status == "infeasible"
         if status == "optimal" and measured is not None and not answer.accurate:
             status, message = "numerical_error", f"converged with residuals of {measured.worst:.1e}"
-        active = outcome.working.weights > 0
-        t, f, sign = outcome.working.rows()
         return SpectralSolution(
             status=status,
             trajectory=None if infeasible or not finite else trajectory(outcome, self._units),
@@ -360,6 +342,42 @@ class SpectralSolver:
             message=message,
             seconds={"setup": self.setup_seconds, "solve": now() - started},
             problem=problem,
-            active=None if infeasible else Rows(t[active], f[active], sign[active], outcome.working.weights[active]),
+            active=None if infeasible else outcome.working.active_rows(),
             rounds=outcome.rounds,
         )
+
+    def solve_together(self, initial_states: Array) -> Together | None:
+        """Solve from many initial states, each from the working rows of the one before, and all signals at once.
+
+        Parameters
+        ----------
+        initial_states : (N, n)
+
+        Returns
+        -------
+        Together or None
+            Claims without residuals, for a judge. None where joint rows, state bands, or more than 2500 bounded values
+            prevent it.
+        """
+        if not takes_batches(self._structure) or np.isnan(self._lti.start).any():
+            return None
+        if self._last_rows is None:
+            self._last_rows = self.solve(initial_state=initial_states[0]).active  # which may revise the units
+        with self._turn, one_blas_thread(), np.errstate(all="ignore"), interrupts_noted() as interrupt:
+            self._ends_model = self._ends_model or ends_model(self._structure, self._lti)
+            if self._ends_model is None:
+                return None
+            stop, rows, tolerance = deadline(None, interrupt.is_set), self._last_rows, tol.VIOLATION_TOLERANCE
+            model, starts = self._ends_model, initial_states / self._units.x
+
+            def solve_alone(i: int) -> None:  # if infeasible, the model keeps its ray, which may prove others so
+                self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tolerance, stop)
+
+            p = model.parameters(starts)
+            step, values = p @ model.step, p @ model.values
+            batch = self._structure, model, values, rows, tolerance, stop, solve_alone
+            weights, found, self._last_rows = batch_working_sets(*batch)
+            step -= weights @ model.whole.through.T
+            answer = BatchRecovery(self._structure, model, p, step, weights)
+            batched = answer.in_units(self._units, found, self._last_rows)
+            return replace(batched, interrupted=interrupt.is_set())

@@ -1,1 +1,1 @@
-"""An interior-point method over stages and frequencies: Riccati recursions, and coupling rows by their smaller side."""
+"""An interior-point method over stages and frequencies: Riccati recursions, coupling rows in range or null space."""

@@ -1,6 +1,16 @@
-"""Compile the loops of the structured method ahead: ``python -m lin_freq_ocp.methods.structured``."""
+"""Compile all loops of the methods ahead: ``python -m lin_freq_ocp.methods.structured``.
 
-from lin_freq_ocp.methods.structured.kkt.compiled import loops, paths
+Compiled code stands in modules whose names end in "kernels"; each registers its own when it is imported.
+"""
 
-loops.KERNELS.prepare()
-paths.KERNELS.prepare()
+from importlib import import_module
+from pkgutil import walk_packages
+
+from lin_freq_ocp import methods
+from lin_freq_ocp.methods.structured.kkt.compilation import Kernels
+
+for module in walk_packages(methods.__path__, f"{methods.__name__}."):
+    if module.name.endswith("kernels"):
+        import_module(module.name)
+for kernels in Kernels.registered:
+    kernels.prepare()

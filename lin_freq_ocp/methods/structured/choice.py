@@ -1,9 +1,9 @@
-"""Which side solves the linear system of a step: the rows that couple times, or what stop bands keep.
+"""The choice of the KKT solver of a problem, by an estimate of the seconds of a step.
 
-A dense side costs sweeps over T stages for each of its columns, and their cube (that of the rows: sweeps one way, and
-the products of all columns); conjugate gradients cost some thirty
-sweeps and as many columns as there are rows left, starts, and directions of large weights. The constants were measured
-with compiled loops on one core, the low-pass of a time-varying system with n + k = 3 at T = 1000 to 20 000.
+A dense solver costs sweeps over T stages for each of its columns, and their cube (in range space: sweeps one way, and
+the products of all columns); conjugate gradients in null space cost some thirty sweeps and as many columns as there are
+remaining rows, starts, and directions of large weights. The constants were measured with compiled loops on one core,
+the low-pass of a time-varying system with n + k = 3 at T = 1000 to 20 000.
 """
 
 from __future__ import annotations
@@ -12,18 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
-from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
-from lin_freq_ocp.methods.structured.kkt.kept.space import GROWTH, break_times
-from lin_freq_ocp.methods.structured.kkt.kept.two_level import TwoLevel
-from lin_freq_ocp.methods.structured.kkt.low_rank import fine_rows
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.methods.structured.kkt.null_space import GROWTH, NullSpaceSolver, break_times, sort_rows
+from lin_freq_ocp.methods.structured.kkt.range_space import Response, fine_rows, range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
-from lin_freq_ocp.methods.structured.kkt.response import Response
-from lin_freq_ocp.methods.structured.kkt.side import Side
-from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
-from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced, TwoLevel
+from lin_freq_ocp.methods.structured.kkt.system import KKTSolver
+from lin_freq_ocp.methods.structured.stages import Stages
 
 COLUMN = 17e-9  # seconds for one entry of y of one stage of one column
 BACKWARD = 5e-9  # the same for the sweep backwards alone
@@ -34,49 +29,47 @@ FLOP = 5e-11  # seconds for a multiplication in other products and factors of de
 STAGE = 6e-7  # seconds for every pair of entries of y of a stage in a step without rows that couple times
 PLAIN_STAGE = 1e-4  # seconds for a stage in a step by loops that are not compiled
 LARGEST_BYTES = 1e9  # of a dense matrix and its factor, or of the columns that conjugate gradients keep
-STOPPED_BYTES = 2e9  # of the dense matrix of all rows and its factor, of the rows as signals, and of their sweep
+RANGE_SPACE_BYTES = 2e9  # of the dense matrix of all rows and its factor, of the rows as signals, and of their sweep
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What the cost of each side depends on."""
+    """The sizes on which the cost of each solver depends."""
 
     horizon: int
     entries: int  # of y_t
     channels: int  # of these, on which rows depend
     rows: int  # that couple times
-    kept: int  # coefficients, starts and free entries of x_0
+    unknowns: int  # in null space: coefficients, starts and free entries of x_0
     left: int  # rows on these: starts, x_T, and rows that are no stop band
     bands: int
 
     @property
-    def stopped_bytes(self) -> float:
-        """Return the memory that the side of the rows needs."""
+    def range_space_bytes(self) -> float:
+        """Return the memory that the range-space solver needs."""
         return 16.0 * self.rows * (self.rows + self.horizon * self.channels)
 
     def seconds(self) -> dict[str, float]:
-        """Return the seconds of a step by the sides that fit into memory."""
-        found: dict[str, float] = {}
+        """Return the seconds of a step by each solver that fits into memory."""
+        seconds: dict[str, float] = {}
         directions = self.left + DIRECTIONS
-        if self.stopped_bytes <= STOPPED_BYTES:
-            found["stopped"] = self._stopped(self.rows)
-        if self.bands and 16 * self.kept**2 <= LARGEST_BYTES:
-            found["kept"] = self._dense(self.kept) + FLOP * self.kept**2 * self.left + FLOP * self.left**3 / 3
-        if self.bands and 16 * self.kept * directions <= LARGEST_BYTES:
+        if self.range_space_bytes <= RANGE_SPACE_BYTES:
+            seconds["range space"] = self._range_space(self.rows)
+        if self.bands and 16 * self.unknowns**2 <= LARGEST_BYTES:
+            M = COLUMN * self.horizon * self.entries * self.unknowns + FLOP * self.unknowns**3 / 3
+            seconds["null space"] = M + FLOP * self.unknowns**2 * self.left + FLOP * self.left**3 / 3
+        if self.bands and 16 * self.unknowns * directions <= LARGEST_BYTES:
             iterations = self.horizon * self.entries * (ITERATIONS + 2 * COLUMN * directions)  # columns of x and u
-            found["two-level"] = iterations + FLOP * (self.kept * directions**2 + directions**3 / 3)
-        return found
+            seconds["two-level"] = iterations + FLOP * (self.unknowns * directions**2 + directions**3 / 3)
+        return seconds
 
     def fine_seconds(self, rows: int, rank: int) -> float:
         """Return the seconds of a step, or of its set-up, with so many rows of low rank."""
-        return self._stopped(rank + self.rows - rows) + 3 * SQUARE * rows * rank**2
+        return self._range_space(rank + self.rows - rows) + 3 * SQUARE * rows * rank**2
 
-    def _stopped(self, columns: int) -> float:
+    def _range_space(self, columns: int) -> float:
         sweep = self.horizon * self.entries * columns
         return BACKWARD * sweep + SQUARE * self.horizon * columns**2 + FLOP * columns**3 / 3
-
-    def _dense(self, columns: int) -> float:
-        return COLUMN * self.horizon * self.entries * columns + FLOP * columns**3 / 3
 
 
 def sizes_of(stages: Stages) -> Sizes:
@@ -89,13 +82,13 @@ def sizes_of(stages: Stages) -> Sizes:
     driven = np.flatnonzero(stages.B.any(axis=(0, 1))).tolist()
     whole = (channels | set(driven)) - banded - set(range(-stages.states, 0))
     starts = len(break_times(stages.A, GROWTH)) * stages.states
-    kept = T * len(banded) - stopped + (T + 1) * len(whole) + starts + int((~stages.fixed).sum())
+    unknowns = T * len(banded) - stopped + (T + 1) * len(whole) + starts + int((~stages.fixed).sum())
     left = starts + len(coupling.terminal) + sum(len(part.at) for part in rest)
-    return Sizes(T, stages.H.shape[1], len(channels), coupling.count, kept, left, len(bands))
+    return Sizes(T, stages.H.shape[1], len(channels), coupling.count, unknowns, left, len(bands))
 
 
 def step_seconds(stages: Stages, loops: Loops) -> float:
-    """Return about how many seconds a step takes, or the set-up before it."""
+    """Return an estimate of the seconds of a step, or of the set-up before it."""
     sizes, fine = sizes_of(stages), fine_rows(Response(stages, loops))
     if fine is None:
         coupled = min(sizes.seconds().values(), default=0.0)
@@ -106,19 +99,19 @@ def step_seconds(stages: Stages, loops: Loops) -> float:
     return coupled + sizes.horizon * alone
 
 
-def choose_side(stages: Stages, loops: Loops) -> Side:
-    """Return the fastest side that fits; UnsupportedError if none does."""
+def choose_kkt_solver(stages: Stages, loops: Loops) -> KKTSolver:
+    """Return the fastest KKT solver that fits; UnsupportedError if none does."""
     if fine_rows(Response(stages, loops)) is not None:
-        return stopped_side(stages, loops)
+        return range_space_solver(stages, loops)
     sizes = sizes_of(stages)
     seconds = sizes.seconds()
     if not seconds:
         raise UnsupportedError(
             f"problem: got {sizes.rows} rows that couple times, of which {sizes.left} are no stop band of a control; "
-            f"the structured method would need {1e-9 * sizes.stopped_bytes:.3g} GB of memory for them, and takes up to "
-            f"{STOPPED_BYTES * 1e-9:.0f} GB. A shorter horizon or method='convex' may do."
+            f"the structured method would need {1e-9 * sizes.range_space_bytes:.3g} GB of memory for them, and takes "
+            f"up to {RANGE_SPACE_BYTES * 1e-9:.0f} GB. A shorter horizon or method='convex' may do."
         )
     best = min(seconds, key=lambda name: seconds[name])
-    if best == "stopped":
-        return stopped_side(stages, loops)
-    return KeptSide(stages, loops, DenseReduced if best == "kept" else TwoLevel)
+    if best == "range space":
+        return range_space_solver(stages, loops)
+    return NullSpaceSolver(stages, loops, DenseReduced if best == "null space" else TwoLevel)

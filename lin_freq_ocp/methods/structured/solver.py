@@ -1,4 +1,7 @@
-"""A problem with linear dynamics by the structured interior point, in units in which it should be of order 1."""
+"""A problem with linear dynamics by the structured interior point, in units in which it should be of order 1.
+
+A first solve runs the embedding. A solve of a like problem near a known trajectory pivots among its active rows.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,18 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.sparse_program import require_convex
-from lin_freq_ocp.methods.structured.algorithm.active import solve_active
-from lin_freq_ocp.methods.structured.algorithm.embedding import Answer, Embedding, End, Targets
-from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.resources import require_memory
+from lin_freq_ocp.methods.candidate import Candidate, require_convex
+from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
+from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
+from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds
+from lin_freq_ocp.methods.structured.embedding import Answer, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
-from lin_freq_ocp.methods.structured.kkt.system import System, Values
-from lin_freq_ocp.methods.structured.model.assembly import Assembly
-from lin_freq_ocp.methods.structured.model.recovery import Recovery
-from lin_freq_ocp.methods.structured.prepared import Prepared
+from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
+from lin_freq_ocp.methods.structured.recovery import Recovery
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.system.clock import now
-from lin_freq_ocp.system.memory import require_memory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MATRICES, VECTORS = 12, 100  # of a stage's size that there are at a time
 LATE = 2.0  # an estimated step may take so many times as long
@@ -38,11 +38,14 @@ def solve_structured(
     """Solve a problem with linear dynamics and a convex cost; yield the answer, then those in units of the answer.
 
     ``excludes`` says of a ray that is still rough whether it proves infeasibility; ``compiled`` whether loops are
-    compiled (see ``loops``); ``prepared`` holds what solves of like problems left. UnsupportedError if the cost is not
+    compiled (see ``loops``); ``prepared`` is the solver cache of like problems. UnsupportedError if the cost is not
     convex, or the problem has a term that does not fit, or too many rows that couple times.
     """
     require_convex(problem)
-    _require_memory(problem)
+    entries = problem.state_dim + problem.control_dim
+    size = 8.0 * problem.horizon * entries * (MATRICES * entries + VECTORS)
+    what = f"method 'structured' with horizon = {problem.horizon}"
+    require_memory(what, size, "Choose a shorter horizon or a longer sampling time.")
     started = now()
     targets = _targets(tolerance, time_limit)
     end, assembly = targets.end, (prepared or Prepared()).assembly(problem)
@@ -53,9 +56,13 @@ def solve_structured(
         yield Candidate("limit", message=f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s")
         return
     while True:
-        answer = _solved(assembly, recursions, targets, excludes)
+        recovery, system = assembly.recovery, System(assembly.stages, recursions)
+        step = StepSystem(system, choose_kkt_solver(assembly.stages, recursions))
+        answer = Embedding(
+            system, step, targets, lambda z, recovery=recovery: excludes(recovery.multipliers(z, 0.0))
+        ).run()
         seconds = {"setup": setup, "solve": now() - started - setup}
-        yield _candidate(answer, assembly.recovery, seconds)
+        yield _candidate(answer, recovery, seconds)
         revised = assembly.revised(answer.y) if answer.end in (End.OPTIMAL, End.STALLED) else None
         if revised is None or now() + needed > end:
             return
@@ -86,28 +93,35 @@ def solve_again(
     return None if answer is None else _candidate(answer, assembly.recovery, seconds)
 
 
+class Prepared:
+    """The solver cache of like problems: stages and responses of rows, made when needed and reused while valid."""
+
+    def __init__(self):
+        self.near: Trajectory | None = None  # a trajectory near the next answer, from which rows are active
+        self._assembly: Assembly | None = None
+        self._rows: tuple[Assembly, bool, RowResponses] | None = None
+
+    def assembly(self, problem: OptimalControlProblem) -> Assembly:
+        """Return the stages of a problem, with the numbers of the last exchanged if no more differs."""
+        exchanged = None if self._assembly is None else self._assembly.exchanged(problem)
+        if self._assembly is None or exchanged is None or not exchanged.same_matrices(self._assembly):
+            self.near = None  # responses are worth finding for many solves only
+        self._assembly = exchanged or stages_of(problem)
+        return self._assembly
+
+    def responses(self, assembly: Assembly, loops: Loops) -> RowResponses:
+        """Return the responses of the rows of stages, which depend on all but right-hand sides."""
+        if self._rows is None or not self._rows[0].same_matrices(assembly) or self._rows[1] != loops.compiled:
+            stages = assembly.stages
+            rows = RowResponses(System(stages, loops), choose_kkt_solver(stages, loops))
+            self._rows = assembly, loops.compiled, rows
+        return self._rows[2]
+
+
 def _targets(tolerance: float | None, time_limit: float | None) -> Targets:
-    """Return what a solve that begins now is to reach."""
+    """Return the targets of a solve that begins now."""
     end = np.inf if time_limit is None else now() + time_limit
     return Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
-
-
-def _require_memory(problem: OptimalControlProblem) -> None:
-    entries = problem.state_dim + problem.control_dim
-    size = 8.0 * problem.horizon * entries * (MATRICES * entries + VECTORS)
-    what = f"method 'structured' with horizon = {problem.horizon}"
-    require_memory(what, size, "Choose a shorter horizon or a longer sampling time.")
-
-
-def _solved(assembly: Assembly, recursions: Loops, targets: Targets, excludes: Callable[[Multipliers], bool]) -> Answer:
-    stages, recovery = assembly.stages, assembly.recovery
-
-    def believed(z: Values) -> bool:
-        return excludes(recovery.multipliers(z, 0.0))
-
-    system = System(stages, recursions)
-    step = StepSystem(system, choose_side(stages, recursions))
-    return Embedding(system, step, targets, believed).run()
 
 
 def _candidate(answer: Answer, recovery: Recovery, seconds: dict[str, float]) -> Candidate:

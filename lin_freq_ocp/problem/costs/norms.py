@@ -8,13 +8,13 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, real_array, shaped, with_columns
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, real_array, shaped, with_columns
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import datum, listed, span, vector
 from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.text.phrases import datum, listed, span, vector
 
 
 @dataclass(frozen=True, eq=False, init=False)

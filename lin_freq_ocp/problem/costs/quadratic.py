@@ -1,5 +1,8 @@
 # ruff: noqa: D102  (a method without a docstring is described by ``Cost``)
-"""Stage and terminal costs c_t(x_t, u_t) and c_T(x_T) (paper, (DTOCPNSD-a))."""
+"""Stage and terminal costs c_t(x_t, u_t) and c_T(x_T) (paper, (DTOCPNSD-a)), and whether they are convex exactly.
+
+A new cost is a subclass of ``NonsmoothCost``; see ``norms``.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from fractions import Fraction
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, one_component, real_array, shaped, times_vectors
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.costs.semidefinite import least_rise
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, one_component, real_array, shaped, times_vectors
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import datum
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.text.phrases import datum
 
 SYMMETRY_TOLERANCE = 1e-12  # relative asymmetry of Q, R or P that is rounding and not a mistake
 CONVEXITY_TOLERANCE = 1e-12  # negative eigenvalue, relative to the largest, that is rounding of a semidefinite matrix
@@ -27,7 +30,7 @@ class Cost(ABC):
     """A convex cost; sums of costs are costs, and ``sum`` of a list of them, too.
 
     A new nonsmooth cost is a subclass of ``NonsmoothCost`` in a file of its own. To be written to problem files it is
-    listed in ``interchange/problem_file/tables.py``. ``tests/problem/test_new_term.py`` shows a complete one.
+    listed in ``files/problem_tables.py``. ``tests/problem/test_new_term.py`` shows a complete one.
     """
 
     @property
@@ -373,3 +376,52 @@ def _eigenvalues(matrices: Array) -> Array:
     if np.count_nonzero(matrices) == np.count_nonzero(diagonals):
         return np.sort(diagonals)
     return np.asarray(np.linalg.eigvalsh(matrices), dtype=np.float64)
+
+
+RISES = (0.0, 2.0**-54, 2.0**-52, 2.0**-50, 2.0**-46)  # parts of a diagonal that rounding of a product may lack
+MOST_ROWS = 100  # up to which whole numbers take no more than seconds
+
+
+def is_semidefinite(matrix: Array, rise: float = 0.0) -> bool:
+    """Whether the symmetric part of a matrix, its diagonal times 1 + rise, is positive semidefinite, without rounding.
+
+    A product c c' in floating point has been rounded: its least eigenvalue may be -1e-17 and not 0, and a cost with
+    this Hessian falls below zero far away. Floating point does not tell these apart; whole numbers do, by Bareiss's
+    (1968) elimination, which divides them without remainder.
+    """
+    entries = [[Fraction(x) for x in row] for row in (matrix + 0.0).tolist()]
+    unit = max((x.denominator for row in entries for x in row), default=1) * Fraction(rise).denominator
+    rows = [
+        [int(unit * (x + entries[j][i] + (2 * Fraction(rise) * x if i == j else 0))) for j, x in enumerate(row)]
+        for i, row in enumerate(entries)
+    ]
+    before = 1
+    while rows:
+        (pivot, *rest), rows = rows[0], rows[1:]
+        if pivot < 0 or (pivot == 0 and any(rest)):
+            return False
+        if pivot == 0:
+            rows = [row[1:] for row in rows]
+            continue
+        rows = [[(pivot * x - row[0] * y) // before for x, y in zip(row[1:], rest, strict=True)] for row in rows]
+        before = pivot
+    return True
+
+
+def least_rise(matrix: Array) -> float:
+    """Return the least of RISES with which ``is_semidefinite``: 0 for a sum of squares; inf if there is none.
+
+    The costs v'H v / 2 of states and controls v is at least minus this part of what the diagonal of H alone costs.
+    """
+    diagonal = np.diagonal(matrix)
+    if np.array_equal(matrix, np.diag(diagonal)):
+        return 0.0 if (diagonal >= 0).all() else np.inf
+    return _least_rise(np.ascontiguousarray(matrix, dtype=np.float64).tobytes(), len(matrix))
+
+
+@lru_cache(maxsize=4096)
+def _least_rise(content: bytes, size: int) -> float:
+    matrix = np.frombuffer(content).reshape(size, size)
+    if size > MOST_ROWS:
+        return np.inf
+    return next((rise for rise in RISES if is_semidefinite(matrix, rise)), np.inf)

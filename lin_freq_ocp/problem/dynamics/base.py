@@ -14,20 +14,34 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, Indices, Mask, brief, names, positive_number
-from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, names, positive_number
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.kinds import register_all
+from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.problem.dynamics.regions import SwitchingFacet
-from lin_freq_ocp.problem.dynamics.response.response import Response
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.stage_sets import StageSets
-from lin_freq_ocp.problem.terms.ends_map import Link
-from lin_freq_ocp.text.phrases import first_few, plural
+from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
+from lin_freq_ocp.problem.terms.term import Link
 
 Entry = TypeVar("Entry")
+Form = TypeVar("Form", bound="Dynamics")
 Step = Callable[[int, Array, Array], Array]  # from t, x_t (n,) and u_t (m,) to x_{t+1} (n,)
 Selections = Mapping[Formula, Array]  # the derivatives of norms at zero, (T, components), as for ``formulas.jets``
+
+
+class SwitchingBoundary(ABC):
+    """Where the regions of two modes meet."""
+
+    first: int
+    second: int
+
+    @property
+    @abstractmethod
+    def continuous(self) -> bool:
+        """Whether the map does not jump there."""
 
 
 class Dynamics(ABC):
@@ -96,7 +110,7 @@ class Dynamics(ABC):
         """Return a place in the sets where f_t is not defined, as text; None if there is none."""
         return self.standard_form.gap(sets)
 
-    def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
+    def borders(self, sets: StageSets) -> tuple[SwitchingBoundary, ...]:
         """Return where regions of affine modes meet within the sets."""
         return self.standard_form.borders(sets)
 
@@ -120,6 +134,10 @@ class Dynamics(ABC):
         """Return dynamics of affine maps that are the same to first order at (x_t, u_t)."""
         return self.standard_form.affine_at(x, u, selections)
 
+    def with_modes(self, sequence: ArrayLike, horizon: int) -> tuple[Dynamics, StageRows]:
+        """Return the linear dynamics of a mode sequence (T,), checked, and the rows of its regions."""
+        return self.standard_form.with_modes(sequence, horizon)
+
     def linear_at(self, x: Array, u: Array) -> Dynamics:
         """Return linear dynamics that are the same to first order at (x_t, u_t), those of the modes there."""
         return self.standard_form.linear_at(x, u)
@@ -135,6 +153,20 @@ class Dynamics(ABC):
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> Dynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t, A (k, k) and B (k, m)."""
         return self.standard_form.augmented(A, B, names, horizon)
+
+
+def as_sequence(field: str, sequence: ArrayLike, horizon: int, modes: int) -> Indices:
+    """Return a mode sequence as integers (T,), or raise ProblemError."""
+    expected = f"{horizon} mode numbers from 0 to {modes - 1}"
+    try:
+        given = np.asarray(sequence)
+    except ValueError:
+        raise ProblemError(field, brief(sequence), expected) from None
+    if given.shape != (horizon,) or given.dtype.kind not in "iu":
+        raise ProblemError(field, f"shape {given.shape} of {given.dtype}", expected)
+    if (given < 0).any() or (given >= modes).any():
+        raise ProblemError(field, brief(given.tolist()), expected)
+    return given.astype(np.intp)
 
 
 class StandardDynamics(Dynamics):
@@ -162,7 +194,7 @@ class StandardDynamics(Dynamics):
         """Return None: f_t is defined everywhere."""
         return None
 
-    def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
+    def borders(self, sets: StageSets) -> tuple[SwitchingBoundary, ...]:
         """Return none."""
         return ()
 
@@ -177,6 +209,10 @@ class StandardDynamics(Dynamics):
     def sequence_of(self, x: Array, u: Array) -> Indices:
         """Return zeros (T,): there is one mode."""
         return np.zeros(len(u), dtype=np.intp)
+
+    def with_modes(self, sequence: ArrayLike, horizon: int) -> tuple[Dynamics, StageRows]:
+        """Raise UnsupportedError: only piecewise-affine dynamics have sequences of affine modes."""
+        raise UnsupportedError(f"dynamics: got {type(self).__name__}; expected PiecewiseAffineDynamics.")
 
     def affine_at(self, x: Array, u: Array, selections: Selections | None = None) -> Dynamics:
         """Return these dynamics."""
@@ -211,9 +247,20 @@ class StateEquations(StandardDynamics):
         """Return what residuals of ``pull_back`` are relative to."""
 
 
+def in_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form:
+    """Return the standard form of dynamics, which must be of this kind."""
+    form = dynamics.standard_form
+    if isinstance(form, kind):
+        return form
+    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {kind.__name__}. {advice}".rstrip())
+
+
 def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:
     """Return the entry for the class of dynamics, for a base class, or for its standard form."""
-    for kind in (*type(dynamics).__mro__, *type(dynamics.standard_form).__mro__):
+    kinds = *type(dynamics).__mro__, *type(dynamics.standard_form).__mro__
+    if not any(kind in table for kind in kinds):
+        register_all()
+    for kind in kinds:
         if kind in table:
             return table[kind]
     known = ", ".join(kind.__name__ for kind in table)

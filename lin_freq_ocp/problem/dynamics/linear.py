@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from lin_freq_ocp.arrays import (
+from lin_freq_ocp.base.arrays import (
     Array,
     assign,
     extended,
@@ -22,10 +22,10 @@ from lin_freq_ocp.arrays import (
     with_products,
     with_rows,
 )
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.linearisation import System, clock, linearisation
-from lin_freq_ocp.text.phrases import datum, plural
 
 
 @dataclass(frozen=True, eq=False, init=False)

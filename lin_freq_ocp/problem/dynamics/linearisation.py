@@ -8,10 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, brief, positive_integer, positive_number, real_array, times_vectors
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number, real_array, times_vectors
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
-from lin_freq_ocp.text.phrases import plural
 
 # Step of the differences, relative to a component's size: near eps^(1/5), where h^4 and eps/h are about equal.
 RELATIVE_STEP = 2.0**-10

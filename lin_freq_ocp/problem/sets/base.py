@@ -6,7 +6,7 @@ and the CVXPY export need nothing else of it.
 
 A new set is a subclass of ``ConvexSet`` in a file of its own, with ``dimension``, ``parts`` and ``describe``; a part
 takes any penalty of ``problem/terms``. To be written to problem files it is listed in
-``interchange/problem_file/tables.py``. ``tests/problem/test_new_set.py`` shows a complete one.
+``files/problem_tables.py``. ``tests/problem/test_new_set.py`` shows a complete one.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Mask, assign, brief, frozen, with_columns, with_products
-from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.problem.terms.ends_map import Link
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, frozen, with_columns, with_products
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import MOST_TEXT
 from lin_freq_ocp.problem.terms.penalty import Penalty
-from lin_freq_ocp.text.phrases import MOST_TEXT
+from lin_freq_ocp.problem.terms.term import Link
 
 Bounds = tuple[Array, Array]  # lower and upper, of no, one or two dimensions
 

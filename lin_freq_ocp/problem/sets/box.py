@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, frozen, one_component, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, frozen, one_component, real_array
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import MOST_TEXT, intervals, plural, short_name
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
-from lin_freq_ocp.text.phrases import MOST_TEXT, intervals, plural, short_name
 
 SetOrSets = ConvexSet | Sequence[ConvexSet] | None  # one set for all times, one per time, or no constraint
 

@@ -10,12 +10,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import NO_BOUND, Array, assign, brief, frozen, positive_number, real_array, with_columns
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import NO_BOUND, Array, assign, brief, frozen, positive_number, real_array, with_columns
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import AT_MOST, MOST_ROWS, combination, datum, inequalities, number, price, vector
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
 from lin_freq_ocp.problem.terms.penalty import HARD
-from lin_freq_ocp.text.phrases import AT_MOST, MOST_ROWS, combination, datum, inequalities, number, price, vector
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -10,11 +10,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, assign, real_array, with_columns, with_products
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, assign, real_array, with_columns, with_products
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
-from lin_freq_ocp.problem.terms.ends_map import EndsMap, Link, Within
-from lin_freq_ocp.text.phrases import datum, plural
+from lin_freq_ocp.problem.terms.maps import EndsMap
+from lin_freq_ocp.problem.terms.penalties import Within
+from lin_freq_ocp.problem.terms.term import Link
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -1,7 +1,8 @@
 # ruff: noqa: D102  (a method without a docstring is described by ``FrequencyConstraint``)
-"""Frequency constraints: bands in rad/sample, Hz or DFT bins, which become bins when they meet a signal's length.
+"""Equations on the spectrum of a signal: stop bands, and linear equations over all times.
 
-A stop band sets DFT bins of this horizon to zero. What lies between the bins is small, but not zero.
+Bands are in rad/sample, Hz or DFT bins, and become bins when they meet a signal's length. A stop band sets DFT bins of
+this horizon to zero. What lies between the bins is small, but not zero.
 """
 
 from __future__ import annotations
@@ -9,12 +10,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import fft
 
-from lin_freq_ocp.arrays import Array, ComplexArray, Mask, brief, real_array
-from lin_freq_ocp.errors import BandWarning, ProblemError
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, assign, brief, positive_number, real_array, with_columns
+from lin_freq_ocp.base.errors import BandWarning, ProblemError
+from lin_freq_ocp.base.phrases import datum, first_few, number, price, runs_in_words, runs_of, short_name
 from lin_freq_ocp.problem.spectrum.base import (
     Constraints,
     FrequencyConstraint,
@@ -23,11 +27,11 @@ from lin_freq_ocp.problem.spectrum.base import (
     component_words,
     entries_of,
 )
+from lin_freq_ocp.problem.terms.maps import SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
-from lin_freq_ocp.problem.terms.penalty import HARD
-from lin_freq_ocp.problem.terms.spectrum_map import SpectrumMap
+from lin_freq_ocp.problem.terms.penalty import HARD, weight_of
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.text.phrases import number, runs_in_words, runs_of
 
 BIN_TOLERANCE = 1e-9  # distance of a cut-off from a bin (relative to the bin number above 1) at which it falls on it
 
@@ -321,6 +325,28 @@ def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Ban
     return Band("stop_band", tuple(int(k) for k in listed), "bins", component)
 
 
+def _edges(kind: str, **given: tuple[float | None, float | None]) -> tuple[tuple[float, ...], str]:
+    """Return the edges and their unit, of pairs (in rad/sample, in Hz) of which one is None."""
+    edges, units = list[float](), list[str]()
+    for name, (radians, hertz) in given.items():
+        if (radians is None) == (hertz is None):
+            got = f"{'neither' if radians is None else 'both'} of {name} and {name}_hz"
+            raise ProblemError(f"{kind}.{name}", got, "exactly one of them")
+        value = real_array(f"{kind}.{name}", radians if hertz is None else hertz)
+        if value.ndim or value < 0:
+            got = brief(radians if hertz is None else hertz)
+            raise ProblemError(f"{kind}.{name}", got, "one number, zero or above")
+        if hertz is None and value > np.pi * (1 + BIN_TOLERANCE):
+            got, expected = f"{float(value):g} rad/sample", "at most pi, the Nyquist frequency"
+            raise ProblemError(f"{kind}.{name}", got, expected, f"In Hz it is {name}_hz=.")
+        edges.append(float(value))
+        units.append("rad/sample" if hertz is None else "Hz")
+    if len(set(units)) > 1:
+        got = ", ".join(f"{name} in {unit}" for name, unit in zip(given, units, strict=True))
+        raise ProblemError(kind, got, "both in the same unit")
+    return tuple(edges), units[0]
+
+
 def stopped_bins(
     field: str, given: Constraints, length: int, component_names: Sequence[str], sampling_time: float | None
 ) -> Mask:
@@ -359,23 +385,72 @@ def time_signal(rho: ComplexArray, length: int) -> Array:
     return fft.irfft(length * weight[:, None] * rho, n=length, axis=0)
 
 
-def _edges(kind: str, **given: tuple[float | None, float | None]) -> tuple[tuple[float, ...], str]:
-    """Return the edges and their unit, of pairs (in rad/sample, in Hz) of which one is None."""
-    edges, units = list[float](), list[str]()
-    for name, (radians, hertz) in given.items():
-        if (radians is None) == (hertz is None):
-            got = f"{'neither' if radians is None else 'both'} of {name} and {name}_hz"
-            raise ProblemError(f"{kind}.{name}", got, "exactly one of them")
-        value = real_array(f"{kind}.{name}", radians if hertz is None else hertz)
-        if value.ndim or value < 0:
-            got = brief(radians if hertz is None else hertz)
-            raise ProblemError(f"{kind}.{name}", got, "one number, zero or above")
-        if hertz is None and value > np.pi * (1 + BIN_TOLERANCE):
-            got, expected = f"{float(value):g} rad/sample", "at most pi, the Nyquist frequency"
-            raise ProblemError(f"{kind}.{name}", got, expected, f"In Hz it is {name}_hz=.")
-        edges.append(float(value))
-        units.append("rad/sample" if hertz is None else "Hz")
-    if len(set(units)) > 1:
-        got = ", ".join(f"{name} in {unit}" for name, unit in zip(given, units, strict=True))
-        raise ProblemError(kind, got, "both in the same unit")
-    return tuple(edges), units[0]
+@dataclass(frozen=True, eq=False, init=False)
+class LinearConstraint(FrequencyConstraint):
+    """constant + sum_t coefficients_t v_t = 0 for the signal v it is given for (paper, (SFC) and (CFC)).
+
+    Parameters
+    ----------
+    coefficients : (times, rows, components)
+        One matrix per time: T of them for controls, T+1 for states (T with Periodic()).
+    constant : (rows,), optional
+        Zero without.
+    penalty : float, optional
+        Makes it soft: penalty times the Euclidean norm of the left-hand side is added to the cost.
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match or entries are not finite.
+
+    Examples
+    --------
+    >>> mean = lfo.spectrum.LinearConstraint([[[0.25]]] * 4)  # of four controls
+    >>> mean.coefficients.shape
+    (4, 1, 1)
+    """
+
+    coefficients: Array
+    constant: Array
+    penalty: float | None
+    on_outputs: ClassVar[bool] = False
+
+    def __init__(self, coefficients: ArrayLike, constant: ArrayLike | None = None, penalty: float | None = None):
+        matrices = real_array("LinearConstraint.coefficients", coefficients)
+        if matrices.ndim != 3 or 0 in matrices.shape:
+            expected = "one matrix (rows, components) per time"
+            raise ProblemError("LinearConstraint.coefficients", f"shape {matrices.shape}", expected)
+        rows = matrices.shape[1]
+        right = np.zeros(rows) if constant is None else real_array("LinearConstraint.constant", constant)
+        if right.shape != (rows,):
+            raise ProblemError("LinearConstraint.constant", f"shape {right.shape}", f"shape ({rows},)")
+        soft = None if penalty is None else positive_number("LinearConstraint.penalty", penalty)
+        impossible = ~matrices.any(axis=(0, 2)) & (right != 0)
+        if impossible.any() and soft is None:
+            row = int(np.argmax(impossible))
+            got = f"{right[row]:g} for row {row}, which has no coefficients"
+            raise ProblemError("LinearConstraint.constant", got, "a row that can hold")
+        assign(self, coefficients=matrices, constant=right, penalty=soft)
+
+    def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        expected = (signal.length, self.coefficients.shape[1], len(signal.names))
+        if self.coefficients.shape != expected:
+            raise ProblemError(f"{field}.coefficients", f"shape {self.coefficients.shape}", f"shape {expected}")
+        parts = (self.coefficients, None) if signal.D is None else (None, self.coefficients)
+        ball = NormBall(2, np.zeros(()), weight_of(self.penalty))
+        yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap(*parts, self.constant), ball, source)
+
+    def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
+        return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]
+
+    def softened(self, penalty: float) -> LinearConstraint:
+        return self if self.penalty is not None else LinearConstraint(self.coefficients, self.constant, penalty)
+
+    def describe(self, names: Sequence[str]) -> str:
+        rows = self.coefficients.shape[1]
+        used = [short_name(name) for i, name in enumerate(names) if self.coefficients[:, :, i].any()]
+        of = first_few(used) if used else "nothing"
+        equations = "linear equation" if rows == 1 else f"{rows} linear equations"
+        right = "" if not self.constant.any() else f", {datum('constant', self.constant, 1)}"
+        cost = price(self.penalty, "norm")
+        return f"{equations} in {of} over all times: constant + sum of coefficients_t v_t = 0{right}{cost}"

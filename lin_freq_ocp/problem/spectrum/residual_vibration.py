@@ -10,12 +10,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, assign, brief, positive_number, real_array
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, assign, brief, positive_number, real_array
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import AT_MOST, number
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
-from lin_freq_ocp.problem.terms.continua.vibration import PlantBox, VibrationMap
+from lin_freq_ocp.problem.terms.semi_infinite import PlantBox, VibrationMap
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.text.phrases import AT_MOST, number
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -10,13 +10,13 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.arrays import Array, assign, brief, positive_integer, real_array, with_columns
-from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer, real_array, with_columns
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_indices
 from lin_freq_ocp.problem.spectrum.bounds import SpectrumBound
-from lin_freq_ocp.problem.terms.spectrogram_map import SpectrogramMap
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrogramMap
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.text.phrases import plural
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -1,7 +1,8 @@
 # ruff: noqa: D102  (a method without a docstring is described by the class that it implements)
-"""Affine maps of a trajectory, (x, u) -> values (groups, dim): stages, spectra, and sums over all times.
+"""Affine maps of a trajectory, (x, u) -> values (groups, dim): of stages, of both ends, and sums over all times.
 
-A new map is a subclass of ``AffineMap`` in a file of its own: nothing else in the package tells maps apart.
+Those of spectra are in ``spectrum_maps``. A new map is a subclass of ``AffineMap`` in a file of its own: nothing else
+in the package tells maps apart.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices, Mask, times_vectors
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, times_vectors
 
 Shapes = tuple[tuple[int, ...], tuple[int, ...]]  # of x, (T+1, n), and of u, (T, m)
 
@@ -246,10 +247,12 @@ class SumMap(MatrixMap):
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         dim = len(self.constant)
-        of_x, of_u = (
-            _first_columns(np.zeros((dim, 0)) if part is None else np.swapaxes(part, 0, 1).reshape(dim, -1), columns)
-            for part, columns in ((self.Phi, (horizon + 1) * n), (self.Psi, horizon * m))
+        parts = (
+            np.zeros((dim, 0)) if part is None else np.swapaxes(part, 0, 1).reshape(dim, -1)
+            for part in (self.Phi, self.Psi)
         )
+        totals = (horizon + 1) * n, horizon * m
+        of_x, of_u = (pad_columns(sp.csr_array(part), total) for part, total in zip(parts, totals, strict=True))
         return joined_rows(of_x, of_u), self.constant
 
     def magnitudes(self) -> AffineMap:
@@ -257,10 +260,47 @@ class SumMap(MatrixMap):
         return SumMap(Phi, Psi, np.abs(self.constant))
 
 
-def _first_columns(rows: Array, columns: int) -> sp.csr_array:
-    """Return rows on the first of so many columns."""
-    found = sp.csr_array(rows)
-    return sp.csr_array((found.data, found.indices, found.indptr), shape=(len(rows), columns))
+@dataclass(frozen=True, eq=False)
+class EndsMap(MatrixMap):
+    """v = E_0 x_0 + E_T x_T - e, a single group."""
+
+    E_0: Array  # (rows, n)
+    E_T: Array  # (rows, n)
+    e: Array  # (rows,)
+    horizon: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return 1, len(self.e)
+
+    @property
+    def positions(self) -> Indices:
+        return np.array([0, self.horizon])
+
+    @property
+    def additions(self) -> float:
+        return float(2 * self.E_0.shape[1] + 1)
+
+    def values(self, x: Array, u: Array) -> Array:
+        return (self.E_0 @ x[0] + self.E_T @ x[-1] - self.e)[None]
+
+    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        of_x, of_u = (np.zeros(shape, dtype=weights.dtype) for shape in shapes)
+        of_x[0], of_x[-1] = weights[0] @ self.E_0, weights[0] @ self.E_T
+        return of_x, of_u
+
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        between = sp.csr_array((len(self.e), (horizon - 1) * n))
+        of_x = sp.csr_array(sp.hstack([sp.csr_array(self.E_0), between, sp.csr_array(self.E_T)]))
+        return joined_rows(of_x, sp.csr_array((len(self.e), horizon * m))), -self.e
+
+    def magnitudes(self) -> AffineMap:
+        return EndsMap(np.abs(self.E_0), np.abs(self.E_T), -np.abs(self.e), self.horizon)
+
+
+def pad_columns(rows: sp.csr_array, columns: int) -> sp.csr_array:
+    """Return the rows with so many columns, zeros behind those that they have."""
+    return sp.csr_array((rows.data, rows.indices, rows.indptr), shape=(rows.shape[0], columns))
 
 
 def joined_rows(of_x: sp.csr_array, of_u: sp.csr_array) -> sp.csr_array:

@@ -5,12 +5,16 @@ Their conic forms, with slacks s >= 0:
 
     HalfSpaces, hard         v <= limit
     HalfSpaces, soft         v - s <= limit, s >= 0                             cost weight * s, a slack per entry
+    Within                   -reach <= v <= reach
     NormBall, 1              v - s <= 0, v + s >= 0                             cost weight * s, a slack per entry
     NormBall, inf, hard      -radius <= v <= radius
     NormBall, inf, soft      v - s <= radius, v + s >= -radius, s >= 0          cost weight * s, a slack per group
     NormBall, 2, hard        (radius, v) in the second-order cone; v = 0 where the radius is 0
     NormBall, 2, soft        (radius + s, v) in the second-order cone, s >= 0   cost weight * s, a slack per group
     StandardCone             v in the second-order cone
+    LargestExcess            (l_j + (l_j / L) s, v_j) in the cone, s >= 0       cost (weight / L) * s, a single slack
+
+L is the largest limit l_j, so that s has the unit of the values.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices, Mask, extended
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.problem.terms.penalty import HARD, ConicForm, Penalty, selected_rows
 
 DUAL_ORDER = {1: np.inf, 2: 2, np.inf: 1}  # of a norm, the order of its dual norm
@@ -103,6 +107,45 @@ class HalfSpaces(Penalty):
 
     def _limited(self, shape: tuple[int, ...]) -> Indices:
         return np.flatnonzero(np.isfinite(np.broadcast_to(self.limit, shape)))
+
+
+@dataclass(frozen=True, eq=False)
+class Within(Penalty):
+    """|v| <= reach in every entry, always; with a reach of 0, the equation v = 0."""
+
+    reach: float
+
+    @property
+    def weights(self) -> Array:
+        return HARD
+
+    def excess(self, v: Array) -> Array:
+        return np.abs(v) - self.reach
+
+    def excess_slope(self, v: Array, change: Array, near: float) -> Array:
+        return np.where(np.abs(v) > near, np.sign(v) * change, np.abs(change))
+
+    def recession(self, change: Array) -> Array:
+        return np.abs(change)
+
+    def subgradient(self, multipliers: Array, eta_C: float) -> Array:
+        return multipliers
+
+    def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
+        return self.reach * np.abs(multipliers) - multipliers * v
+
+    def sizes(self) -> Array:
+        return np.full(1, self.reach)
+
+    def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+        return np.full(shape, -self.reach), np.full(shape, self.reach)
+
+    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+        return c, replace(self, reach=self.reach + amount)
+
+    def conic(self, groups: int, dim: int) -> ConicForm:
+        count = groups * dim
+        return selected_rows(np.arange(count), np.full(count, -self.reach), np.full(count, self.reach))
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +307,115 @@ class StandardCone(Penalty):
         count = groups * dim
         cones = tuple(slice(g * dim, (g + 1) * dim) for g in range(groups))
         return selected_rows(np.arange(count), np.zeros(count), np.full(count, np.inf), cones)
+
+
+@dataclass(frozen=True, eq=False)
+class LargestExcess(Penalty):
+    """h(v) = weight * max(0, max over groups of |v_j| / l_j - 1): the price of the largest relative excess of norms.
+
+    h*(lambda) = sum_j l_j |lambda_j| where that is <= weight.
+    """
+
+    limit: Array  # (groups,), above zero; inf where there is none
+    weight: Array  # (), finite
+
+    @property
+    def weights(self) -> Array:
+        return self.weight
+
+    @property
+    def unlimited(self) -> Mask:
+        return np.isinf(self.limit)[:, None]
+
+    def excess(self, v: Array) -> Array:
+        return (norm_of(v, 2) / self.limit - 1)[:, None]
+
+    def excess_slope(self, v: Array, change: Array, near: float) -> Array:
+        return (slope_of_norm(v, change, 2, near) / self.limit)[:, None]
+
+    def recession(self, change: Array) -> Array:
+        return (norm_of(change, 2) / self.limit)[:, None]
+
+    def cost(self, v: Array) -> Array:
+        """Return h(v), of all groups together, (1,): which of them has the largest excess is a matter of rounding."""
+        return np.array([self.weight * self._raised(v)])
+
+    def slope(self, v: Array, change: Array, near: float) -> float:
+        excess = self.excess(v)
+        reach = near / np.min(self.limit, initial=np.inf)
+        largest = excess >= excess.max(initial=0.0) - reach
+        rise = float(np.max(self.excess_slope(v, change, near), initial=-np.inf, where=largest))
+        if not largest.any():
+            return 0.0
+        return float(self.weight) * (rise if excess.max() > reach else max(rise, 0.0))
+
+    def unbounded(self, change: Array) -> tuple[float, float]:
+        return 0.0, float(self.weight * self.recession(change).max(initial=0.0))
+
+    def subgradient(self, multipliers: Array, eta_C: float) -> Array:
+        limited = np.where(np.isfinite(self.limit)[:, None], multipliers, 0.0)
+        most, spent = self.weight * eta_C, self._spent(limited).sum()
+        return limited * (most / spent) if spent > most else limited
+
+    def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
+        spent, raised = self._spent(multipliers), self._raised(v)
+        gaps = spent * (1 + raised) - (multipliers * v).sum(1)
+        return (gaps + self._of_largest(v, raised * (eta_C * self.weight - spent.sum())))[:, None]
+
+    def misfit(self, v: Array, multipliers: Array) -> Array:
+        return across(v, multipliers)[:, None]
+
+    def sizes(self) -> Array:
+        return np.where(np.isfinite(self.limit), self.limit, 0.0)[:, None]
+
+    def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+        limit = np.broadcast_to(self.limit[:, None], shape)
+        return -limit, limit
+
+    def limit_multipliers(self, multipliers: Array) -> Array:
+        return norm_of(multipliers, 2)[:, None]
+
+    def least_slacks(self, v: Array) -> Array:
+        return np.array([self._raised(v) * self._unit])
+
+    def conic(self, groups: int, dim: int) -> ConicForm:
+        limited = np.flatnonzero(np.isfinite(self.limit))
+        limit, entries = self.limit[limited], limited[:, None] * dim + np.arange(dim)
+        rows = np.append(np.column_stack([np.full(len(limited), -1), entries]).ravel(), -1)
+        lower = np.append(np.column_stack([-limit, np.zeros(entries.shape)]).ravel(), 0.0)
+        first = np.arange(len(limited)) * (dim + 1)
+        slacks = np.zeros((len(rows), 1))
+        slacks[first, 0], slacks[-1, 0] = limit / self._unit, 1.0
+        price, paid = np.array([float(self.weight) / self._unit]), entries.reshape(1, -1)
+        cones = tuple(slice(int(row), int(row) + dim + 1) for row in first)
+        return ConicForm(rows, lower, np.full(len(rows), np.inf), sp.csr_array(slacks), price, paid, cones)
+
+    def softened(self, weight: Array) -> Penalty:
+        return replace(self, weight=weight)
+
+    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+        return c, replace(self, limit=self.limit + amount)
+
+    @property
+    def _unit(self) -> float:
+        """Return L."""
+        return float(np.max(self.limit, initial=0.0, where=np.isfinite(self.limit))) or 1.0
+
+    def _raised(self, v: Array) -> float:
+        """Return the largest relative excess, zero or above."""
+        return self.excess(v).max(initial=0.0)
+
+    def _spent(self, multipliers: Array) -> Array:
+        """Return l |lambda|, (groups,)."""
+        size = norm_of(multipliers, 2)
+        return np.where(size > 0, self.limit, 0.0) * size
+
+    def _of_largest(self, v: Array, amount: Array | float) -> Array:
+        """Return an amount at the group of the largest excess, zeros elsewhere, (groups,)."""
+        found = np.zeros(len(v), dtype=v.dtype)
+        if len(found):
+            found[int(np.argmax(self.excess(v)))] = amount
+        return found
 
 
 def norm_of(v: Array, order: float) -> Array:

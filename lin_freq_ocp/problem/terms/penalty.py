@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
 
 HARD = np.asarray(np.inf)  # the weight of a constraint that must hold
 

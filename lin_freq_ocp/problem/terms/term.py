@@ -7,11 +7,11 @@ from enum import StrEnum
 
 import numpy as np
 
-from lin_freq_ocp.arrays import Array, Indices
-from lin_freq_ocp.problem.terms.continuum import Continuum
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.terms.maps import AffineMap
-from lin_freq_ocp.problem.terms.peaks.search import peaks_above
+from lin_freq_ocp.problem.terms.penalties import Within
 from lin_freq_ocp.problem.terms.penalty import Penalty
+from lin_freq_ocp.problem.terms.semi_infinite import Continuum, peaks_above
 
 
 class TermKind(StrEnum):
@@ -104,3 +104,17 @@ class Term:
             return None
         matrices, limits = zip(*kept, strict=True)
         return LinearRows(self.name, self.map.positions, np.concatenate(matrices, 1), np.concatenate(limits, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """Equations on both ends: their values, what these must satisfy, and whether they say x_T = x_0.
+
+    ``repeats`` says whether spectra of states have T samples: x_T repeats x_0, beside other equations or none.
+    """
+
+    name: str
+    values: AffineMap
+    penalty: Within
+    periodic: bool
+    repeats: bool

@@ -10,7 +10,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.checks.spectral import EXPLAINING, cost_errors
-from lin_freq_ocp.testing.random_convex import random_problem
+from helpers.random.convex import random_problem
 
 COST_AGREEMENT = 1e-6  # relative difference of two costs from solvers that stop at 1e-8 or better
 

@@ -12,11 +12,11 @@ import cvxpy as cp
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.certificate.conflict import PRACTICAL
-from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, relaxed, without
-from lin_freq_ocp.testing.random_infeasible import random_infeasible
+from helpers.random.infeasible import random_infeasible
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.certificate.rays import PRACTICAL
+from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, drop_blocks, relax_block
+from lin_freq_ocp.problem.sizes import stated_sizes
 
 LESS = 0.95  # part of a cure that must not help
 
@@ -72,19 +72,19 @@ def check(seed: int) -> Outcome:
         if answer is not None and answer != expected:
             wrong.append(what)
 
-    expect(feasible(without(problem, others)), False, "the family can hold together")
+    expect(feasible(drop_blocks(problem, others)), False, "the family can hold together")
     for block in family:
-        expect(feasible(without(problem, [*others, block])), True, f"the family can spare the {block.name}")
+        expect(feasible(drop_blocks(problem, [*others, block])), True, f"the family can spare the {block.name}")
     for cure in explanation.cures:
         enough, less = amounts(problem, named[cure.block], cure.amount)
-        expect(feasible(relaxed(problem, named[cure.block], enough)), True, f"no cure: {cure}")
-        expect(feasible(relaxed(problem, named[cure.block], less)), False, f"less would do: {cure}")
+        expect(feasible(relax_block(problem, named[cure.block], enough)), True, f"no cure: {cure}")
+        expect(feasible(relax_block(problem, named[cure.block], less)), False, f"less would do: {cure}")
     cures = tuple(named[cure.block].kind for cure in explanation.cures)
     return Outcome(seed, kind, explanation.family, cures, tuple(wrong), answers.count(None))
 
 
 def amounts(problem: lfo.OptimalControlProblem, block: Block, amount: float) -> tuple[float | Array, float | Array]:
-    """Return a little more than a cure, and less than it, as ``relaxed`` takes them."""
+    """Return a little more than a cure, and less than it, as ``relax_block`` takes them."""
     if block.kind.endswith("stop band"):
         return amount, amount - 1
     units = stated_sizes(problem)[0] if block.kind in ENDS else 1.0

@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.modes.clarke import SwitchingFacts
-from lin_freq_ocp.certificate.sizes import measured_modes
+from helpers.random.kinks import random_problem
+from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, modes_along
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.modes.weights import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.multipliers import uniqueness
-from lin_freq_ocp.testing.random_kinks import random_problem
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 
 VISIBLE = 1e-9  # relative change of a cost that solvers which stop at 1e-10 show
 MOST_STEPS = 20  # flips that are followed, one after the other
@@ -65,7 +65,7 @@ def check(seed: int) -> Outcome:
     """Optimise one random mode sequence, and try every flip."""
     kind, problem, u = random_problem(seed)
     start = lfo.simulate(problem, u)
-    sequence = problem.piecewise.sequence_of(start.x, start.u)
+    sequence = piecewise_affine(problem).sequence_of(start.x, start.u)
     result = sequence_optimum(problem, sequence)
     if result is None:
         return Outcome(seed, kind, 0, Counter(unsolved=1))
@@ -101,7 +101,7 @@ def followed(
         facts, better = certificate.borders, None
         assert facts is not None
         for flip in facts.flips:
-            flipped = problem.piecewise.sequence_of(trajectory.x, trajectory.u)
+            flipped = piecewise_affine(problem).sequence_of(trajectory.x, trajectory.u)
             flipped[flip.time] = flip.mode
             other = lfo.solve(problem.with_modes(flipped), throw=False)
             change = change_of_cost(result, other)
@@ -119,7 +119,7 @@ def followed(
         return
     feasible = certificate.feasible
     if not facts.times:
-        alone = problem.with_modes(problem.piecewise.sequence_of(trajectory.x, trajectory.u))
+        alone = problem.with_modes(piecewise_affine(problem).sequence_of(trajectory.x, trajectory.u))
         same = lfo.certify(alone, trajectory).pmp == certificate.pmp  # "violated" where a solver was inaccurate
         yield "inside", "" if same else f"an optimum inside modes: {certificate.worst}"
     elif facts.flip_stationary:
@@ -135,7 +135,7 @@ def tried(
 ) -> Iterator[tuple[str, str]]:
     """Yield what each flip turned out to be, and words if that is not what was said."""
     trajectory = signals_of(result)
-    meeting = measured_modes(problem, trajectory).active_modes(trajectory.x, trajectory.u)
+    meeting = modes_along(problem, trajectory).active_modes(trajectory.x, trajectory.u)
     said = {(flip.time, flip.mode): flip.rate for flip in facts.flips}
     unique = None
     for t, j in np.argwhere(meeting):

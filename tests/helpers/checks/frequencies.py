@@ -11,9 +11,8 @@ from scipy.optimize import minimize_scalar
 from scipy.signal.windows import chebwin
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.peaks.masks import certified_peak
-from lin_freq_ocp.problem.terms.continuum import Frequencies
-from lin_freq_ocp.problem.terms.limits import Limits, limits_on
+from lin_freq_ocp.certificate.peaks import certified_peak
+from lin_freq_ocp.problem.terms.semi_infinite import Frequencies, Limits, limits_on
 
 GRID = 64  # points of CVXPY's masks for each sample
 DENSE = 1024  # points for each sample at which an upper bound is feasible

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.arrays import Array
-from lin_freq_ocp.testing.oracle import (
+from helpers.oracle import (
     AGREEMENT,
     NOISE,
     Reference,
@@ -24,7 +23,8 @@ from lin_freq_ocp.testing.oracle import (
     solved_plainly,
     worth,
 )
-from lin_freq_ocp.testing.random_linear import random_linear
+from helpers.random.linear import random_linear
+from lin_freq_ocp.base.arrays import Array
 
 ANSWERS = ("optimal", "locally_optimal")
 

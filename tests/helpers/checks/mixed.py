@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.testing.random_mixed import problem_of, random_model
+from helpers.random.mixed import problem_of, random_model
 
 AGREEMENT = 1e-6  # difference of the two costs, relative to max(1, |J|)
 TIGHTER = 0.98  # factor on a limit that must make the judge refuse the optimum

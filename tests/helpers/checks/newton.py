@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.nonsmooth.newton import NewtonRun, newton
+from lin_freq_ocp.methods.hybrid.smooth.newton import NewtonRun, newton
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 
 SAME_COST = 1e-8
 NEAR = 3.0  # kinks within so many times the noise get a selection
@@ -36,7 +37,7 @@ def run(
 ) -> tuple[NewtonRun, bool]:
     """Return one run from a noisy start, and whether it returned to the optimum."""
     start = noisy(problem, result, level, np.random.default_rng(seed))
-    sequence = problem.smooth_pieces.sequence_of(start.x, start.u)
+    sequence = piecewise_smooth(problem).sequence_of(start.x, start.u)
     found = newton(problem, start, None, sequence, near=max(NEAR * level, 1e-3))
     cost = problem.value(found.trajectory.x, found.trajectory.u)
     assert result.cost is not None

@@ -22,7 +22,7 @@ from helpers import hand_proofs
 from helpers.exact import Statement, optimal_cost
 from helpers.hand_proofs import Verdict, check, text
 from helpers.mutations import Mutation
-from lin_freq_ocp.testing import random_convex, random_kinks, random_mixed
+from helpers.random import convex, kinks, mixed
 
 LARGEST = 90  # controls and components of x_0: an exact optimum takes seconds
 NO_CLAIM = '{"section": "claim", "lower": "-inf", "upper": "inf"}\n'
@@ -194,11 +194,11 @@ def random_result(seed: int) -> tuple[str, lfo.results.Result]:
     for attempt in range(100):
         number = seed + 1000 * attempt
         if seed % KINDS_OF_RANDOM == 1:
-            kind, problem = "mixed", random_mixed.problem_of(random_mixed.random_model(number))
+            kind, problem = "mixed", mixed.problem_of(mixed.random_model(number))
         elif seed % KINDS_OF_RANDOM == 2:
-            kind, problem = "kinks", random_kinks.random_problem(number)[1]
+            kind, problem = "kinks", kinks.random_problem(number)[1]
         else:
-            kind, problem = random_convex.random_problem(number)
+            kind, problem = convex.random_problem(number)
         if problem.state_dim + problem.horizon * problem.control_dim <= LARGEST:
             with suppress(lfo.errors.UnsupportedError), warnings.catch_warnings():  # several modes without bounds
                 warnings.simplefilter("ignore", lfo.errors.BandWarning)

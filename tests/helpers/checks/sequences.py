@@ -17,7 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.testing.oracle import TOLERANCE, PlainProgram, plain_program
+from helpers.oracle import TOLERANCE, PlainProgram, plain_program
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 
 MOST_SEQUENCES = 260  # solved in a second
 AGREEMENT = 3e-6  # difference of two costs, relative to max(1, |J|): the gap that is asked, and the error of Clarabel
@@ -90,9 +91,9 @@ def _faults(result: lfo.results.Result, best: float, unit: float, limited: bool)
 
 def enumerated(problem: lfo.OptimalControlProblem) -> tuple[float, tuple[int, ...] | None]:
     """Return the least cost of all mode sequences by plain Clarabel, and the sequence; inf and None without any."""
-    T, n, modes = problem.horizon, problem.state_dim, range(len(problem.piecewise.modes))
+    T, n, modes = problem.horizon, problem.state_dim, range(len(piecewise_affine(problem).modes))
     programs = [plain_program(problem.with_modes([i] * T), np.inf) for i in modes]
-    first, regions = programs[0], [len(mode.region.e) for mode in problem.piecewise.modes]
+    first, regions = programs[0], [len(mode.region.e) for mode in piecewise_affine(problem).modes]
     A, G = ([getattr(one, name).toarray() for one in programs] for name in ("A", "G"))
     common = len(G[0]) - T * regions[0]  # the bounds come first, then the regions; in A, the dynamics come first
 

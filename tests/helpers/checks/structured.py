@@ -15,13 +15,19 @@ from unittest.mock import patch
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.analysis.sizes import stated_sizes
-from lin_freq_ocp.certificate.conflict import prove_infeasible
+from helpers.random import convex, infeasible, linear, lti, mixed
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.structured import solver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.testing.conformance import FAMILIES
+from lin_freq_ocp.problem.sizes import stated_sizes
 
-KINDS = "convex", "linear", "lti", "infeasible", "mixed"  # families of linear problems, in turn
+KINDS: dict[str, Callable[[int], lfo.OptimalControlProblem]] = {  # linear problems by seed, taken in turn
+    "convex": lambda seed: convex.random_problem(seed)[1],
+    "linear": lambda seed: linear.random_linear(seed).problem,
+    "lti": lti.random_lti,
+    "infeasible": lambda seed: infeasible.random_infeasible(seed)[1],
+    "mixed": lambda seed: mixed.problem_of(mixed.random_model(seed)),
+}
 KNOWN = 1e-6  # gap of the best answer above which the optimal cost is not known
 FAR = 10  # multiple of the best answer's error beyond which a difference is another's
 AGREEMENT = 1e-8  # difference of two costs, relative to the sum of absolute terms, up to which they agree
@@ -98,12 +104,12 @@ class Outcome:
 
 def kind_of(seed: int) -> str:
     """Return the family of a seed."""
-    return KINDS[seed % len(KINDS)]
+    return list(KINDS)[seed % len(KINDS)]
 
 
 def problem_of(seed: int) -> lfo.OptimalControlProblem:
     """Return the problem of a seed; with modes where its family has them."""
-    return FAMILIES[kind_of(seed)](seed // len(KINDS))
+    return KINDS[kind_of(seed)](seed // len(KINDS))
 
 
 def check(seed: int) -> Outcome:

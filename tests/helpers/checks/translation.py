@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
-from helpers.random_units import Change, drawn, problem
+from helpers.random.units import Change, drawn, problem
 
 QUESTIONS = ("solve", "certify", "step", "minimum time")
 COST_AGREEMENT = 1e-7  # difference of two costs, relative to what the terms of the cost add up to

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 
 import lin_freq_ocp as lfo
-from helpers.random_units import Change, Drawn, drawn, problem, reordered, with_harmless_state
+from helpers.random.units import Change, Drawn, drawn, problem, reordered, with_harmless_state
 
 COST_AGREEMENT = 1e-7  # difference of two costs, relative to what the terms of the cost add up to
 ACTIVE = 1e-3  # part of the range of a component within which a bound counts as active, and stays where it is

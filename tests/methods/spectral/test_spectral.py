@@ -11,10 +11,10 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import TIGHT, T, problem_of, residuals, wave
-from lin_freq_ocp.methods.spectral.algorithm import exchange
-from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
+from lin_freq_ocp.methods.spectral import exchange
+from lin_freq_ocp.methods.spectral.structure import Structure
 from lin_freq_ocp.problem.spectrum.bands import time_signal
-from lin_freq_ocp.testing.reference import INSTANCES, PENDULUM, STATED, reference_problem
+from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
 LTI = [name for name in STATED if name != "ltv200"]
 LONG = {  # pendulum: horizon, sampling time; and the gap that the certificate must prove

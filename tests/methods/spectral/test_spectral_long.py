@@ -9,8 +9,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import END, START, A, B, moving, plant, problem_of, residuals, wave
-from lin_freq_ocp.methods.spectral.algorithm.first_set import first_working_set
-from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.exchange import first_working_set
+from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
 
 LONG = 640
 """A horizon from which a first working set is guessed from cheaper problems."""

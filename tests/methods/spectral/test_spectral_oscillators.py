@@ -8,8 +8,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.oscillator import oscillator
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
-from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
+from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces
 
 DAMPING = (0.05, 0.3, 1.0, 0.0, -0.05)
 """Damping ratios; the last two are undamped and unstable."""

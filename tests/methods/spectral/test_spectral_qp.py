@@ -9,9 +9,7 @@ import pytest
 import qpsolvers
 from scipy.optimize import nnls
 
-from lin_freq_ocp.methods.spectral.kkt.bordered_qp import BorderedQp
-from lin_freq_ocp.methods.spectral.kkt.dual_qp import block_pivoting, bounded_qp
-from lin_freq_ocp.methods.spectral.kkt.interior_point import interior_point, predictor_corrector
+from lin_freq_ocp.methods.spectral.qp import BorderedQp, block_pivoting, bounded_qp, interior_point, predictor_corrector
 
 Qp = tuple[np.ndarray, np.ndarray]
 

@@ -1,4 +1,4 @@
-"""A seeded sample of scripts/verify_spectral.py, and what it says of answers that are wrong on purpose."""
+"""A seeded sample of scripts/verify/spectral.py, and what it says of answers that are wrong on purpose."""
 
 import signal
 from dataclasses import replace
@@ -9,8 +9,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import spectral
 from helpers.checks.spectral import Reference, Verdict
+from helpers.random.lti import with_witness
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.testing.random_lti import with_witness
 
 BOUNDED = 4
 """A problem with active bounds, a stop band and a witness."""

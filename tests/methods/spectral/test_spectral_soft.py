@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.conflict import prove_infeasible
-from lin_freq_ocp.methods.spectral.algorithm import structure
+from lin_freq_ocp.certificate.rays import prove_infeasible
+from lin_freq_ocp.methods.spectral import structure
 from lin_freq_ocp.sets import Polyhedron, Soft
 
 T = 40
@@ -139,7 +139,7 @@ def test_rounds_without_the_model_of_all_values_find_the_same(name, monkeypatch)
     """As on long horizons, where each round looks for rays: a soft row that the ends decide is none."""
     given = problem(**CASES[name])
     expected = lfo.solve(given, method="spectral").cost
-    monkeypatch.setattr(structure, "LARGEST", 0)
+    monkeypatch.setattr(structure, "MOST_VALUES", 0)
     result = lfo.solve(given, method="spectral")
     assert result.certificate.pmp == "satisfied"
     assert result.cost == pytest.approx(expected, rel=1e-9)

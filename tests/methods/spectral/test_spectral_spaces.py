@@ -11,10 +11,10 @@ import pytest
 from scipy.linalg import block_diag, null_space
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral.model import kernels
-from lin_freq_ocp.methods.spectral.model.lti import Lti, Units, lti_problem
-from lin_freq_ocp.methods.spectral.model.spaces import BinSpaces
-from lin_freq_ocp.transcription.linear.real_rows import real_rows
+from lin_freq_ocp.methods.spectral import spaces as spaces_module
+from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
+from lin_freq_ocp.program.real_rows import real_rows
 
 BIN = 3
 """The bin on which undamped modes lie, at any horizon."""
@@ -84,7 +84,7 @@ def lti_of(A: Any, T: int, stops: Any = ([], []), Q: Any = 0.0, R: Any = 1.0, B:
     dynamics = lfo.LinearDynamics(A, inputs("")[:n] if B is None else B)
     problem = lfo.OptimalControlProblem(dynamics, T, lfo.QuadraticCost(Q=Q, R=R), **more)
     rows = sum(family.rows for family in problem.stage_rows)
-    lti = lti_problem(problem, Units(np.ones(n), np.ones(2), np.ones(rows), 1.0))
+    lti = lti_problem(problem, LtiUnits(np.ones(n), np.ones(2), np.ones(rows), 1.0))
     passed = np.ones((2, T // 2 + 1), dtype=bool)
     for j, bins in enumerate(stops):
         passed[j, [k for k in bins if k <= T // 2]] = False
@@ -245,13 +245,13 @@ ROWS = lfo.StageRows([[1.0, 0, 0, -1.0], [0, 0, 0, 0]], [[0.5, 0], [1.0, -2.0]],
 )
 def test_kernels_are_a_dense_projection(monkeypatch, kind, stops, cost, T, together):
     if not together:
-        monkeypatch.setattr(kernels, "SMALL_TABLE", 0)
+        monkeypatch.setattr(spaces_module, "SMALL_TABLE", 0)
     lti = lti_of(plants(T)[kind], T, STOPS[stops], *COSTS[cost], stage_rows=ROWS)
     spaces = BinSpaces(lti)
     assert len(spaces.border_bin) == 0
     rows = len(lti.F)
     t, f = (index.ravel() for index in np.divmod(np.arange(T * rows), rows))
-    table = kernels.Kernels(lti, spaces)
+    table = CirculantKernels(lti, spaces)
     gram, expected = table.gram(t, f, t, f), projection(lti)
     np.testing.assert_allclose(gram, expected, atol=1e-11 * np.abs(expected).max())
     np.testing.assert_array_equal(gram, gram.T)
@@ -261,10 +261,10 @@ def test_kernels_are_a_dense_projection(monkeypatch, kind, stops, cost, T, toget
 
 
 def test_a_kernel_does_not_depend_on_what_was_asked_before(monkeypatch):
-    monkeypatch.setattr(kernels, "SMALL_TABLE", 0)
+    monkeypatch.setattr(spaces_module, "SMALL_TABLE", 0)
     lti = lti_of(plants(16)["stable"], 16, STOPS["different bands"], stage_rows=ROWS)
     spaces = BinSpaces(lti)
-    asked, fresh = kernels.Kernels(lti, spaces), kernels.Kernels(lti, spaces)
+    asked, fresh = CirculantKernels(lti, spaces), CirculantKernels(lti, spaces)
     t, one, other = np.array([3, 0, 11]), np.array([0, 5, 6]), np.array([6, 1, 0])
     asked.free_response(np.array([6, 0]))
     asked.gram(t, other, t, one)

@@ -7,11 +7,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import LARGE_BOX, START, T, problem_of
-from lin_freq_ocp.methods.spectral.algorithm.structure import Structure
-from lin_freq_ocp.methods.spectral.model.lti import lti_problem, natural_units
-from lin_freq_ocp.methods.spectral.rows.violations import Violations
-from lin_freq_ocp.methods.spectral.rows.whole_horizon import WholeHorizon
-from lin_freq_ocp.methods.spectral.rows.working_set import Rows, WorkingSet
+from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WholeHorizon, WorkingSet
+from lin_freq_ocp.methods.spectral.structure import Structure
 
 JOINT = lfo.StageRows([[1.0, 0, 0.5]], [[1.0, -1.0]], [1.0])
 COST = lfo.QuadraticCost(Q=0.3, R=np.diag([1.0, 2.0]), P=np.eye(3))
@@ -38,10 +36,10 @@ def model(request) -> tuple[Structure, WholeHorizon, WorkingSet]:
     problem = problem_of(**({"initial_state": START} | PROBLEMS[request.param]))
     lti = lti_problem(problem, natural_units(problem))
     structure = Structure(lti)
-    assert not structure.border.soft
+    assert not structure.kkt.soft
     whole = structure.whole_horizon(Violations(lti).rows)
     assert whole is not None
-    working = WorkingSet(structure.border)
+    working = WorkingSet(structure.kkt)
     acting = np.flatnonzero((whole.t < T) | np.isnan(lti.end[np.where(whole.t < T, 0, whole.f)]))
     working.add(whole.t[acting], whole.f[acting], np.ones(len(acting)))
     np.testing.assert_array_equal(whole.flat_indices(working.t, working.f), acting)
@@ -52,7 +50,7 @@ def test_the_model_says_what_working_rows_say(model):
     structure, whole, working = model
     indices = whole.flat_indices(working.t, working.f)
     np.testing.assert_allclose(whole.coupling[:, indices], working.coupling, rtol=0, atol=1e-12)
-    expected = working.gram + working.coupling.T @ structure.border.inverse @ working.coupling
+    expected = working.gram + working.coupling.T @ structure.kkt.inverse @ working.coupling
     size = np.abs(expected).max()
     some = np.random.default_rng(0).choice(len(indices), 7, replace=False)
     mu = np.random.default_rng(1).standard_normal(7)
@@ -65,7 +63,7 @@ def test_the_model_says_what_working_rows_say(model):
 
 def test_rows_named_twice_count_once(model):
     _, whole, working = model
-    t, f, sign = working.rows()
+    t, f, sign, _ = working.rows()
     twice = Rows(np.tile(t, 2), np.tile(f, 2), np.concatenate([sign, -sign]))
     duals = whole.duals(twice)
     np.testing.assert_array_equal(np.sort(duals.indices), np.sort(whole.flat_indices(t, f)))

@@ -4,17 +4,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.side import Compliance, Step
-from lin_freq_ocp.methods.structured.kkt.system import System
-from lin_freq_ocp.methods.structured.model.coupling import (
+from lin_freq_ocp.methods.structured.kkt.system import Compliance, Step, System
+from lin_freq_ocp.methods.structured.stages import (
     Balls,
     Coupling,
     Equations,
     Inequalities,
     SparseRows,
     SpectrumRows,
+    Stages,
 )
-from lin_freq_ocp.methods.structured.model.stages import Stages
 
 
 def stop_band(channels, entry, T, bins, scale):
@@ -84,7 +83,7 @@ def random_system(seed, growth=0.0, others=True, T=None):
 
 
 def residual(stages, Phi, C, right, step):
-    """What is left of the four right-hand sides of side.py."""
+    """What is left of the four right-hand sides of kkt/system.py."""
     gradient, c, x0, f = right
     coupling, system, nu = stages.coupling, System(stages, loops(False)), step.coupling
     dynamics, initial, _, *rows = system.rows(step.y)
@@ -105,12 +104,12 @@ def residual(stages, Phi, C, right, step):
     return of_y, c - dynamics, x0 - initial, f - (values - S @ nu)
 
 
-def solved(side, stages, Phi, C, right, refinements=2):
+def solved(solver, stages, Phi, C, right, refinements=2):
     """The solution, refined as the embedding does, and its residual relative to the largest term."""
-    side.factor(Phi, C)
-    step = side.solve(*right)
+    solver.factor(Phi, C)
+    step = solver.solve(*right)
     for _ in range(refinements):
-        more = side.solve(*residual(stages, Phi, C, right, step))
+        more = solver.solve(*residual(stages, Phi, C, right, step))
         step = Step(*(a + b for a, b in zip(step, more, strict=True)))
     left = residual(stages, Phi, C, right, step)
     size = max(np.abs(part).max(initial=0.0) for part in (*step, *right, Phi[0]))

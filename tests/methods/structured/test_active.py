@@ -7,21 +7,18 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.structured.algorithm import active
-from lin_freq_ocp.methods.structured.algorithm.active import solve_active
-from lin_freq_ocp.methods.structured.algorithm.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt import row_responses
+from lin_freq_ocp.methods.structured import active
+from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
+from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
+from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
-from lin_freq_ocp.methods.structured.kkt.row_responses import RowResponses
-from lin_freq_ocp.methods.structured.kkt.stopped_side import stopped_side
-from lin_freq_ocp.methods.structured.kkt.system import System
-from lin_freq_ocp.methods.structured.model.coupling import Coupling, Equations, Inequalities
+from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
+from lin_freq_ocp.methods.structured.stages import Coupling, Equations, Inequalities
 from lin_freq_ocp.solving.kept import Change, Kept
 from lin_freq_ocp.solving.linear import Structured
 from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.system.clock import use_clock
 from tests.methods.structured.examples import spectrum, stages
 
 COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(find_spec("numba") is None, reason="without numba"))]
@@ -49,12 +46,12 @@ def moved(problem, seed, size=0.3):
 
 def embedded(problem, compiled=False):
     system = System(problem, loops(compiled))
-    return Embedding(system, StepSystem(system, stopped_side(problem, system.loops)), Targets()).run()
+    return Embedding(system, StepSystem(system, range_space_solver(problem, system.loops)), Targets()).run()
 
 
 def responses(problem, compiled=False):
     system = System(problem, loops(compiled))
-    return RowResponses(system, stopped_side(problem, system.loops))
+    return RowResponses(system, range_space_solver(problem, system.loops))
 
 
 @pytest.mark.parametrize("compiled", COMPILED)
@@ -104,7 +101,7 @@ def test_no_answer_without_room_for_the_responses(monkeypatch):
     problem = stages(3, bound=0.8)
     near = np.full(problem.h.shape, 5.0)
     assert solve_active(System(problem, loops(False)), responses(problem), Targets(), near) is not None
-    monkeypatch.setattr(row_responses, "MOST_NUMBERS", 100)
+    monkeypatch.setattr(active, "MOST_NUMBERS", 100)
     assert solve_active(System(problem, loops(False)), responses(problem), Targets(), near) is None
 
 

@@ -11,10 +11,9 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, PLANT, A, B, T
 from helpers.stage_programs import solved_stages, stage_operator
-from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.methods.structured.model.assembly import stages_of
-from lin_freq_ocp.methods.structured.model.coupling import SparseRows
-from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.methods.structured.assembly import stages_of
+from lin_freq_ocp.methods.structured.stages import SparseRows, Stages
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.term import Term
 

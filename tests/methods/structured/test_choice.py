@@ -1,21 +1,18 @@
-"""The side that is chosen, and the problem that none can take."""
+"""The KKT solver that is chosen, and the problem that none can take."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured import choice
-from lin_freq_ocp.methods.structured.choice import Sizes, choose_side, sizes_of
-from lin_freq_ocp.methods.structured.kkt.kept.coefficients import sort_rows
-from lin_freq_ocp.methods.structured.kkt.kept.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.kkt.kept.side import KeptSide
-from lin_freq_ocp.methods.structured.kkt.kept.slacks import Slacks
-from lin_freq_ocp.methods.structured.kkt.kept.space import KeptSpace
+from lin_freq_ocp.methods.structured.choice import Sizes, choose_kkt_solver, sizes_of
+from lin_freq_ocp.methods.structured.kkt.null_space import NullSpace, NullSpaceSolver, Slacks, sort_rows
+from lin_freq_ocp.methods.structured.kkt.range_space import RangeSpaceSolver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
-from lin_freq_ocp.methods.structured.model.coupling import Coupling, Equations
+from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
+from lin_freq_ocp.methods.structured.stages import Coupling, Equations
 from methods.structured.examples import spectrum, stages
 
 
@@ -32,19 +29,19 @@ def with_stop(T, bins, n=2, k=1, free=False):
 def test_sizes_are_those_of_the_space(k, free):
     problem = with_stop(200, np.arange(20, 101), k=k, free=free)
     bands, rest = sort_rows(problem)
-    space = KeptSpace(problem, Slacks(problem, [band.entry for band in bands]), bands, rest, loops(False))
+    space = NullSpace(problem, Slacks(problem, [band.entry for band in bands]), bands, rest, loops(False))
     sizes = sizes_of(problem)
-    assert sizes.kept == space.size
+    assert sizes.unknowns == space.size
     assert sizes.left == space.row_count
     assert sizes.rows == problem.coupling.count
 
 
-def test_a_narrow_pass_band_is_kept_and_a_narrow_stop_band_stopped(monkeypatch):
+def test_a_narrow_pass_band_is_solved_in_null_space_and_a_narrow_stop_band_in_range_space(monkeypatch):
     narrow = with_stop(400, np.arange(20, 201))
-    assert isinstance(choose_side(narrow, loops(False)), KeptSide)
-    monkeypatch.setattr(choice, "KeptSide", lambda stages, loops, reduced: reduced)
-    assert choose_side(narrow, loops(False)) is DenseReduced
-    assert isinstance(choose_side(with_stop(400, np.arange(1, 15)), loops(False)), StoppedSide)
+    assert isinstance(choose_kkt_solver(narrow, loops(False)), NullSpaceSolver)
+    monkeypatch.setattr(choice, "NullSpaceSolver", lambda stages, loops, reduced: reduced)
+    assert choose_kkt_solver(narrow, loops(False)) is DenseReduced
+    assert isinstance(choose_kkt_solver(with_stop(400, np.arange(1, 15)), loops(False)), RangeSpaceSolver)
 
 
 @pytest.mark.parametrize("T", [10_000, 100_000])
@@ -54,7 +51,7 @@ def test_long_horizons_by_conjugate_gradients(T):
 
 
 def test_what_does_not_fit_is_said(monkeypatch):
-    for limit in ("LARGEST_BYTES", "STOPPED_BYTES"):
+    for limit in ("LARGEST_BYTES", "RANGE_SPACE_BYTES"):
         monkeypatch.setattr(f"lin_freq_ocp.methods.structured.choice.{limit}", 1e4)
     with pytest.raises(UnsupportedError, match="rows that couple times"):
-        choose_side(with_stop(200, np.arange(20, 101)), loops(False))
+        choose_kkt_solver(with_stop(200, np.arange(20, 101)), loops(False))

@@ -1,5 +1,6 @@
 """When loops are compiled, and what is said of it."""
 
+import runpy
 import sys
 from threading import Event, Thread
 
@@ -7,8 +8,9 @@ import pytest
 
 pytest.importorskip("numba", reason="the extra fast is not installed")
 
-from lin_freq_ocp.methods.structured.kkt.compiled import compilation
-from lin_freq_ocp.methods.structured.kkt.compiled.compilation import Kernels, jit
+from lin_freq_ocp.methods.hybrid.search import path_kernels
+from lin_freq_ocp.methods.structured.kkt import compilation, kernels
+from lin_freq_ocp.methods.structured.kkt.compilation import Kernels, jit
 
 
 class Kernel:
@@ -125,3 +127,11 @@ def test_functions_are_compiled_where_nothing_can_be_cached(monkeypatch):
 
     monkeypatch.setattr(compilation.numba, "njit", njit)
     assert jit(len)([1, 2]) == 2
+
+
+def test_the_command_compiles_all_kernels_ahead(monkeypatch):
+    prepared = []
+    monkeypatch.setattr(Kernels, "prepare", lambda own: prepared.append(own))
+    runpy.run_module("lin_freq_ocp.methods.structured", run_name="__main__")
+    assert kernels.KERNELS in prepared
+    assert path_kernels.KERNELS in prepared

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.methods.structured.model.cones import Cone
+from lin_freq_ocp.methods.structured.cones import Cone
 
 SIZES = (3, 2)
 
@@ -62,7 +62,7 @@ def test_spectral_values_come_between_the_limits(offset):
     cone, s, _ = cone_and_points(8)
     low, high = 1.0, 5.0
     v = s + offset * cone.identity
-    change = cone.into(v, low, high)
+    change = cone.clip_change(v, low, high)
     assert not change[~cone.present].any()
     alone = v[:, cone.orthant][cone.present[:, cone.orthant]]
     moved = (v + change)[:, cone.orthant][cone.present[:, cone.orthant]]

@@ -8,7 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, infeasible
-from lin_freq_ocp.certificate.conflict import prove_infeasible
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.structured.solver import solve_structured
 
 

@@ -6,15 +6,20 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lin_freq_ocp.backends.base import Claim, backend
-from lin_freq_ocp.methods.structured.algorithm.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.low_rank import FineRows, fine_rows
+from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
+from lin_freq_ocp.methods.structured.kkt.range_space import LowRankSolver, RangeSpaceSolver, Response, fine_rows
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem, largest
-from lin_freq_ocp.methods.structured.kkt.response import Response
-from lin_freq_ocp.methods.structured.kkt.stopped_side import StoppedSide
-from lin_freq_ocp.methods.structured.kkt.system import BALLS, EQUATIONS, INEQUALITIES, STAGES, System
-from lin_freq_ocp.transcription.program import Program
+from lin_freq_ocp.methods.structured.kkt.system import (
+    BALLS,
+    EQUATIONS,
+    INEQUALITIES,
+    STAGES,
+    StepSystem,
+    System,
+    largest,
+)
+from lin_freq_ocp.program.backends.base import Claim, backend
+from lin_freq_ocp.program.program import Program
 
 from .examples import every_kind, stages
 
@@ -97,7 +102,7 @@ def clarabel_cost(problem):
     return program.objective(solution.z)
 
 
-def embedded(problem, compiled, side=StoppedSide, end=np.inf):
+def embedded(problem, compiled, side=RangeSpaceSolver, end=np.inf):
     recursions = loops(compiled)
     system = System(problem, recursions)
     chosen = side(Response(problem, recursions))
@@ -106,7 +111,7 @@ def embedded(problem, compiled, side=StoppedSide, end=np.inf):
 
 def low_rank(response):
     rows = response.coupling.equation_count + 1 + np.arange(14)  # those of the mask
-    return FineRows(response, rows)
+    return LowRankSolver(response, rows)
 
 
 def value(system, y):
@@ -122,7 +127,7 @@ def test_the_adjoint_is_the_transpose_of_the_rows():
     np.testing.assert_allclose(system.adjoint(z).ravel(), A.T @ flat(z), atol=1e-12)
 
 
-@pytest.mark.parametrize("side", [StoppedSide, low_rank])
+@pytest.mark.parametrize("side", [RangeSpaceSolver, low_rank])
 @pytest.mark.parametrize("free", [False, True])
 def test_a_step_solves_its_system(side, free):
     problem = soft_stages(2, cones=(3,), free=free)
@@ -151,7 +156,7 @@ def test_a_step_solves_its_system(side, free):
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize("side", [StoppedSide, low_rank])
+@pytest.mark.parametrize("side", [RangeSpaceSolver, low_rank])
 @pytest.mark.parametrize("seed", [0, 3])
 def test_the_optimum_is_clarabels(side, seed, compiled):
     if compiled:
@@ -169,7 +174,7 @@ def test_correctors_reach_the_gap_near_the_boundary_of_cones(seed, monkeypatch):
     """Without them, outlying products end the steps at gaps of 1e-8."""
     problem = soft_stages(seed, cones=(2, 4))
     assert embedded(problem, False)[1].end is End.OPTIMAL
-    monkeypatch.setattr("lin_freq_ocp.methods.structured.algorithm.embedding.CORRECTORS", 0)
+    monkeypatch.setattr("lin_freq_ocp.methods.structured.embedding.CORRECTORS", 0)
     assert embedded(problem, False)[1].end is End.STALLED
 
 
@@ -215,12 +220,12 @@ def test_the_time_limit_and_ctrl_c_keep_the_best_point(monkeypatch):
     assert np.isfinite(late.y).all()
     steps = iter(range(3))
 
-    def factor(self, *given, own=StoppedSide.factor):
+    def factor(self, *given, own=RangeSpaceSolver.factor):
         if next(steps, None) is None:
             raise KeyboardInterrupt
         own(self, *given)
 
-    monkeypatch.setattr(StoppedSide, "factor", factor)
+    monkeypatch.setattr(RangeSpaceSolver, "factor", factor)
     _, broken = embedded(problem, False)
     assert broken.end is End.INTERRUPTED
     assert np.isfinite(broken.y).all()

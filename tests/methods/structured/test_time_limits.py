@@ -8,14 +8,13 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.linear_kinds import KINDS
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.algorithm.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.choice import choose_side, step_seconds
+from lin_freq_ocp.methods.structured.assembly import stages_of
+from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds
+from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.reduction import StepSystem
-from lin_freq_ocp.methods.structured.kkt.system import System
-from lin_freq_ocp.methods.structured.model.assembly import stages_of
-from lin_freq_ocp.system.clock import use_clock
+from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
 
 
 @pytest.mark.parametrize("limit", [4.0, 6.0, 9.0])
@@ -23,7 +22,9 @@ def test_no_step_is_begun_that_would_end_late(limit):
     problem = stages_of(KINDS["mask"]()).stages
     system = System(problem, loops(False))
     with use_clock(Clock(1.0)):
-        answer = Embedding(system, StepSystem(system, choose_side(problem, loops(False))), Targets(end=limit)).run()
+        answer = Embedding(
+            system, StepSystem(system, choose_kkt_solver(problem, loops(False))), Targets(end=limit)
+        ).run()
     assert answer.end is End.TIME
     # The first point ends at 2 s; a step takes 1 s from one look at the clock to the next, and 2 s are between two
     assert answer.steps == (limit - 2) // 2

@@ -1,13 +1,29 @@
-"""Dense symmetric positive definite matrices: a Cholesky factors of them, scaled to a diagonal of ones."""
+"""Dense linear algebra: Cholesky factors, and sweeps for many columns, where b stages become one product of matrices.
+
+All outputs of a block of stages are linear in what enters it, so that its matrix is found once by b steps (for all
+blocks side by side) and then serves any number of columns. In sequence remain n x n products, one a block. Missing
+stages are filled in before the first: x passes through them. At t = T, the identity in the place of A_T = 0 carries x_T
+out of the last block, and the gradient in x_T into it.
+"""
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from math import ceil, sqrt
 
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
 LEAST_SHIFT = 1e-14  # of the diagonal of ones, at first, for a matrix that rounding made indefinite
+NARROW = 8
+"""So few columns are solved for alone: finding the matrices of the blocks costs more."""
+CALL = 500
+"""The overhead of a call of a product of dense matrices, in multiplications a column; measured."""
+ROWS = 512
+"""Rows of N whose Gram matrix is added at once: enough for fast products, few enough for the cache."""
 
 
 class Cholesky:
@@ -53,3 +69,246 @@ def gram(rows: Array, total: Array | None = None) -> Array:
     if total is None:
         total = np.zeros((rows.shape[1], rows.shape[1]))
     return blas.dsyrk(1.0, rows.T, beta=1.0, c=total.T, overwrite_c=1).T if rows.size else total
+
+
+class BlockRegulator(ABC):
+    """A regulator whose responses come from blocks."""
+
+    _closed: ClosedLoop | None = None
+
+    @abstractmethod
+    def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
+        """Return y, eta and lam0."""
+
+    @abstractmethod
+    def gains(self) -> Gains:
+        """Return what the Riccati recursion finds."""
+
+    def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
+        """Return the responses on the channels, and x_T."""
+        if R.shape[2] <= NARROW:
+            return self._solve_one_by_one(channels, R, E)
+        return self._closed_loop(channels).responses(R, E)
+
+    def gram(self, channels: Indices, R: Array, E: Array) -> Array:
+        """Return the lower triangle of minus the gradients times their responses."""
+        if R.shape[2] <= NARROW:
+            Y, X = self._solve_one_by_one(channels, R, E)
+            return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
+        return self._closed_loop(channels).gram(R, E)
+
+    def _closed_loop(self, channels: Indices) -> ClosedLoop:
+        if self._closed is None or not np.array_equal(self._closed.channels, channels):
+            self._closed = ClosedLoop(self.gains(), channels)
+        return self._closed
+
+    def _solve_one_by_one(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
+        gains = self.gains()
+        stages, n, k = gains.B.shape
+        Y, X = np.empty_like(R), np.empty_like(E)
+        for j in range(R.shape[2]):
+            r = np.zeros((stages, n + k))
+            r[:, channels] = R[:, :, j]
+            r[-1, :n] += E[:, j]
+            y, _, _ = self.solve(r, np.zeros((stages, n)), np.zeros(n))
+            Y[:, :, j], X[:, j] = y[:, channels], y[-1, :n]
+        return Y, X
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """What the Riccati recursion found."""
+
+    B: Array  # (T+1, n, k)
+    K: Array  # (T+1, k, n): w = K x + ...
+    L: Array  # (T+1, k, k): S = L L'
+    Ac: Array  # (T+1, n, n): A + B K
+    P0: Array  # (n, n): the cost-to-go of x_0
+    fixed: Mask  # (n,): which entries of x_0 are given
+
+
+class ClosedLoop:
+    """A factored regulator as a map of gradients on ``channels`` to the solution there, c = 0.
+
+    The map is -N'N: the sweep from the end backwards gives N_t = U_t (r_w + B'p_{t+1}) in the entries of w that are
+    driven, where U_t'U_t is their block of S_t^-1, and a last row for free entries of x_0.
+    """
+
+    def __init__(self, gains: Gains, channels: Indices):
+        """Find the matrices of the blocks of the backward sweep."""
+        self._gains, self.channels = gains, channels
+        self._free_cost = Cholesky(gains.P0[np.ix_(~gains.fixed, ~gains.fixed)])
+        B, K = gains.B, gains.K
+        stages, n, k = B.shape
+        count = len(channels)
+        self._entries = np.zeros((n + k, count))
+        self._entries[channels, np.arange(count)] = 1.0
+        driven = np.flatnonzero(self._entries[n:].any(axis=1) | B.any(axis=(0, 1)))
+        root = np.linalg.inv(gains.L)
+        of_w, of_x, U, self._W = self._entries[n:], self._entries[:n], root[:, :, driven], -root.swapaxes(1, 2)
+        if len(driven) < k:
+            Q, U = np.linalg.qr(U)
+            self._W = self._W @ Q
+        self._b = b = min(stages, block_length(n, sqrt(max(1, len(driven) * count))))
+        self._times = np.arange(-(-stages % b), stages).reshape(-1, b)
+        down = np.concatenate([U @ B[:, :, driven].swapaxes(1, 2), carry_last_state(gains.Ac).swapaxes(1, 2)], axis=1)
+        inputs = np.concatenate([U @ of_w[driven], of_x + K.swapaxes(1, 2) @ of_w], axis=1)
+        self._N, self._p = self._lift(down, inputs, len(driven), range(b)[::-1])
+        self._up: tuple[Array, Array] | None = None
+        self._room: Array | None = None
+
+    def _lift(self, step: Array, inputs: Array, outputs: int, order: range) -> tuple[Array, Array]:
+        """Return outputs of all stages, and the state after a block, by the state before it and by inputs."""
+        n, each = step.shape[2], inputs.shape[2]
+        blocks, b = self._times.shape
+        filling = np.concatenate([np.zeros((outputs, n)), np.eye(n)])
+        step, inputs = (
+            pad_blocks(step, self._times, filling),
+            pad_blocks(inputs, self._times, np.zeros(inputs.shape[1:])),
+        )
+        state, found = np.zeros((blocks, n, n + b * each)), np.empty((blocks, b, outputs, n + b * each))
+        state[:, :, :n] = np.eye(n)
+        for s in order:
+            both = step[:, s] @ state
+            both[:, :, n + s * each : n + (s + 1) * each] += inputs[:, s]
+            found[:, s], state = both[:, :outputs], both[:, outputs:]
+        return found.reshape(blocks, b * outputs, n + b * each), state.copy()
+
+    def _backward(self, R: Array, E: Array) -> tuple[Array, Array]:
+        """Return what enters each block, (blocks, n + b channels, m), and p_0, (n, m)."""
+        n, m = E.shape
+        blocks, size = self._p.shape[::2]
+        if self._room is None or self._room.shape[2] != m:
+            self._room = np.zeros((blocks, size, m))
+        room, first, count = self._room, self._b - (self._times.size - len(R)), R.shape[1]
+        room[0, size - first * count :] = R[:first].reshape(first * count, m)
+        room[1:, n:] = R[first:].reshape(blocks - 1, size - n, m)
+        p = E
+        for i in range(blocks - 1, -1, -1):
+            room[i, :n] = p
+            p = self._p[i] @ room[i]
+        return room, p
+
+    def gram(self, R: Array, E: Array) -> Array:
+        """Return the lower triangle of N'N, (m, m), for gradients R (T+1, channels, m), and E (n, m) on x_T."""
+        room, p = self._backward(R, E)
+        found = gram(self._free_cost.whitened(p[~self._gains.fixed]))
+        per = -(-ROWS // max(1, self._N.shape[1]))
+        for first in range(0, len(room), per):
+            part = slice(first, first + per)
+            found = gram((self._N[part] @ room[part]).reshape(-1, room.shape[2]), found)
+        return found
+
+    def responses(self, R: Array, E: Array) -> tuple[Array, Array]:
+        """Return the solution on the channels, and x_T, for gradients R (T+1, channels, m), and E (n, m) on x_T."""
+        of_y, of_x = self._upward()
+        room, p = self._backward(R, E)
+        n, m = E.shape
+        x, free = np.zeros((n, m)), ~self._gains.fixed
+        x[free] = -self._free_cost.solve(p[free])
+        up = np.empty((len(room), of_x.shape[2], m))
+        np.matmul(self._N, room, out=up[:, n:])
+        for i in range(len(up)):
+            up[i, :n] = x
+            x = of_x[i] @ up[i]
+        return (of_y @ up).reshape(self._times.size, -1, m)[self._times.size - len(R) :], x
+
+    def _upward(self) -> tuple[Array, Array]:
+        """Return the matrices of the blocks of the forward sweep, which takes N."""
+        if self._up is None:
+            B, K, W = self._gains.B, self._gains.K, self._W
+            of_w, of_x = self._entries[B.shape[1] :].T, self._entries[: B.shape[1]].T
+            up = np.concatenate([of_x + of_w @ K, carry_last_state(self._gains.Ac)], axis=1)
+            inputs = np.concatenate([of_w @ W, B @ W], axis=1)
+            self._up = self._lift(up, inputs, len(of_w), range(self._b))
+        return self._up
+
+
+class OpenLoop:
+    """The gradient of 1/2 y'Phi y in w and in the restarts as a linear map; x_0 = 0.
+
+    The states start anew at ``breaks``, (K,) increasing times within 1 .. T.
+    """
+
+    def __init__(self, A: Array, B: Array, Phi: Array, breaks: Indices):
+        """Find the matrices of the blocks, none of which goes across a break."""
+        stages, n, k = B.shape
+        self._times, self._first = self._partition(np.concatenate([[0], breaks, [stages]]), n, k)
+        blocks, b = self._times.shape
+        AB = pad_blocks(np.concatenate([carry_last_state(A), B], axis=2), self._times, np.eye(n, n + k))
+        Phi = pad_blocks(Phi, self._times, np.zeros((n + k, n + k)))
+        Y, x = np.zeros((blocks, b, n + k, n + b * k)), np.zeros((blocks, n, n + b * k))
+        x[:, :, :n] = np.eye(n)
+        for s in range(b):
+            Y[:, s, :n] = x
+            Y[:, s, n:, n + s * k : n + (s + 1) * k] = np.eye(k)
+            x = AB[:, s] @ Y[:, s]
+        gradient, p = Phi @ Y, np.zeros((blocks, n, 2 * n + b * k))
+        p[:, :, n + b * k :] = np.eye(n)
+        gw = np.empty((blocks, b, k, 2 * n + b * k))
+        for s in range(b - 1, -1, -1):
+            both = AB[:, s].swapaxes(1, 2) @ p
+            both[:, :, : n + b * k] += gradient[:, s]
+            gw[:, s], p = both[:, n:], both[:, :n]
+        self._x, self._p, self._gw = x.copy(), p.copy(), gw.reshape(blocks, b * k, 2 * n + b * k)
+        self._room: Array | None = None
+
+    @staticmethod
+    def _partition(bounds: Indices, n: int, k: int) -> tuple[Indices, Indices]:
+        """Return the times of the blocks, and the first block of every segment between two bounds."""
+        sizes = np.diff(bounds)
+        lengths = np.arange(1, min(block_length(n, k), int(sizes.max())) + 1)
+        counts = -(-sizes // lengths[:, None])
+        best = int(np.argmin(counts.sum(axis=1) * ((2 * n + lengths * k) ** 2 + CALL)))
+        b, counts = int(lengths[best]), counts[best]
+        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        times = np.full(int(counts.sum()) * b, -1)
+        shift = np.repeat((first + counts) * b - bounds[1:], sizes)
+        times[np.arange(bounds[-1]) + shift] = np.arange(bounds[-1])
+        return times.reshape(-1, b), first
+
+    def columns(self, starts: Array, W: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the gradients in w (T+1, k, m) and the starts (K, n, m), the ends (K, n, m), and x_T (n, m).
+
+        Column j has w = W[:, :, j], (T+1, k, m), and restarts from starts[:, :, j], (K, n, m). Its end at a break is
+        the state there before it is replaced.
+        """
+        n, (_, k, m) = self._x.shape[1], W.shape
+        blocks, _, size = self._p.shape
+        if self._room is None or self._room.shape[2] != m:
+            self._room = np.zeros((blocks, size, m))
+        room, place = self._room, self._times >= 0
+        inputs = room[:, n:-n].reshape(*place.shape, k, m)
+        inputs[place] = W
+        segment = {int(block): i for i, block in enumerate(self._first[1:])}
+        gstarts, ends = np.empty_like(starts), np.empty_like(starts)
+        x, p = np.zeros((n, m)), np.zeros((n, m))
+        for i in range(blocks):
+            if i in segment:
+                ends[segment[i]], x = x, starts[segment[i]]
+            room[i, :n] = x
+            x = self._x[i] @ room[i, :-n]
+        for i in range(blocks - 1, -1, -1):
+            room[i, -n:] = p
+            p = self._p[i] @ room[i]
+            if i in segment:
+                gstarts[segment[i]], p = p, np.zeros((n, m))
+        gw = (self._gw @ room).reshape(*place.shape, k, m)
+        return gw[place], gstarts, ends, x
+
+
+def block_length(n: int, inputs: float) -> int:
+    """Return the number of stages a block that makes sweeps cheapest, for so many inputs and outputs a stage."""
+    return ceil(sqrt(4 * n * n + CALL) / inputs)
+
+
+def pad_blocks(values: Array, times: Indices, filling: Array) -> Array:
+    """Return values[times], (blocks, b, ...), with the filling where times is negative."""
+    found = values[times]
+    found[times < 0] = filling
+    return found
+
+
+def carry_last_state(A: Array) -> Array:
+    """Return A (T+1, n, n) with the identity as A_T."""
+    return np.concatenate([A[:-1], np.eye(A.shape[1])[None]])

@@ -1,4 +1,4 @@
-"""Linear algebra over stages, by compiled loops or by NumPy and LAPACK.
+"""Linear algebra over stages: its interface, and the loops by NumPy and LAPACK; kernels.py has the compiled ones.
 
 Stages t = 0 .. T, y_t = (x_t, w_t) with n states and k further entries, nz = n + k. A, B and Phi have T+1 stages; A_T
 and B_T are zero, so that w_T is eliminated like every other. A regulator is the factored problem
@@ -6,19 +6,9 @@ and B_T are zero, so that w_T is eliminated like every other. A regulator is the
     minimise sum_t 1/2 y_t'Phi_t y_t + r_t'y_t   subject to   x_{t+1} = A_t x_t + B_t w_t + c_t,  x_0 given where fixed,
     Phi_t y_t + r_t + (eta_{t-1}, 0) - (A_t, B_t)'eta_t + [t = 0] (lam0, 0) = 0,   lam0 = 0 where x_0 is free.
 
-Interface:
-
-    loops(compiled=None, patient=True) -> Loops
-    Loops.factor(A, B, Phi, fixed) -> Regulator
-    Regulator.solve(r, c, x0) -> y, eta, lam0
-    Regulator.responses(channels, R, E) -> Y, X
-    Regulator.gram(channels, R, E) -> -R'Y - E'X
-    Loops.is_convex(A, B, Phi, fixed) -> bool
-    Loops.gram(H, G, weights, points, cones) -> Phi
-    Loops.times(M, v) -> M_t v_t, Loops.transposed_times(M, v) -> M_t'v_t
-    Loops.forward(A, B, c, breaks, starts, y) -> ends
-    Loops.backward(A, B, gradient, breaks, prices) -> costates, gw, gstarts
-    OpenLoop(A, B, Phi, breaks).columns(starts, W) -> GW, gstarts, ends, X        of blocks.py, the same for both
+By LAPACK, a single solution comes from the LU factors of the banded matrix of all stages; its unknowns are, stage by
+stage, lam_t, x_t and w_t, where lam_0 = lam0 and lam_t = eta_{t-1}. Many responses at once come from the Riccati
+recursion. Sweeps in open loop for many columns are those of ``OpenLoop`` (dense.py) in both implementations.
 """
 
 from __future__ import annotations
@@ -26,8 +16,16 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import ClassVar, Protocol
 
-from lin_freq_ocp.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.banded import BandedLoops
+import numpy as np
+from scipy.linalg import lapack
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.methods.structured.kkt.dense import BlockRegulator, Gains
+
+PIVOT = 1e-14
+"""Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
+CURVED = 1e-9
+"""Least pivot relative to the curvature of a stage's own, of a problem that counts as strictly convex."""
 
 
 class Regulator(Protocol):
@@ -109,9 +107,182 @@ def loops(compiled: bool | None = None, patient: bool = True) -> Loops:
     """
     if compiled is False or (compiled is None and find_spec("numba") is None):
         return BandedLoops()
-    from lin_freq_ocp.methods.structured.kkt.compiled.loops import KERNELS, CompiledLoops
+    from lin_freq_ocp.methods.structured.kkt.kernels import KERNELS, CompiledLoops
 
     if compiled is None and not patient and not KERNELS.ready:
         return BandedLoops()
     KERNELS.prepare()
     return CompiledLoops()
+
+
+class BandedLoops:
+    """All loops by NumPy and LAPACK."""
+
+    compiled: ClassVar[bool] = False
+
+    def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> BandedRegulator:
+        """Factor the stages."""
+        return BandedRegulator(A, B, Phi, fixed)
+
+    def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
+        """Return whether the problem is strictly convex on its dynamics."""
+        return is_convex(A, B, Phi, fixed)
+
+    def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
+        """Return H + G'W^-2 G."""
+        linear = G.shape[1] - sum(cones)
+        rows = G[:, :linear]
+        out = H + rows.swapaxes(1, 2) @ (weights[:, :linear, None] * rows)
+        first = linear
+        for weight, size in zip(weights[:, linear:].T, cones, strict=True):
+            rows, w = G[:, first : first + size].copy(), points[:, first - linear : first - linear + size].copy()
+            w[:, 1:] *= -1
+            q = np.einsum("tp,tpi->ti", w, rows)
+            signed = rows.copy()
+            signed[:, 0] *= -1
+            term = 2 * q[:, :, None] * q[:, None, :] + rows.swapaxes(1, 2) @ signed
+            out += np.where(weight == 0, 0.0, weight)[:, None, None] * term
+            first += size
+        return out
+
+    def times(self, matrices: Array, vectors: Array) -> Array:
+        """Return M_t v_t."""
+        return np.einsum("tij,tj->ti", matrices, vectors)
+
+    def transposed_times(self, matrices: Array, vectors: Array) -> Array:
+        """Return M_t'v_t."""
+        return np.einsum("tij,ti->tj", matrices, vectors)
+
+    def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
+        """Write the states of y, and return the ends."""
+        n = A.shape[1]
+        right = np.empty((len(A), n))
+        right[0], right[1:] = y[0, :n], np.einsum("tij,tj->ti", B[:-1], y[:-1, n:]) + c[:-1]
+        ends = right[breaks]
+        right[breaks] = starts
+        y[:, :n] = simulate(A, breaks, right, transposed=False)
+        return ends + np.einsum("tij,tj->ti", A[breaks - 1], y[breaks - 1, :n])
+
+    def backward(
+        self, A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return the costates, and the gradients in w and in the starts."""
+        n = A.shape[1]
+        right = gradient[:, :n].copy()
+        right[breaks - 1] -= np.einsum("tji,tj->ti", A[breaks - 1], prices)
+        costates = simulate(A, breaks, right, transposed=True)
+        gstarts = costates[breaks]
+        costates[breaks] = -prices
+        gw = gradient[:, n:].copy()
+        gw[:-1] += np.einsum("tji,tj->ti", B[:-1], costates[1:])
+        return costates, gw, gstarts
+
+
+def is_convex(A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
+    """Whether all pivots of the Riccati recursion are above rounding."""
+    AB, n = np.concatenate([A, B], axis=2), A.shape[1]
+    P, own = np.zeros((n, n)), CURVED * np.abs(np.einsum("tii->ti", Phi))
+    for t in range(len(A) - 1, -1, -1):
+        M = Phi[t] + AB[t].T @ (P @ AB[t])
+        L, info = lapack.dpotrf(M[n:, n:], lower=1, clean=1)
+        if info or not (np.diag(L) ** 2 > own[t, n:]).all():
+            return False
+        K = lapack.dtrtrs(L, M[n:, :n], lower=1)[0]
+        P = M[:n, :n] - K.T @ K
+    L, info = lapack.dpotrf(P[np.ix_(~fixed, ~fixed)], lower=1, clean=1) if not fixed.all() else (np.zeros((0, 0)), 0)
+    return not info and bool((np.diag(L) ** 2 > own[0, :n][~fixed]).all())
+
+
+def simulate(A: Array, breaks: Indices, right: Array, transposed: bool) -> Array:
+    """Return x_{t+1} = A_t x_t + right_{t+1}, or p_t = A_t'p_{t+1} + right_t, with A_{t-1} = 0 for t in ``breaks``."""
+    stages, n, _ = A.shape
+    entries = np.zeros((stages, n, 2 * n))  # column by column; row i of a column j is at i - j
+    for j in range(n):
+        entries[:-1, j, n - j : 2 * n - j] = -A[:-1, :, j]
+        entries[breaks - 1, j] = 0.0
+    matrix, trans = entries.reshape(stages * n, -1).T, "T" if transposed else "N"
+    return lapack.dtbtrs(matrix, right.reshape(-1, 1), uplo="L", trans=trans, diag="U")[0].reshape(stages, n)
+
+
+class BandedRegulator(BlockRegulator):
+    """LU factors of all stages, and the gains of the Riccati recursion when they are first needed."""
+
+    def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):
+        """Factor the stages."""
+        self._A, self._B, self._Phi, self._fixed = A, B, Phi, fixed
+        self._found: Gains | None = None
+        self._band = 2 * A.shape[1] + B.shape[2] - 1
+        matrix = banded_matrix(A, B, Phi, fixed)
+        self._lu, self._pivots, info = lapack.dgbtrf(matrix, self._band, self._band)
+        if info > 0:
+            self._lu, self._pivots, _ = lapack.dgbtrf(self._raise_diagonal(matrix), self._band, self._band)
+
+    def _raise_diagonal(self, matrix: Array) -> Array:
+        """Return the matrix with diagonal entries of y raised to what rounding leaves of the others."""
+        n = self._A.shape[1]
+        diagonal = matrix.T.reshape(len(self._A), -1, 3 * self._band + 1)[:, n:, 2 * self._band]
+        diagonal += PIVOT * np.where(diagonal > 0, diagonal, diagonal.max(initial=0.0) or 1.0)
+        return matrix
+
+    def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
+        """Return y, eta and lam0."""
+        stages, n = c.shape
+        right = np.empty((stages, 2 * n + self._B.shape[2]))
+        right[0, :n], right[1:, :n], right[:, n:] = x0, c[:-1], -r
+        found, _ = lapack.dgbtrs(self._lu, self._band, self._band, right.ravel(), self._pivots)
+        found = found.reshape(right.shape)
+        eta = np.zeros((stages, n))
+        eta[:-1] = found[1:, :n]
+        return found[:, n:].copy(), eta, np.where(self._fixed, found[0, :n], 0.0)
+
+    def gains(self) -> Gains:
+        """Return what the Riccati recursion of kernels.py finds."""
+        if self._found is None:
+            B, Phi, AB = self._B, self._Phi, np.concatenate([self._A, self._B], axis=2)
+            stages, n, k = B.shape
+            P, root = np.zeros((n, n)), np.concatenate([np.eye(n), np.zeros((k, n))])
+            L, K = np.empty((stages, k, k)), np.empty((stages, k, n))
+            for t in range(stages - 1, -1, -1):
+                M = Phi[t] + AB[t].T @ (P @ AB[t])
+                L[t] = cholesky(M[n:, n:])
+                K[t] = root[n:] = -lapack.dpotrs(L[t], M[n:, :n], lower=1)[0]
+                closed = AB[t] @ root
+                P = root.T @ (Phi[t] @ root) + closed.T @ (P @ closed)
+                P = (P + P.T) / 2
+            self._found = Gains(B, K, L, self._A + B @ K, P, self._fixed)
+        return self._found
+
+
+def banded_matrix(A: Array, B: Array, Phi: Array, fixed: Mask) -> Array:
+    """Return the matrix of all stages as LAPACK stores it for an LU factorisation, with 2n + k - 1 diagonals a side."""
+    stages, n, k = B.shape
+    nz, size = n + k, 2 * n + k
+    band = size - 1
+    entries = np.zeros((stages, size, 3 * band + 1))  # column by column; row i of a column j is at 2 band + i - j
+    for j in range(nz):
+        entries[:, n + j, 2 * band - j : 2 * band - j + nz] = Phi[:, :, j]
+    for j in range(n):
+        entries[:, j, 2 * band + n] = 1.0
+        entries[:, n + j, 2 * band - n] = 1.0
+    AB = -np.concatenate([A, B], axis=2)[:-1]
+    for j in range(nz):
+        first = 2 * band + size - n - j
+        entries[:-1, n + j, first : first + n] = AB[:, :, j]
+    for i in range(n):
+        first = 2 * band + n - size - i
+        entries[1:, i, first : first + nz] = AB[:, i, :]
+    for i in np.flatnonzero(~fixed):
+        entries[0, i, 2 * band], entries[0, i, 2 * band + n], entries[0, n + i, 2 * band - n] = 1.0, 0.0, 0.0
+    return entries.reshape(stages * size, -1).T
+
+
+def cholesky(S: Array) -> Array:
+    """Return the lower factor of a positive semidefinite matrix; a pivot below the rounding is raised."""
+    L, info = lapack.dpotrf(S, lower=1, clean=1)
+    if info:
+        diagonal = np.diag(S)
+        floor = PIVOT * np.where(diagonal > 0, diagonal, diagonal.max(initial=0.0) or 1.0)
+        while info:
+            L, info = lapack.dpotrf(S + np.diag(floor), lower=1, clean=1)
+            floor *= 10
+    return L

@@ -1,20 +1,38 @@
-"""The rows of a problem over stages, as the embedding sees them: b - A y in a cone, with the Hessian P.
+"""The KKT system of a step: the rows as the embedding sees them, and their reduction to stages with coupling rows.
 
-Rows are a list of arrays: dynamics x_{t+1} - A_t x_t - B_t w_t (T+1, n), the last zero; x_0 (n,); stages G y (T+1, p);
-equations, those of x_T first, flat; inequalities (rows, 1); -(head, values) (balls, 1 + d) for each family of balls.
+The rows b - A y in a cone are a list of arrays: dynamics x_{t+1} - A_t x_t - B_t w_t (T+1, n), the last zero; x_0 (n,);
+stages G y (T+1, p); equations, those of x_T first, flat; inequalities (rows, 1); -(head, values) (balls, 1 + d) for
+each family of balls. One step solves, refined,
+
+    [P A'; A -W^2] (y, z) = (r_y, r_z).
+
+Stage cones are eliminated, Phi = H + G'W^-2 G, and so are the constant heads of hard balls. A KKT solver is left with
+
+    Phi y + gradient + (dynamics)'eta + (x_0 rows)'lam0 + F'nu = 0
+    x_{t+1} - A x_t - B w_t = c_t,   x_0 = x0 where it is fixed,   F y - C nu = f
+
+F are all coupling rows in the order of ``Coupling``: x_T, equations, inequalities, balls (each with its head in front
+if it is soft). C > 0 is block diagonal: tiny for equations, squares of scalings for the others.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, Protocol
+
 import numpy as np
 
-from lin_freq_ocp.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.methods.structured.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
-from lin_freq_ocp.methods.structured.model.cones import Cone
-from lin_freq_ocp.methods.structured.model.stages import Stages
+from lin_freq_ocp.methods.structured.stages import Stages
 
 DYNAMICS, INITIAL, STAGES, EQUATIONS, INEQUALITIES, BALLS = range(6)
 Values = list[Array]
+REFINEMENTS = 3  # at most; each halves the digits that are missing, or is not taken
+REGULARISATION = 1e-9  # of the Hessian, in units of order 1; refinement takes it back where anything else curves
+DUAL_REGULARISATION = 1e-12  # compliance of equations, for those that nothing can change or that repeat others
+REFINED = 1e-8  # residual, relative to the right-hand side, that is not refined
 
 
 class System:
@@ -71,18 +89,12 @@ class System:
         result -= self.loops.transposed_times(self._AB, eta)
         result[1:, :n] += eta[:-1]
         result[0, :n] += np.where(self._fixed, z[INITIAL], 0.0)
-        self.add_coupled(z[EQUATIONS:], result)
+        if self.coupling.count:
+            nu = [z[EQUATIONS], z[INEQUALITIES][:, 0]]
+            for part, rows in zip(self.coupling.balls, z[BALLS:], strict=True):
+                nu.append(-rows[:, 0 if part.heads is not None else 1 :].ravel())
+            self.stages.coupled.add_adjoint(np.concatenate(nu), result)
         return result
-
-    def add_coupled(self, z: Values, gradient: Array) -> None:
-        """Add the adjoint of the rows that couple times to a gradient (T+1, n + k)."""
-        if not self.coupling.count:
-            return
-        equations, unequal, *balls = z
-        nu = [equations, unequal[:, 0]]
-        for part, rows in zip(self.coupling.balls, balls, strict=True):
-            nu.append(-rows[:, 0 if part.heads is not None else 1 :].ravel())
-        self.stages.coupled.add_adjoint(np.concatenate(nu), gradient)
 
     def curvature(self, y: Array) -> Array:
         """Return P y."""
@@ -92,3 +104,163 @@ class System:
     def degree(self) -> int:
         """Return the degree of the cone."""
         return sum(cone.degree for cone in self.cones.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Compliance:
+    """C: (count,) for all equations and inequalities, and (balls, d, d) for every family of balls.
+
+    ``roots``, (balls, d, d) for every family of hard balls, are R with R'R = C^-1, which inverting C would lose near
+    the boundary.
+    """
+
+    rows: Array
+    balls: tuple[Array, ...]
+    roots: tuple[Array, ...] = ()
+
+    def add_to(self, S: Array, chosen: Indices | None = None) -> None:
+        """Add C to the last rows of S: those of ``rows`` that are chosen, or all, and those of the balls."""
+        rows = self.rows if chosen is None else self.rows[chosen]
+        first = len(S) - len(rows) - sum(len(part) * part.shape[1] for part in self.balls)
+        for blocks in (rows[:, None, None], *self.balls):
+            count, d = blocks.shape[:2]
+            at = first + np.arange(count * d).reshape(count, d)
+            S[at[:, :, None], at[:, None, :]] += blocks
+            first += count * d
+
+
+class Step(NamedTuple):
+    """The solution of the system."""
+
+    y: Array  # (T+1, n + k)
+    eta: Array  # (T+1, n), the last zero
+    initial: Array  # lam0, (n,)
+    coupling: Array  # nu, (rows,)
+
+
+class KKTSolver(Protocol):
+    """A way to solve the system, exact up to rounding and the tolerance of an iteration; residuals are refined."""
+
+    indefinite: ClassVar[
+        bool
+    ]  # whether Phi may be indefinite on the dynamics: ``factor`` says if the rows make up for it
+
+    def exchanged(self, stages: Stages) -> KKTSolver:
+        """Return the same for stages with other dynamics and Hessians."""
+        ...
+
+    def factor(self, Phi: Array, compliance: Compliance) -> bool:
+        """Prepare for Phi (T+1, n+k, n+k) and C; return whether the problem is convex as far as it was looked at."""
+        ...
+
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+        """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
+        ...
+
+
+class StepSystem:
+    """The system of a step at the scalings of the cones; ``factor`` it before ``solve``."""
+
+    def __init__(self, system: System, solver: KKTSolver):
+        self.system, self._solver, self._loops = system, solver, system.loops
+
+    def factor(self) -> bool:
+        """Factor at the present scalings; return what the solver says of convexity."""
+        system, stages = self.system, self.system.stages
+        Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
+        diagonal = np.arange(Phi.shape[1])
+        Phi[:, diagonal, diagonal] += REGULARISATION
+        balls = list(zip(system.coupling.balls, self._ball_cones(), strict=True))
+        squares = [_value_compliance(cone) if part.heads is None else cone.block_squares(0) for part, cone in balls]
+        roots = [_value_root(cone) for part, cone in balls if part.heads is None]
+        unequal = system.cones[INEQUALITIES].w[:, 0] ** 2 if INEQUALITIES in system.cones else np.zeros(0)
+        equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
+        return self._solver.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
+
+    def solve(self, of_y: Array, of_z: Values, refined: bool = True) -> tuple[Array, Values]:
+        """Return (y, z), by default refined as long as the residual falls."""
+        y, z = self._solve_once(of_y, of_z)
+        if not refined:
+            return y, z
+        target = REFINED * largest([of_y, *of_z])
+        left = self._residual(of_y, of_z, y, z)
+        error = largest([left[0], *left[1]])
+        for _ in range(REFINEMENTS):
+            if error <= target:
+                break
+            dy, dz = self._solve_once(*left)
+            better = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
+            left = self._residual(of_y, of_z, *better)
+            after = largest([left[0], *left[1]])
+            if not after < error:
+                break
+            (y, z), error = better, after
+        return y, z
+
+    def _solve_once(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
+        system, stages = self.system, self.system.stages
+        cone = system.cones[STAGES]
+        gradient = -of_y - self._loops.transposed_times(stages.G, cone.scaled(of_z[STAGES], -2))
+        f = [of_z[EQUATIONS], of_z[INEQUALITIES][:, 0]]
+        for part, own, rows in zip(system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
+            right = -rows
+            if part.heads is None:
+                right = right[:, 1:] + _head_ratio(own) * rows[:, :1]
+            f.append(right.ravel())
+        step = self._solver.solve(gradient, of_z[DYNAMICS], of_z[INITIAL], np.concatenate(f))
+        of_stages = cone.scaled(self._loops.times(stages.G, step.y) - of_z[STAGES], -2)
+        return step.y, [step.eta, step.initial, of_stages, *self._multipliers(step.coupling, of_z)]
+
+    def _multipliers(self, nu: Array, of_z: Values) -> Values:
+        """Return the duals of all rows that couple times from those of the reduced system."""
+        counts = [len(of_z[EQUATIONS]), len(of_z[INEQUALITIES])]
+        equations, unequal, rest = np.split(nu, np.cumsum(counts))
+        found: Values = [equations, unequal[:, None]]
+        for part, own, rows in zip(self.system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
+            dim = part.dim + (part.heads is not None)
+            values, rest = np.split(rest, [len(part.radius) * dim])
+            z = -values.reshape(-1, dim)
+            if part.heads is None:
+                w, eta = own.w, own.eta[:, 0]
+                head = -rows[:, 0] / (eta**2 * (2 * w[:, 0] ** 2 - 1)) - (_head_ratio(own) * z).sum(1)
+                z = np.column_stack([head, z])
+            found.append(z)
+        return found
+
+    def _residual(self, of_y: Array, of_z: Values, y: Array, z: Values) -> tuple[Array, Values]:
+        system = self.system
+        left = [right - rows for right, rows in zip(of_z, system.rows(y), strict=True)]
+        for i, cone in system.cones.items():
+            left[i] += cone.scaled(z[i], 2)
+        return of_y - system.curvature(y) - system.adjoint(z), left
+
+    def _ball_cones(self) -> list[Cone]:
+        return [self.system.cones[BALLS + i] for i in range(len(self.system.coupling.balls))]
+
+
+def _value_compliance(cone: Cone) -> Array:
+    """Return the compliance of the values of hard balls, (balls, d, d), which eliminating their heads leaves.
+
+    The closed form eta^2 (I - 2 v v'/(1 + 2 |v|^2)), w = (w_0, v), stays definite; a difference of matrices would not.
+    """
+    v, square = cone.w[:, 1:], cone.eta[:, 0, None, None] ** 2
+    return square * (np.eye(v.shape[1]) - (2 / (1 + 2 * (v * v).sum(1)))[:, None, None] * v[:, :, None] * v[:, None, :])
+
+
+def _value_root(cone: Cone) -> Array:
+    """Return the symmetric root of its inverse, (I + 2 v v')^(1/2)/eta."""
+    v = cone.w[:, 1:]
+    along = 2 / (1 + np.sqrt(1 + 2 * (v * v).sum(1)))
+    return (np.eye(v.shape[1]) + along[:, None, None] * v[:, :, None] * v[:, None, :]) / cone.eta[:, 0, None, None]
+
+
+def _head_ratio(cone: Cone) -> Array:
+    """Return the entries of W^2 next to its first one, divided by that, (balls, d)."""
+    head, v = cone.w[:, :1], cone.w[:, 1:]
+    return 2 * head * v / (2 * head**2 - 1)
+
+
+def largest(parts: Values) -> float:
+    """Return the largest absolute entry; inf if one is not finite."""
+    found = max((float(np.abs(part).max(initial=0.0)) for part in parts), default=0.0)
+    return found if np.isfinite(found) else np.inf

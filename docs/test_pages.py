@@ -1,0 +1,26 @@
+"""What the pages show runs as it stands: the Python and the commands of README.md and docs/how_to, copied and run.
+
+Run by .ci/run: python -m pytest docs/test_pages.py
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs" / "how_to").glob("*.md") if path.stem != "index")]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_what_a_page_shows_runs(page, tmp_path):
+    blocks = re.findall(r"^```(python|console)\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert "python" in [kind for kind, _ in blocks]
+    for kind, text in blocks:
+        if kind == "python":
+            (tmp_path / "page.py").write_text(text)
+        arguments = ["page.py"] if kind == "python" else ["-m", "lin_freq_ocp", *shlex.split(text)[2:]]
+        subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True, capture_output=True)

@@ -1,1 +1,0 @@
-"""Quantities computed from a problem and a trajectory without a solver."""

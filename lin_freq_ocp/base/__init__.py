@@ -1,0 +1,1 @@
+"""What everything stands on: arrays, errors, statuses, text, polyhedra, whole files, memory, the clock."""

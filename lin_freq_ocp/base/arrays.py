@@ -1,0 +1,165 @@
+"""Numbers from outside become read-only float64 arrays of a known shape, or a ProblemError that says why not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lin_freq_ocp.base.errors import ProblemError
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+Entry = TypeVar("Entry", bound=np.generic)
+Bound = ArrayLike | Sequence[float | None] | None  # as users give it: numbers, with None where there is none
+NO_BOUND = 1e20  # a bound from here on is none: other tools write infinity so
+LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer one is a slip of the pen
+
+
+def real_array(field: str, value: object, allow_infinite: bool = False) -> Array:
+    """Convert to a read-only float64 array; NaN, complex and (by default) infinite entries are refused."""
+    try:
+        array = np.asarray(value)
+        if array.size and array.dtype.kind not in "iuf":
+            raise TypeError(f"entries of type {array.dtype}")
+        if array.flags.writeable or not array.flags.owndata or array.dtype != np.float64:
+            array = np.array(array, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ProblemError(field, f"{brief(value)}", "numbers in a rectangular array", f"({error})") from None
+    bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)
+    if bad.any():
+        where = "".join(f"[{i}]" for i in np.argwhere(bad)[0]) if array.ndim else ""
+        raise ProblemError(
+            f"{field}{where}", f"{array[bad].flat[0]}", "a finite number" if not allow_infinite else "a number"
+        )
+    array.flags.writeable = False
+    return array
+
+
+def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None = None, per: str = "") -> Array:
+    """Convert and require ``shape``, or ``(times, *shape)`` where one value per time is allowed."""
+    array = real_array(field, value)
+    if array.shape == shape or (times is not None and array.shape == (times, *shape)):
+        return array
+    expected = f"shape {shape}" + (f" ({per})" if per else "")
+    if times is not None:
+        expected += f", or {(times, *shape)} with one per time"
+    raise ProblemError(field, f"shape {array.shape}", expected)
+
+
+def one_component(array: Array, size: int) -> Array:
+    """Return a single number as the vector that it stands for where there is one component; else what was given."""
+    return array.reshape(1) if array.ndim == 0 and size == 1 else array
+
+
+def positive_integer(field: str, value: object) -> int:
+    """Require a whole number of at least 1."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= LARGEST_HORIZON:
+        raise ProblemError(field, brief(value), f"a whole number from 1 to {LARGEST_HORIZON}")
+    return int(value)
+
+
+def positive_number(field: str, value: object) -> float:
+    """Require a finite number above zero."""
+    number = real_array(field, value)
+    if number.ndim or number <= 0:
+        raise ProblemError(field, brief(value), "one number above zero")
+    return float(number)
+
+
+def known_entries(field: str, given: object, keys: Sequence[str]) -> dict[str, object]:
+    """Require a mapping without other keys than these; None is empty."""
+    if given is not None and not isinstance(given, Mapping):
+        raise ProblemError(field, type(given).__name__, f"a mapping with {' and '.join(keys)}")
+    for key in given or {}:
+        if key not in keys:
+            raise ProblemError(f"{field}.{key}", "an unknown key", f"{' or '.join(keys)}")
+    return dict(given or {})
+
+
+def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
+    """Require ``count`` different names; without any, ``x_0 ...``."""
+    if given is None:
+        return tuple(f"{letter}_{i}" for i in range(count))
+    if (
+        isinstance(given, str)
+        or not isinstance(given, Sequence)
+        or not all(isinstance(name, str) and name.strip() for name in given)
+    ):
+        raise ProblemError(field, brief(given), f"a list of {count} names")
+    unseen = [name for name in given if not name.isprintable()]
+    if unseen:
+        raise ProblemError(field, brief(unseen[0]), "names of printable characters")
+    if len(given) != count or len(set(given)) != count:
+        raise ProblemError(
+            field, brief(list(given)), f"{count} different names", 'One per component, such as "position [m]".'
+        )
+    return tuple(given)
+
+
+def brief(value: object, length: int = 80) -> str:
+    """Return a value as an error message shows it."""
+    try:
+        text = repr(value).replace("\n", " ")
+    except (ValueError, RecursionError):  # whole numbers of thousands of digits; nesting without end
+        text = f"a value of type {type(value).__name__} that cannot be shown"
+    return text if len(text) <= length else text[: length - 3] + "..."
+
+
+def assign(instance: object, **fields: object) -> None:
+    """Set the fields of a frozen dataclass from within its own ``__init__``."""
+    for name, value in fields.items():
+        object.__setattr__(instance, name, value)
+
+
+def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
+    """Return the array itself if it is read-only, else a read-only copy."""
+    if array.flags.writeable:
+        array = array.copy()
+        array.flags.writeable = False
+    return array
+
+
+def sealed(array: NDArray[Entry]) -> NDArray[Entry]:
+    """Return a new array, now read-only: whoever takes it need not copy it."""
+    array.flags.writeable = False
+    return array
+
+
+def extended(given: ArrayLike) -> NDArray[Any]:
+    """Return a copy in the longest float or complex of the machine, where differences of large terms are formed."""
+    array = np.asarray(given)
+    return array.astype(np.clongdouble if array.dtype.kind == "c" else np.longdouble)
+
+
+def times_vectors(matrix: ArrayLike, vectors: Array) -> Array:
+    """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (T, columns)."""
+    matrix = np.asarray(matrix)
+    if matrix.ndim == 2 and not matrix.any():
+        return np.zeros((len(vectors), len(matrix)), dtype=vectors.dtype)
+    return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
+
+
+def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
+    """Return values + matrix @ vector + ..., rounded once: large terms cancel in extended precision.
+
+    values (..., k), each matrix (..., k, n) and vector (n,); infinite values stay.
+    """
+    total = extended(values)
+    for matrix, vector in products:
+        total = total + extended(matrix) @ extended(vector)
+    return frozen(total.astype(np.float64))
+
+
+def with_columns(array: Array, columns: int) -> Array:
+    """Return the array with so many zeros more along its last axis."""
+    return np.concatenate([array, np.zeros((*array.shape[:-1], columns))], axis=-1)
+
+
+def with_rows(matrices: Array, rows: Array) -> Array:
+    """Return a matrix, or one per time, with these rows below."""
+    return np.concatenate([matrices, np.broadcast_to(rows, (*matrices.shape[:-2], *rows.shape))], axis=-2)

@@ -1,0 +1,198 @@
+"""Numbers, vectors, matrices, inequalities and small tables as people read them: problems describe themselves so."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from html import escape
+from math import isfinite
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import NO_BOUND, Array
+
+NAME_WITH_UNIT = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]\s*")
+SMALL, LARGE = 1e-3, 1e6  # numbers outside this range are written with a power of ten
+NOTHING = "\N{EN DASH}"  # in place of a missing number
+AT_MOST = "\N{LESS-THAN OR EQUAL TO}"
+MOST_ENTRIES, MOST_ROWS, MOST_TEXT = 6, 3, 150  # a longer vector, more rows or a longer text is described by its size
+
+
+def number(value: float | None, digits: int = 5) -> str:
+    """Return a number with up to so many significant digits; nothing small is called zero."""
+    if value is None:
+        return NOTHING
+    if not isfinite(value):
+        return str(value)
+    size = abs(value)
+    if size != 0 and (size < SMALL or size >= LARGE):
+        return power(value)
+    return f"{value:.0f}" if size >= 10 ** (digits - 1) else f"{value:.{digits}g}"
+
+
+def power(value: float) -> str:
+    """Return a number with two digits and a power of ten."""
+    mantissa, _, exponent = f"{value:.1e}".partition("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Split ``"position [m]"`` into ``("position", "m")``; without a unit the second is empty."""
+    match = NAME_WITH_UNIT.fullmatch(name)
+    return (match["name"], match["unit"]) if match else (name, "")
+
+
+def short_name(name: str) -> str:
+    """Return a component's name without its unit, in the case it was given: V is not v."""
+    return split_unit(name)[0]
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Return "a", "a and b", or "a, b and c"."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def first_few(parts: Sequence[str], most: int = MOST_ENTRIES) -> str:
+    """Return the first of them as a list, and how many more there are."""
+    return listed(parts) if len(parts) <= most else f"{', '.join(parts[:most])} and {len(parts) - most} more"
+
+
+def plural(count: int, noun: str) -> str:
+    """Return "1 bin" or "24 bins"."""
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def runs_in_words(runs: Sequence[tuple[int, int]]) -> str:
+    """Return runs of whole numbers as "3, 7 to 9 and 12"."""
+    return first_few([f"{first}" if first == last else f"{first} to {last}" for first, last in runs])
+
+
+def runs_of(numbers: Array) -> list[tuple[int, int]]:
+    """Return (first, last) of every run of neighbours among different whole numbers in ascending order."""
+    cuts = np.flatnonzero(np.diff(numbers) > 1)
+    return [(int(a), int(b)) for a, b in zip(numbers[np.r_[0, cuts + 1]], numbers[np.r_[cuts, -1]], strict=True)]
+
+
+def vector(values: Array) -> str:
+    """Return "(1, 0.5)"; of equal entries, that one; of many, how many and their range."""
+    if values.ndim == 0:
+        return number(float(values))
+    if len(values) > 1 and (values == values[0]).all():
+        return number(float(values[0])) + " in every component"
+    if len(values) > MOST_ENTRIES:
+        return f"{len(values)} numbers{span(values)}"
+    return f"({', '.join(number(float(value)) for value in values)})"
+
+
+def matrix(values: Array) -> str:
+    """Return "2", "2 I", "diag(1, 2)", "[1 2; 3 4]", or the size of a larger one."""
+    square = values.shape[0] == values.shape[1]
+    diagonal = np.diagonal(values)
+    if square and not (values - np.diag(diagonal)).any() and values.any():
+        if (diagonal == diagonal[0]).all():
+            value = number(float(diagonal[0]))
+            return value if len(values) == 1 else "I" if value == "1" else f"{value} I"
+        if len(diagonal) <= MOST_ENTRIES:
+            return f"diag({', '.join(number(float(value)) for value in diagonal)})"
+        return f"a diagonal of {len(diagonal)} numbers{span(diagonal)}"
+    if values.size <= MOST_ENTRIES:
+        return f"[{'; '.join(' '.join(number(float(one), 4) for one in row) for row in values)}]"
+    return f"a matrix of {values.shape[0]} by {values.shape[1]}"
+
+
+def datum(name: str, values: Array, dimensions: int) -> str:
+    """Return "Q = 2 I" or "x_ref depends on time, from 0 to 1"; an axis more than ``dimensions`` is that of time."""
+    if values.ndim > dimensions:
+        if (values != values[0]).any():
+            return f"{name} depends on time{span(values, ', ')}"
+        values = values[0]
+    return f"{name} = {matrix(values) if values.ndim == 2 else vector(values)}"
+
+
+def span(values: Array, before: str = " ") -> str:
+    """Return " from 0 to 1", how small and how large they are."""
+    low, high = float(values.min()), float(values.max())
+    return f"{before}from {number(low)} to {number(high)}"
+
+
+def inequality(row: Array, limit: float, names: Sequence[str], relation: str = AT_MOST) -> str:
+    """Return a row as "position + 2 speed ≤ 1"."""
+    return f"{combination(row, names)} {relation} {number(limit)}"
+
+
+def combination(row: Array, names: Sequence[str]) -> str:
+    """Return "position - 2 speed" for coefficients of the components of these names."""
+    text = ""
+    for i in map(int, np.flatnonzero(row)):
+        value = float(row[i])
+        factor = "" if abs(value) == 1 else f"{number(abs(value))} "
+        sign = (" - " if value < 0 else " + ") if text else "-" if value < 0 else ""
+        text += f"{sign}{factor}{split_unit(names[i])[0]}"
+    return text or "0"
+
+
+def inequalities(rows: Array, limits: Array, names: Sequence[str], symbols: str) -> str:
+    """Return few short rows one by one; of others how many there are, as ``symbols``."""
+    bounded = np.flatnonzero(limits < NO_BOUND)
+    if 0 < len(bounded) <= MOST_ROWS:
+        text = ", ".join(inequality(rows[i], float(limits[i]), names) for i in bounded)
+        if len(text) <= MOST_TEXT:
+            return text
+    return f"{plural(len(limits), 'row')} {symbols}"
+
+
+def interval(low: float, high: float) -> str:
+    """Return "within ±1", "from 0 to 1", "at most 1", or "no bound"."""
+    has_low, has_high = low > -NO_BOUND, high < NO_BOUND
+    if not (has_low or has_high):
+        return "no bound"
+    if low == high:
+        return f"at {number(low)}"
+    if low == -high:
+        return f"within \N{PLUS-MINUS SIGN}{number(high)}"
+    if not has_low:
+        return f"at most {number(high)}"
+    return f"at least {number(low)}" if not has_high else f"from {number(low)} to {number(high)}"
+
+
+def intervals(lower: Array, upper: Array) -> str:
+    """Return the same of bounds over time, (times,): where they change, how low and how high they are."""
+    if (lower == lower[0]).all() and (upper == upper[0]).all():
+        return interval(float(lower[0]), float(upper[0]))
+    known = [lower[lower > -NO_BOUND], upper[upper < NO_BOUND]]
+    parts = [
+        f"{words} {_from_to(values)}" for words, values in zip(("lower", "upper"), known, strict=True) if len(values)
+    ]
+    if not parts:
+        return "no bound"
+    missing = any(0 < len(values) < len(lower) for values in known)
+    return f"bounds that depend on time: {', '.join(parts)}{', none at some times' if missing else ''}"
+
+
+def _from_to(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return number(low) if low == high else f"{number(low)} to {number(high)}"
+
+
+def price(penalty: float | None, of: str = "excess") -> str:
+    """Return the price of leaving a soft constraint, to stand behind it; nothing for a hard one."""
+    return "" if penalty is None else f"; soft, {number(penalty)} per unit of {of}"
+
+
+MOST_TABLE_ROWS = 24  # a table says how many more there are
+LABEL = "text-align:left;vertical-align:top;font-weight:normal;opacity:0.7;white-space:nowrap;padding-right:1em"
+VALUE = "text-align:left;vertical-align:top;overflow-wrap:anywhere"
+
+
+def html_table(title: str, rows: Iterable[tuple[str, str]]) -> str:
+    """Return a table of terms and values under a title."""
+    given = list(rows)
+    shown = given[:MOST_TABLE_ROWS]
+    if len(given) > len(shown):
+        shown.append(("\N{HORIZONTAL ELLIPSIS}", f"{len(given) - len(shown)} more"))
+    body = "".join(
+        f'<tr><th style="{LABEL}">{escape(term)}</th><td style="{VALUE}">{escape(value)}</td></tr>'
+        for term, value in shown
+    )
+    caption = f'<caption style="text-align:left;font-weight:bold">{escape(title)}</caption>'
+    return f"<table>{caption}<tbody>{body}</tbody></table>"

@@ -1,0 +1,95 @@
+"""What one solve may take of the machine: a share of its memory, and one BLAS thread.
+
+Large arrays are refused before they are allocated. While small matrices are at work, handing parts of them to other
+threads costs more than it saves.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from lin_freq_ocp.base.errors import UnsupportedError
+
+MEMORY_SHARE = 0.5  # of the memory for one solve: estimates are good to a factor of two, and other programs need some
+GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container on Linux
+GIB = 2.0**30
+ALWAYS_THERE = 2.0**24  # bytes that every machine has: nothing is asked of it
+NUMBERS_PER_SIGNAL = 16  # per component and time, of a problem and a trajectory with multipliers
+
+
+def memory_limit() -> float:
+    """Return the bytes that one solve may take: a share of the machine's memory, or of what its container may use."""
+    available = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 2 * GIB
+    with suppress(OSError, ValueError):  # "max" where there is no limit
+        available = min(available, float(GROUP_LIMIT.read_text()))
+    return MEMORY_SHARE * available
+
+
+def require_memory(what: str, size: float, advice: str) -> None:
+    """Raise UnsupportedError if ``what`` (the subject of the message) needs more than one solve may take, in bytes."""
+    limit = np.inf if size < ALWAYS_THERE else memory_limit()
+    if size > limit:
+        raise UnsupportedError(
+            f"memory: {what} would take about {size / GIB:.3g} GiB; {limit / GIB:.3g} GiB may be used, "
+            f"{MEMORY_SHARE:.0%} of what there is. {advice}"
+        )
+
+
+def require_horizon(horizon: int, state_dim: int, control_dim: int) -> None:
+    """Raise UnsupportedError unless the signals of a problem fit into memory."""
+    size = 8.0 * NUMBERS_PER_SIGNAL * horizon * (state_dim + control_dim)
+    require_memory(
+        f"signals and bounds of horizon = {horizon}, {state_dim} states and {control_dim} controls",
+        size,
+        "Choose a shorter horizon or a longer sampling time.",
+    )
+
+
+@contextmanager
+def one_blas_thread() -> Generator[None]:
+    """Let linear algebra use one thread, as long as any thread of this process is within."""
+    _blas_threads.enter()
+    try:
+        yield
+    finally:
+        _blas_threads.leave()
+
+
+class _BlasThreads:
+    """Counts the users of one BLAS thread; the last to leave restores what the first found."""
+
+    def __init__(self) -> None:
+        self._lock, self._users, self._before = threading.Lock(), 0, list[tuple[Any, int]]()
+
+    def enter(self) -> None:
+        with self._lock:
+            self._users += 1
+            if self._users == 1:
+                threads = [(library, library.num_threads) for library in _blas_libraries()]
+                self._before = [(library, before) for library, before in threads if before != 1]
+                for library, _ in self._before:
+                    library.set_num_threads(1)
+
+    def leave(self) -> None:
+        with self._lock:
+            self._users -= 1
+            if not self._users:
+                for library, before in self._before:
+                    library.set_num_threads(before)
+
+
+_blas_threads = _BlasThreads()
+
+
+@cache
+def _blas_libraries() -> list[Any]:
+    return ThreadpoolController().select(user_api="blas").lib_controllers

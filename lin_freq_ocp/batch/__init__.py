@@ -1,0 +1,1 @@
+"""Many solves: sweeps over parameters, many initial states, the shortest horizon."""

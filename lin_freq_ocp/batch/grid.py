@@ -1,0 +1,180 @@
+"""The grid of a sweep: its points, the problem at each of them, and what tells problems and points apart."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import pickle
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import fields, is_dataclass, replace
+from functools import partial
+from hashlib import sha256
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.spectrum.bands import low_pass
+
+# What a sweep varies: a problem, whose fields are replaced, or a function that builds one from keywords.
+Source = OptimalControlProblem | Callable[..., OptimalControlProblem]
+Parameters = dict[str, object]  # the value of every swept parameter at one point
+# Parameters of a problem: low passes that replace its ``control_spectrum``; in rad/sample, and in Hz.
+CUTOFFS = ("cutoff", "cutoff_hz")
+MOST_POINTS = 10**6  # points of one grid: more are likely a mistake, and would not fit into memory
+FINGERPRINT_LENGTH = 16  # hexadecimal digits: 64 bits, so that collisions are not expected
+
+
+def grid_values(source: Source, grid: object) -> dict[str, list[object]]:
+    """Return the values of each parameter."""
+    if not callable(source):
+        require_problem(source)
+    if not isinstance(grid, Mapping) or not grid:
+        raise ProblemError("grid", brief(grid), "a mapping from names of parameters to sequences of values")
+    require_parameters(source, list(grid), "grid")
+    return {name: _values(name, given) for name, given in grid.items()}
+
+
+def grid_points(values: Mapping[str, Sequence[object]]) -> dict[str, Parameters]:
+    """Return the points of the full product, by their keys; the last parameter changes fastest."""
+    count = math.prod(map(len, values.values()))
+    if count > MOST_POINTS:
+        raise ProblemError("grid", f"{count} points", f"at most {MOST_POINTS}", "Sweep parts of it one after another.")
+    points = [dict(zip(values, combination, strict=True)) for combination in product(*values.values())]
+    return {point_key(plain_parameters(point)): point for point in points}
+
+
+def problem_at(source: Source, parameters: Mapping[str, object]) -> OptimalControlProblem:
+    """Return the problem at one point; ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes of its controls."""
+    if callable(source):
+        problem = source(**parameters)
+        require_problem(problem)
+        return problem
+    changes: dict[str, Any] = dict(parameters)
+    for name in CUTOFFS:
+        if name in changes:
+            cutoff = changes.pop(name)
+            changes["control_spectrum"] = None if cutoff is None else low_pass(**{name: cutoff})
+    return replace(source, **changes)
+
+
+def plain_parameters(parameters: Mapping[str, object]) -> Parameters:
+    """Return the values as JSON has them; of objects, their kind and a fingerprint."""
+    return {name: plain(value) for name, value in parameters.items()}
+
+
+def plain(value: object) -> object:
+    """Return a value as JSON has it; of an object, its kind and a fingerprint."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return (
+        value
+        if isinstance(value, (bool, int, float, str, type(None)))
+        else f"{type(value).__name__} {fingerprint(value)}"
+    )
+
+
+def point_key(parameters: Mapping[str, object]) -> str:
+    """Return the text that identifies a point, given by plain values."""
+    return json.dumps(parameters, sort_keys=True)
+
+
+def require_executor(executor: object, source: Source, grid: Mapping[str, object]) -> None:
+    """Raise ProblemError unless this is None, or an executor whose processes can get the source and the values."""
+    if executor is None:
+        return
+    if not isinstance(executor, Executor):
+        advice = "Of a Dask client: client.get_executor()."
+        raise ProblemError("executor", brief(executor), "a concurrent.futures.Executor, or None", advice)
+    for field, value in (("problem", source), *((f"grid.{name}", value) for name, value in grid.items())):
+        try:
+            pickle.dumps(value)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            advice = "Define functions at the top level of a module; functools.partial gives them fixed arguments."
+            expected = f"something that can be pickled, for other processes ({error})"
+            raise ProblemError(field, brief(value), expected, advice) from None
+
+
+def require_parameters(source: Source, names: Sequence[str], field: str) -> None:
+    """Raise ProblemError unless a source takes these parameters; errors name the field."""
+    if callable(source):
+        known = _keywords(source)
+    else:
+        known = [*(one.name for one in fields(source)), *CUTOFFS]
+        same = [name for name in names if name in ("control_spectrum", *CUTOFFS)]
+        if len(same) > 1:
+            raise ProblemError(f"{field}.{same[1]}", f"a grid with {same[0]}, too", "one of them", "Both set the same.")
+    for name in names:
+        if known is not None and name not in known:
+            expected = f"some of {', '.join(known)}"
+            raise ProblemError(f"{field}.{name}", "no parameter of that name", expected, suggestion(name, known))
+
+
+def _keywords(function: Callable[..., object]) -> list[str] | None:
+    """Return the keywords that a function takes; None if it takes any, or has no signature."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return None
+    if any(one.kind is one.VAR_KEYWORD for one in parameters):
+        return None
+    return [one.name for one in parameters if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
+
+
+def _values(name: str, given: object) -> list[object]:
+    if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Iterable):
+        raise ProblemError(f"grid.{name}", brief(given), "a sequence of values", "For a single one: [value].")
+    values = list(given)
+    keys = [json.dumps(plain(value)) for value in values]
+    again = [key for key, count in Counter(keys).items() if count > 1]
+    if not values or again:
+        got = f"{again[0]} twice" if again else "nothing"
+        raise ProblemError(f"grid.{name}", got, "one value or more, all different")
+    return values
+
+
+def fingerprint(value: object) -> str:
+    """Return a text that tells values apart, the same in every process.
+
+    Arrays count by their numbers, dataclasses by their fields (but those without ``compare``), mappings and sequences
+    by their entries, a ``functools.partial`` by its function and arguments, and functions by module and name: not by
+    their code.
+    """
+    return sha256(_text_of(value).encode()).hexdigest()[:FINGERPRINT_LENGTH]
+
+
+def _text_of(value: object) -> str:
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, float, complex, str, bytes)):
+        return repr(value)
+    if isinstance(value, np.ndarray):
+        content = np.ascontiguousarray(value)
+        return f"array({content.dtype.str}, {content.shape}, {sha256(content.tobytes()).hexdigest()})"
+    if isinstance(value, Mapping):
+        entries = sorted(f"{_text_of(key)}: {_text_of(entry)}" for key, entry in value.items())
+        return f"{{{', '.join(entries)}}}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_text_of, value))}]"
+    if isinstance(value, partial):
+        return f"partial({_text_of(value.func)}, {_text_of(value.args)}, {_text_of(value.keywords)})"
+    if is_dataclass(value) and not isinstance(value, type):
+        entries = (f"{one.name}={_text_of(getattr(value, one.name))}" for one in fields(value) if one.compare)
+        return f"{_qualified_name(type(value))}({', '.join(entries)})"
+    if hasattr(value, "__qualname__"):
+        return _qualified_name(value)
+    return f"{_qualified_name(type(value))}({_text_of(getattr(value, '__dict__', {}))})"
+
+
+def _qualified_name(value: object) -> str:
+    return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '')}"

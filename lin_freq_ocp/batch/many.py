@@ -1,0 +1,402 @@
+"""Many problems that differ in initial state and references, here or on an executor, recorded and resumed.
+
+They are solved in parts, along a tour of the initial states: each begins with the answer of one near it. The
+Fourier-domain method solves and judges a whole part at once where it applies; the other problems follow one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.base.arrays import Array, Indices, brief, one_component, real_array
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.batch.grid import fingerprint, require_executor
+from lin_freq_ocp.batch.repeated import Repeated
+from lin_freq_ocp.batch.tasks import ERROR, Work, finish_tasks
+from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.kept import Change
+from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.solving.outcome import Outcome
+
+UNSOLVED = "unsolved"  # status of what Ctrl-C left
+
+BLOCK = 1000  # states among which the nearest is looked for: 1000 steps of some 20 microseconds
+
+HERE, SENT = 25, 100  # problems of a part: here, what Ctrl-C waits for; on an executor, what a set-up is shared by
+
+References = Mapping[str, ArrayLike]
+
+
+@dataclass(frozen=True, eq=False)
+class ManyHead:
+    """What makes two runs the same: the fingerprint of the problem, and the options."""
+
+    fingerprint: str
+    options: Mapping[str, object]
+
+
+class ManyRecord(Protocol):
+    """Where items are kept: those of an earlier run, and each as it is finished."""
+
+    items: Mapping[str, Item]
+
+    def append(self, key: str, item: Item) -> None:
+        """Keep one more item."""
+        ...
+
+
+# Opens the record of a run, given what it is of; None keeps nothing.
+OpenRecord = Callable[[ManyHead], AbstractContextManager[ManyRecord | None]]
+
+
+@dataclass(frozen=True, eq=False)
+class ManyOutcome:
+    """The answers to many problems that differ in initial state and references.
+
+    Attributes
+    ----------
+    problem : OptimalControlProblem
+    items : tuple of Item
+        One per problem, in the given order.
+    interrupted : bool
+        Whether Ctrl-C ended it before all were solved; the status of the others is "unsolved".
+    """
+
+    problem: OptimalControlProblem
+    changes: tuple[Change | ProblemError, ...] = field(repr=False)
+    items: tuple[Item, ...] = field(repr=False)
+    again: Repeated = field(repr=False)
+    interrupted: bool = False
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    @property
+    def statuses(self) -> tuple[str, ...]:
+        """Return how each ended: a status of ``Result``, "error", or "unsolved"."""
+        return tuple(item.status for item in self.items)
+
+    @property
+    def proven(self) -> bool:
+        """Whether all are solved, and every status is proven."""
+        return all(item.proven for item in self.items)
+
+    @property
+    def costs(self) -> Array:
+        """Return the costs, (N,); not a number where no point satisfies every constraint."""
+        return np.array([np.nan if item.cost is None else item.cost for item in self.items])
+
+    @property
+    def gaps(self) -> Array:
+        """Return the gaps to a proven lower bound, relative to the terms of the cost, (N,), or not a number."""
+        return np.array([np.nan if item.gap is None else item.gap for item in self.items])
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """Return why each ended so; empty for optima."""
+        return tuple(item.message for item in self.items)
+
+    @property
+    def controls(self) -> Array:
+        """Return the controls, (N, T, m); not a number where there are none."""
+        return self._stacked("u", (self.problem.horizon, self.problem.control_dim))
+
+    @property
+    def states(self) -> Array:
+        """Return the states, (N, T+1, n); not a number where there are none."""
+        return self._stacked("x", (self.problem.horizon + 1, self.problem.state_dim))
+
+    def _stacked(self, name: str, shape: tuple[int, int]) -> Array:
+        values = np.full((len(self.items), *shape), np.nan)
+        for value, item in zip(values, self.items, strict=True):
+            if getattr(item, name) is not None:
+                value[:] = getattr(item, name)
+        return values
+
+
+def run_many(
+    problem: OptimalControlProblem,
+    initial_states: object,
+    references: References | Sequence[References] | None,
+    executor: Executor | None,
+    method: str | Method,
+    time_limit: float | None,
+    open_record: OpenRecord,
+    progress: Callable[[int, int], None],
+) -> ManyOutcome:
+    """Solve all problems, unless interrupted; see ``lfo.solve_many``."""
+    again = Repeated(problem, method)
+    changes = changes_of(problem, initial_states, references)
+    require_executor(executor, problem, {"method": [method]})
+    keys = [
+        "" if isinstance(change, ProblemError) else fingerprint((change.initial_state, change.references))
+        for change in changes
+    ]
+    good = {key: change for key, change in zip(keys, changes, strict=True) if isinstance(change, Change)}
+    head = ManyHead(
+        fingerprint(problem), {"method": method if isinstance(method, str) else repr(method), "time_limit": time_limit}
+    )
+    found, interrupted = dict[str, Item](), False
+    with open_record(head) as record:
+        found |= {} if record is None else {key: item for key, item in record.items.items() if key in good}
+        progress(len(found), len(good))
+        try:
+            for part in _parts(again, _order_unsolved(good, found), time_limit, executor):
+                for key, item in part.items.items():
+                    found[key] = item
+                    if record is not None:
+                        record.append(key, item)
+                progress(len(found), len(good))
+                if part.interrupted:
+                    raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            interrupted = True
+    items = tuple(
+        Item(ERROR, message=str(change)) if isinstance(change, ProblemError) else found.get(key, Item(UNSOLVED))
+        for key, change in zip(keys, changes, strict=True)
+    )
+    return ManyOutcome(problem, tuple(changes), items, again, interrupted)
+
+
+def _parts(
+    again: Repeated, changes: Mapping[str, Change], time_limit: float | None, executor: Executor | None
+) -> Iterator[Part]:
+    """Yield what is solved; problems of a part that is lost are given out again one by one."""
+    if executor is None:
+        with one_blas_thread():
+            for part in _split_parts(changes, HERE).values():
+                yield solve_part(again, part, time_limit)
+        return
+    work = Work(
+        partial(_solve_in_worker, again.problem, again.name, time_limit), _lost_part, lambda part: part.interrupted
+    )
+    lost = dict[str, Change]()
+    for size in (SENT, 1):
+        with closing(finish_tasks(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:
+            for _, part in parts:
+                if size > 1:
+                    lost |= {key: changes[key] for key, item in part.items.items() if item.lost}
+                yield Part({key: item for key, item in part.items.items() if size == 1 or key not in lost})
+
+
+def _split_parts(changes: Mapping[str, Change], size: int) -> dict[str, dict[str, Change]]:
+    entries = list(changes.items())
+    return {str(first): dict(entries[first : first + size]) for first in range(0, len(entries), size)}
+
+
+def _solve_in_worker(
+    problem: OptimalControlProblem,
+    method: str | Method,
+    time_limit: float | None,
+    changes: Mapping[str, Change],
+    attempt: int,
+) -> Part:
+    """Solve a part in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
+    with one_blas_thread():
+        return solve_part(Repeated(problem, method), changes, time_limit)
+
+
+def _lost_part(changes: Mapping[str, Change], reason: str) -> Part:
+    return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in changes})
+
+
+def _order_unsolved(changes: Mapping[str, Change], found: Mapping[str, Item]) -> dict[str, Change]:
+    """Return what is not solved, each near the one before."""
+    left = {key: change for key, change in changes.items() if key not in found}
+    states = [change.initial_state for change in left.values()]
+    if not states or states[0] is None:
+        return left
+    keys = list(left)
+    return {keys[i]: left[keys[i]] for i in tour(np.array(states, dtype=np.float64))}
+
+
+def changes_of(
+    problem: OptimalControlProblem, states: object, references: References | Sequence[References] | None
+) -> list[Change | ProblemError]:
+    """Return how each problem differs, or why it is none; ProblemError if the numbers of both differ or none is one."""
+    n = problem.state_dim
+    if references is not None and not isinstance(references, (Mapping, Sequence)):
+        raise ProblemError("references", brief(references), "a mapping with x_ref and u_ref, or a sequence of them")
+    shared = references if isinstance(references, Mapping) else None
+    each = None if references is None or isinstance(references, Mapping) else list(references)
+    if states is None and each is None:
+        raise ProblemError("initial_states", "None", f"an array (N, {n})", "Or references, one mapping per problem.")
+    rows = [None] * len(each or ()) if states is None else _state_rows(states, n)
+    each = [shared] * len(rows) if each is None else each
+    if len(each) != len(rows):
+        raise ProblemError("references", f"{len(each)} of them", f"{len(rows)}, one per initial state")
+    if not rows:
+        raise ProblemError("initial_states", "nothing", f"an array (N, {n}), N at least 1")
+    found = [_change_at(problem, i, row, other) for i, (row, other) in enumerate(zip(rows, each, strict=True))]
+    if isinstance(found[0], ProblemError) and not any(isinstance(one, Change) for one in found):
+        raise found[0]
+    return found
+
+
+def _state_rows(states: object, n: int) -> Sequence[object]:
+    """Return the initial states; an array must have the shape (N, n), entries of a list are checked later."""
+    if isinstance(states, (list, tuple)):
+        return states
+    array = np.asarray(states)
+    if array.ndim == 1 and n == 1:
+        array = array[:, None]
+    if array.ndim != 2 or array.shape[1] != n:
+        raise ProblemError("initial_states", f"shape {array.shape}", f"(N, {n}): one initial state per row")
+    return list(array)
+
+
+def _change_at(
+    problem: OptimalControlProblem, i: int, state: object, references: References | None
+) -> Change | ProblemError:
+    n, field = problem.state_dim, f"initial_states[{i}]"
+    try:
+        point = None if state is None else one_component(real_array(field, state), n)
+        if point is not None and point.shape != (n,):
+            raise ProblemError(field, f"shape {point.shape}", f"({n},)")
+        if references is not None:
+            problem.with_references(references)
+    except ProblemError as error:
+        return error
+    return Change(point, references=references)
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """The answer to one of many problems, as plain data; None where there is nothing.
+
+    ``proven`` says that its cost is within 1e-6 of a rigorous bound, or infeasibility is proven. ``x`` (T+1, n) and
+    ``u`` (T, m) are the trajectory. ``lost`` says that its worker ended before the answer.
+    """
+
+    status: str
+    proven: bool = False
+    cost: float | None = None
+    lower_bound: float | None = None
+    gap: float | None = None
+    message: str = ""
+    seconds: float | None = None
+    x: Array | None = field(default=None, repr=False)
+    u: Array | None = field(default=None, repr=False)
+    lost: bool = field(default=False, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Items by their keys, and whether Ctrl-C came before all were solved."""
+
+    items: Mapping[str, Item]
+    interrupted: bool = False
+
+
+def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> Part:
+    """Solve problems one after another, each from the one before; what fails is an item of its own."""
+    items, interrupted = dict[str, Item](), False
+    try:
+        items, interrupted = _solve_batched(again, changes) if time_limit is None else ({}, False)
+        for key in changes if not interrupted else ():
+            if key not in items:
+                items[key] = _solve_single(again, changes[key], time_limit)
+    except KeyboardInterrupt:
+        interrupted = True
+    return Part({key: items[key] for key in changes if key in items}, interrupted)
+
+
+def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
+    """Return the items that the Fourier-domain method solves and the batch judge proves, and whether Ctrl-C came."""
+    states = [change.initial_state for change in changes.values() if change.references is None]
+    if not again.linear or not again.spectral or len(states) < len(changes) or states[0] is None:
+        return {}, False
+    if not judged_together(again.problem):
+        return {}, False
+    started = now()
+    located = again.located(next(iter(changes.values())).of(again.problem))
+    if located.kept is None:
+        return {}, False
+    translation, starts = located.translation, np.array(states, dtype=np.float64) - located.origin
+    found = located.kept.together(starts)
+    which = np.zeros(0, dtype=np.intp) if found is None else np.flatnonzero(found.found)
+    if found is None or not len(which):
+        return {}, found is not None and found.interrupted
+    signals = (part[which] for part in (found.x, found.u, found.eta, found.mu, found.nu))
+    judged = verdicts(translation.problem, starts[which], Extremals(*signals, rho_u=found.rho_u[which]))
+    each, keys = (now() - started) / len(changes), list(changes)
+    items = {
+        keys[i]: Item(
+            status=str(Status.OPTIMAL),
+            proven=True,
+            cost=float(judged.costs[k]) + translation.cost,
+            lower_bound=float(judged.bounds[k]) + translation.cost,
+            gap=float(judged.gaps[k]),
+            seconds=each,
+            x=found.x[i] + located.origin,
+            u=found.u[i],
+        )
+        for k, i in enumerate(which)
+        if judged.proven[k]
+    }
+    return items, found.interrupted
+
+
+def _solve_single(again: Repeated, change: Change, time_limit: float | None) -> Item:
+    started = now()
+    if again.excluded(change):
+        message = "proven by a rigorous ray of another initial state"
+        return Item(str(Status.INFEASIBLE), proven=True, message=message, seconds=now() - started)
+    try:
+        outcome = again.solve(change, time_limit)
+    except LinFreqOCPError as error:
+        return Item(ERROR, message=str(error), seconds=now() - started)
+    if outcome.interrupted:
+        raise KeyboardInterrupt
+    if change.references is None:
+        again.keep(outcome)
+    return item_of(outcome, now() - started)
+
+
+def tour(states: Array) -> Indices:
+    """Return an order of states (N, n), each near the one before, measured in their own spread."""
+    spread = states.std(0)
+    scaled = (states - states.mean(0)) / np.where(spread > 0, spread, 1.0)
+    along = np.argsort(scaled[:, int(np.argmax(np.abs(scaled).max(0)))], kind="stable")
+    blocks = [along[first : first + BLOCK] for first in range(0, len(along), BLOCK)]
+    return np.concatenate([block[_nearest_unvisited(scaled[block])] for block in blocks])
+
+
+def _nearest_unvisited(points: Array) -> Indices:
+    """Return an order that begins at the first point and goes on to the nearest that is left."""
+    order, left = np.zeros(len(points), dtype=np.intp), np.ones(len(points), dtype=bool)
+    for step in range(1, len(points)):
+        left[order[step - 1]] = False
+        distance = ((points - points[order[step - 1]]) ** 2).sum(1)
+        order[step] = np.argmin(np.where(left, distance, np.inf))
+    return order
+
+
+def item_of(outcome: Outcome, seconds: float) -> Item:
+    """Return an outcome as an item; figures are of points that satisfy every constraint."""
+    trajectory = outcome.trajectory if outcome.primal else None
+    solved = outcome.certificate is not None and outcome.certificate.globally_optimal
+    infeasible = outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED) and outcome.dual
+    return Item(
+        status=str(outcome.status),
+        proven=solved or infeasible,
+        cost=outcome.cost if outcome.primal else None,
+        lower_bound=outcome.lower_bound,
+        gap=outcome.gap if outcome.primal else None,
+        message=outcome.message,
+        seconds=seconds,
+        x=None if trajectory is None else trajectory.x,
+        u=None if trajectory is None else trajectory.u,
+    )

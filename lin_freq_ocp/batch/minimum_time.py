@@ -1,0 +1,322 @@
+"""The least feasible horizon of a range, by bisection where feasibility is proven monotone, and from below otherwise.
+
+Feasibility is monotone, if zeros can be appended: after any feasible trajectory of T steps, u_T = 0 keeps the state,
+x_{T+1} = x_T, and that is feasible for T + 1 steps. ``obstacles`` checks what this needs, one condition after another;
+costs, and constraints that may be violated at a price, play no part. The conditions are sufficient: where one fails,
+nothing is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.batch.grid import Source, fingerprint, problem_at, require_parameters
+from lin_freq_ocp.certificate.bound import NUMERICAL
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.solving.outcome import Outcome
+
+ROUNDING = 1e-13  # relative, of A x + d: the drift over 10^4 steps stays far below what the judge allows
+
+At = Callable[[int], OptimalControlProblem]
+
+
+class Verdict(StrEnum):
+    """What is proven of one horizon."""
+
+    FEASIBLE = "feasible"
+    INFEASIBLE = "infeasible"
+    UNDECIDED = "undecided"
+
+
+@dataclass(eq=False)
+class Search:
+    """The horizons from ``low`` to ``high`` that are decided so far."""
+
+    low: int
+    high: int
+    verdicts: dict[int, Verdict] = field(default_factory=dict)
+    rays: dict[int, Multipliers] = field(default_factory=dict)
+    best: Outcome | None = None  # at the least horizon that is feasible
+    practical: set[int] = field(default_factory=set)  # of those in ``rays``, where the ray is numerical: no proof
+    last: Outcome | None = None  # at the largest horizon that is solved, and not feasible
+    interrupted: bool = False
+
+    @property
+    def horizon(self) -> int | None:
+        """Return the least horizon that is feasible, or None."""
+        return None if self.best is None else self.best.problem.horizon
+
+    def of(self, verdict: Verdict) -> list[int]:
+        """Return the horizons with a verdict, in increasing order."""
+        return sorted(T for T, given in self.verdicts.items() if given == verdict)
+
+    @property
+    def proven(self) -> list[int]:
+        """Return the horizons that are infeasible by a rigorous ray, in increasing order."""
+        return sorted(self.rays.keys() - self.practical)
+
+    def keep(self, horizon: int, outcome: Outcome) -> Verdict:
+        """Keep what a solve says about a horizon."""
+        verdict, self.interrupted = verdict_of(outcome), outcome.interrupted
+        if self.interrupted and verdict == Verdict.UNDECIDED:
+            return verdict
+        self.verdicts[horizon] = verdict
+        if verdict == Verdict.FEASIBLE:
+            self.best = outcome if self.horizon is None or horizon < self.horizon else self.best
+        elif self.last is None or horizon > self.last.problem.horizon:
+            self.last = outcome
+        if outcome.ray is not None and verdict == Verdict.INFEASIBLE:
+            self.rays[horizon] = outcome.ray
+            self.practical |= {horizon} if outcome.bound == NUMERICAL else set()
+        return verdict
+
+
+def search_horizons(
+    low: int,
+    high: int,
+    monotone: bool,
+    solve: Callable[[int], Outcome],
+    progress: Callable[[int, str], None] | None = None,
+) -> Search:
+    """Search the horizons; Ctrl-C ends it with what is decided."""
+    search = Search(low, high)
+    try:
+        while not search.interrupted:
+            horizon = _next_of_bisection(search) if monotone else _next_from_below(search)
+            if horizon is None:
+                break
+            verdict = search.keep(horizon, solve(horizon))
+            if progress is not None:
+                progress(horizon, verdict)
+    except KeyboardInterrupt:
+        search.interrupted = True
+    return search
+
+
+def _next_of_bisection(search: Search) -> int | None:
+    """Return the horizon to solve next: the last one, then the middle of those between the proven ends."""
+    if not search.verdicts:
+        return search.high
+    above = search.high + 1 if search.horizon is None else search.horizon
+    below = max(search.of(Verdict.INFEASIBLE), default=search.low - 1)
+    unknown = [T for T in range(below + 1, above) if T not in search.verdicts]
+    return unknown[len(unknown) // 2] if unknown else None
+
+
+def _next_from_below(search: Search) -> int | None:
+    following = search.low + len(search.verdicts)
+    return following if search.horizon is None and following <= search.high else None
+
+
+def checked_horizons(given: object) -> tuple[int, int]:
+    """Return the ends of a range of horizons."""
+    expected = "two whole numbers (lo, hi), 1 <= lo <= hi"
+    if not isinstance(given, (tuple, list)) or len(given) != 2:
+        raise ProblemError("horizons", brief(given), expected)
+    low, high = given
+    whole = all(isinstance(one, int) and not isinstance(one, bool) for one in (low, high))
+    if not whole or low < 1:
+        raise ProblemError("horizons", brief(given), expected)
+    if low > high:
+        raise ProblemError("horizons", brief(given), expected, "Exchange them?")
+    return low, high
+
+
+def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
+    """Return the problem at a horizon: of a function, what it returns; of a problem, the same data."""
+    if callable(source):
+        problem = problem_at(source, {"horizon": horizon})
+        if problem.horizon != horizon:
+            expected = f"a problem of the horizon {horizon}"
+            raise ProblemError("problem", f"a function that returns the horizon {problem.horizon}", expected)
+        return problem
+    if horizon == source.horizon:
+        return source
+    try:
+        return replace(source, horizon=horizon)
+    except ProblemError as error:
+        advice = f"The problem cannot be stated at the horizon {horizon}; give a function of the horizon instead."
+        raise ProblemError(error.field, error.got, error.expected, advice) from None
+
+
+def verdict_of(outcome: Outcome) -> Verdict:
+    """Return what an outcome proves about feasibility, whatever its cost."""
+    if outcome.primal:
+        return Verdict.FEASIBLE
+    return Verdict.INFEASIBLE if outcome.status == Status.INFEASIBLE else Verdict.UNDECIDED
+
+
+def require_source(source: Source) -> None:
+    """Raise ProblemError unless this is a problem, or a function that takes a horizon."""
+    if callable(source):
+        require_parameters(source, ["horizon"], "problem")
+    else:
+        require_problem(source)
+
+
+def obstacles(at: At, shortest: int, longest: int, same_data: bool) -> list[str]:
+    """Return the conditions that fail for the problems of these horizons, in words; none: feasibility is monotone.
+
+    ``same_data``: all of them are one problem, stated at these horizons; else their data are compared.
+    """
+    problem = at(longest)
+    try:
+        _ = problem.linear
+    except UnsupportedError:
+        return ["the dynamics are not linear"]
+    found = [
+        *_moving_ends(problem, shortest),
+        *_controls_without_zero(problem, shortest),
+        *_varying_states(problem, shortest),
+        *_rows_in_the_way(problem, shortest),
+        *_spectra_in_the_way(problem),
+    ]
+    spectra = problem.control_spectrum, problem.state_spectrum, problem.output_spectrum
+    same_data = same_data and not any(entries_of(given) for given in spectra)  # a band may have bins at some horizons
+    return found if found or same_data else _data_differences(at, shortest, problem)
+
+
+def _moving_ends(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+    """Yield the states in which A_t x + d_t differs from x for an admissible end x, at some t from ``first`` on."""
+    dynamics, end = problem.linear, problem.ends[1]
+    A, d = _entries_from(dynamics.A, first, 2), _entries_from(dynamics.offset, first, 1)
+    x, fixed, identity = np.where(end.fixed, end.lower, 0.0), end.fixed, np.eye(problem.state_dim)
+    change = np.abs(A - identity)
+    change = np.where((identity > 0) & (change <= ROUNDING), 0.0, change)
+    moved = np.abs((A - identity) @ x + d) > ROUNDING * (np.abs(A) @ np.abs(x) + np.abs(x) + np.abs(d))
+    moves = moved.any(axis=0) | change[..., ~fixed].any(axis=(0, 2))
+    if moves.any():
+        names = ", ".join(problem.state_names[i] for i in np.flatnonzero(moves))
+        yield f"with a control of zero the state does not stay at every admissible end ({names})"
+
+
+def _entries_from(values: Array, first: int, dimensions: int) -> Array:
+    """Return the entries of times from ``first`` on, or the one of all times, with the time as axis 0."""
+    return values[None] if values.ndim == dimensions else values[first:]
+
+
+def _controls_without_zero(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+    tube, T = problem.control_tube, problem.horizon
+    outside = ((tube.lower[first:] > 0) | (tube.upper[first:] < 0)).any()
+    x, u = np.zeros((T + 1, problem.state_dim)), np.zeros((T, problem.control_dim))
+    sets = [term for term in problem.terms if term.hard and term.kind == TermKind.CONTROL_SET]
+    if outside or any((term.violation(x, u) > 0).any() for term in sets):
+        yield "control_set: zero is not an admissible control at all later times"
+
+
+def _varying_states(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+    boxes = problem.state_boxes
+    same = all((bound[first:] == bound[-1]).all() for bound in (boxes.lower, boxes.upper))
+    if not same or not _constant_beyond_bounds(problem.state_set):
+        yield "state_set: it depends on time"
+    if not _constant_beyond_bounds(problem.control_set):
+        yield "control_set: it depends on time"
+
+
+def _constant_beyond_bounds(given: object) -> bool:
+    """Whether the sets of a field, apart from their bounds, are one set for all times."""
+    if not isinstance(given, (list, tuple)):
+        return True
+    return not any(one.members for one in given if isinstance(one, ConvexSet))
+
+
+def _rows_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+    """Yield the families of joint rows that an admissible end, with a control of zero, can violate."""
+    end = problem.ends[1]
+    for rows in problem.stage_rows:
+        C, e = _entries_from(rows.C, first, 2), _entries_from(rows.e, first, 1)
+        if rows.penalty is None and (_largest_value(C, end) > e).any():
+            yield f"stage_rows: '{rows.name}' does not hold at every admissible end with a control of zero"
+
+
+def _largest_value(C: Array, end: Box) -> Array:
+    """Return the largest C x over a box, for C (..., rows, n) or (n,)."""
+    return np.asarray(end.support(C))
+
+
+def _spectra_in_the_way(problem: OptimalControlProblem) -> Iterator[str]:
+    """Yield the hard frequency constraints that appended samples can violate."""
+    for name, stop in (("control_spectrum", problem.control_stop), ("state_spectrum", problem.state_stop)):
+        if stop.any():
+            yield f"{name}: a stop band removes bins of its own horizon"
+    for term in problem.terms:
+        if not term.hard or not term.kind.is_spectrum:
+            continue
+        if term.everywhere is None:
+            yield f"{term.name}: it is about bins, or all samples, of its own horizon"
+        elif (term.everywhere.map.window != 1).any():
+            yield f"{term.name}: its window belongs to one horizon"
+        elif not _appends_zeros(term, problem.ends[1]):
+            yield f"{term.name}: the sample that is appended is not zero"
+
+
+def _appends_zeros(term: Term, end: Box) -> bool:
+    """Whether the signal of a mask at every frequency is zero at every admissible end with a control of zero."""
+    C = None if term.everywhere is None else term.everywhere.map.C
+    return C is None or bool(_largest_value(C, end) == 0 and _largest_value(-C, end) == 0)
+
+
+def _data_differences(at: At, shortest: int, longest: OptimalControlProblem) -> list[str]:
+    """Return the fields whose data at a shorter horizon are not those of the longest one in its first steps."""
+    for T in range(shortest, longest.horizon):
+        problem, expected = at(T), _data_of_first_steps(longest, T)
+        changed = [field for field, value in _data_of_first_steps(problem, T).items() if value != expected[field]]
+        if changed:
+            return [f"{', '.join(changed)}: not the same in the first steps at the horizons {T} and {longest.horizon}"]
+    return []
+
+
+def _data_of_first_steps(problem: OptimalControlProblem, horizon: int) -> dict[str, str]:
+    """Return fingerprints of what decides feasibility in the first steps."""
+    T, dynamics = horizon, problem.linear
+    states, controls = problem.state_boxes, problem.control_tube
+    rows = [
+        (one.name, _entries_until(one.C, T, 2), _entries_until(one.D, T, 2), _entries_until(one.e, T, 1))
+        for one in problem.stage_rows
+        if one.penalty is None
+    ]
+    masks = [
+        (term.name, None if term.everywhere is None else _mask_data(term))
+        for term in problem.terms
+        if term.hard and term.kind.is_spectrum
+    ]
+    found: dict[str, object] = {
+        "dynamics": [
+            _entries_until(dynamics.A, T, 2),
+            _entries_until(dynamics.B, T, 2),
+            _entries_until(dynamics.offset, T, 1),
+        ],
+        "control_set": [controls.lower[:T], controls.upper[:T], _members_beyond_bounds(problem.control_set)],
+        "state_set": [states.lower[: T + 1], states.upper[: T + 1], _members_beyond_bounds(problem.state_set)],
+        "initial_state": problem.initial_state,
+        "terminal_state": problem.terminal_state,
+        "stage_rows": rows,
+        "frequency constraints": [*masks, bool(problem.control_stop.any()), bool(problem.state_stop.any())],
+    }
+    return {field: fingerprint(value) for field, value in found.items()}
+
+
+def _entries_until(values: Array, horizon: int, dimensions: int) -> Array:
+    return values if values.ndim == dimensions else values[:horizon]
+
+
+def _mask_data(term: Term) -> list[object]:
+    assert term.everywhere is not None
+    others = [value for field, value in vars(term.everywhere).items() if field != "map"]
+    return [term.everywhere.map.C, term.everywhere.map.D, *others]
+
+
+def _members_beyond_bounds(given: object) -> object:
+    return given.members if isinstance(given, ConvexSet) else None

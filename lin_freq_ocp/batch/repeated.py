@@ -1,0 +1,136 @@
+"""One problem solved again and again with other ends and references."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.rays import Exclusion, exclusion
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
+from lin_freq_ocp.problem.starts import start_of
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.families import chosen, saved_options
+from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
+from lin_freq_ocp.solving.linear import LinearAuto, Spectral
+from lin_freq_ocp.solving.method import Method, Request
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solve import require_options, restored_outcome, solve_translated
+
+KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
+TRAVEL = 100.0  # largest moves of a state after which states are counted from where it has come to
+
+
+class Located:
+    """A problem with its states counted from an origin, and what solves of it share."""
+
+    def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, linear: bool):
+        origin = far_origin(changed)
+        base = problem.with_ends(changed.initial_state) if origin.any() else problem
+        self.translation = translated_by(base, origin)
+        self.kept = Kept(self.translation.problem) if linear else None
+        self.exclusions = deque[Exclusion](maxlen=KEPT_RAYS)
+
+    @property
+    def origin(self) -> Array:
+        """Return the origin, (n,)."""
+        return self.translation.origin
+
+    def translated(self, change: Change, changed: OptimalControlProblem) -> Change:
+        """Return a change of the given problem, which is then ``changed``, as one of the translated problem."""
+        if not self.translation.moves:
+            return change
+        references, bounds = change.references, change.bounds
+        if references is not None and "x_ref" in references:
+            references = {**references, "x_ref": changed.quadratic.translated(self.origin).x_ref}
+        if bounds and "state_set" in bounds:
+            bounds = {**bounds, "state_set": translated_set(bounds["state_set"], self.origin)}
+        terminal = None if change.terminal_state is None else changed.terminal_state.translated(self.origin)
+        return Change(changed.initial_state.translated(self.origin), terminal, references, bounds)
+
+
+class Repeated:
+    """A problem with its method, and what earlier solves of it left."""
+
+    def __init__(self, problem: OptimalControlProblem, method: str | Method = "auto", tolerance: float | None = None):
+        require_problem(problem)
+        require_options(method, tolerance=tolerance)
+        self.problem, self.name = problem, method
+        self.method = chosen(problem, method, {"tolerance": tolerance})
+        self._located: Located | None = None
+        self._moves = np.zeros(problem.state_dim)  # of each state, the largest in a solve until now
+
+    @property
+    def linear(self) -> bool:
+        """Whether the dynamics are linear."""
+        return isinstance(self.problem.dynamics.standard_form, LinearDynamics)
+
+    @property
+    def spectral(self) -> bool:
+        """Whether the Fourier-domain method comes first, with its own tolerance."""
+        method = self.method
+        if not isinstance(method, (Spectral, LinearAuto)) or method.tolerance is not None:
+            return False
+        return isinstance(method, Spectral) or method.backend == "auto"
+
+    def located(self, changed: OptimalControlProblem) -> Located:
+        """Return the problem with its states counted from near those of a changed problem.
+
+        The origin stays until a state has travelled far from it, compared with what it moves in a solve.
+        """
+        if self._located is not None:
+            start = changed.ends[0]
+            travelled = np.where(start.fixed, np.abs(start.lower - self._located.origin), 0.0)
+            if not ((self._moves > 0) & (travelled > TRAVEL * self._moves)).any():
+                return self._located
+        self._located = Located(self.problem, changed, self.linear)
+        return self._located
+
+    def excluded(self, change: Change) -> bool:
+        """Whether a ray of an infeasible problem before excludes the changed initial state."""
+        located = self._located
+        if located is None or not located.exclusions or not change.starts_elsewhere:
+            return False
+        start = change.of(self.problem).initial_box
+        return bool(start.fixed.all()) and any(one.excludes(start.lower - located.origin) for one in located.exclusions)
+
+    def keep(self, outcome: Outcome) -> None:
+        """Keep the ray of an infeasible problem that differs from this one in its initial state alone."""
+        located = self._located
+        if located is not None and outcome.status == Status.INFEASIBLE and outcome.ray is not None:
+            found = exclusion(translated_by(outcome.problem, located.origin).problem, outcome.ray)
+            if found is not None:
+                located.exclusions.appendleft(found)
+
+    def solve(
+        self,
+        change: Change,
+        time_limit: float | None = None,
+        start: Trajectory | None = None,
+        tree: SearchCache | None = None,
+    ) -> Outcome:
+        """Solve the changed problem, from a start and a tree if the method takes them, and judge the answer."""
+        require_options(self.name, time_limit)
+        problem = change.of(self.problem)
+        located = self.located(problem)
+        change = located.translated(change, problem)
+        translation = Translation(problem, change.of(located.translation.problem), located.origin)
+        again = None if located.kept is None else (located.kept, change)
+        if located.kept is not None and start is not None:
+            located.kept.prepared.near = translation.translated(start)
+        begin = start_of(problem, start) if start is not None and self.method.takes_start else None
+        limit = np.inf if time_limit is None else time_limit
+        if tree is not None:
+            tree.begins(located.translation.problem if change.starts_elsewhere else None)
+        request = Request(limit, start=begin, again=again, tree=tree)
+        tolerance: float | None = getattr(self.method, "tolerance", None)
+        outcome = solve_translated(self.method, translation, request, tolerance)
+        outcome = restored_outcome(translation, outcome, tolerance)
+        if outcome.status.solved and outcome.trajectory is not None:
+            self._moves = np.maximum(self._moves, np.ptp(outcome.trajectory.x, axis=0))
+        return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})

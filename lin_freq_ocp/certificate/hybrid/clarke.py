@@ -1,0 +1,503 @@
+"""What the maximum principle says of piecewise-affine dynamics where several modes are active (docs/borders.md).
+
+Where the trajectory touches a gap between regions, a single mode may be active, and its region ends there.
+
+At (x_t, u_t), with I the active modes, a_i = (A_i' eta_t, B_i' eta_t), G_i d <= 0 the region of mode i to first order,
+p_t what the adjoint equation and stationarity in u require of the derivative of <eta_t, f_t>, and b_t the same without
+the normals to the sets of the stage:
+
+    joint     p_t = sum_i alpha_i a_i, one set of weights alpha >= 0, sum alpha = 1, for x and u alike   (Clarke's rule)
+    flip      <a_i - b_t, d> <= 0 for all i in I, and all d with G_i d <= 0 in the tangent cone of the sets of the stage
+    printed   that for d = (dx, 0), any dx at all and some mu_t, and for d = (0, du)            (paper, C-iii to C-v)
+    regular   <a_i - a_k, d> <= 0 for all i, k in I and G_i d <= 0: -<eta_t, f_t> is Clarke-regular
+
+By Farkas' lemma an inequality for all d of a polyhedral cone says that a vector is a nonnegative sum of the cone's
+rows: nonnegative least squares decides, and its residual is that of the condition.
+
+``judge_modes`` has all conditions: those of the averaged linear problem, and those of its modes. With weights alpha,
+the derivative of f_t is sum_i alpha_i (A_i, B_i): Clarke's rule is then the adjoint equation and stationarity in u of
+the linear problem with these dynamics, if the sum is a convex combination of active modes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
+from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
+from lin_freq_ocp.certificate.sizes import Floors, floors, trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
+from lin_freq_ocp.certificate.verdict import Certificate, Facts, Judgement
+from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet, meets_gap
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import held
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+SHOWN_FLIPS = 4  # flips in the text; all are in the data
+
+
+class Flip(NamedTuple):
+    """A mode towards which the Hamiltonian rises at a time: with these multipliers, changing to it there improves.
+
+    Attributes
+    ----------
+    rate : float
+        First-order fall of the cost per unit of the steepest direction into the mode that was found, whose largest
+        entry is 1 in the sizes of the data.
+    improves : bool or None
+        True: a direction of descent in that mode was verified. False: the mode sequence with this flip has multipliers
+        of its own, so the flip does not improve to first order. None: not tried.
+    """
+
+    time: int
+    mode: int
+    rate: float
+    improves: bool | None = None
+
+
+class NormKink(NamedTuple):
+    """A norm whose arguments q are zero at a time.
+
+    Attributes
+    ----------
+    norm : str
+        As text.
+    selection : (components,)
+        xi, |xi| <= 1: the derivative of the norm that fits best is xi' Dq, the same in x and u.
+    rate : float
+        The derivative of <eta_t, f_t> by the norm. Above zero the kink is convex: the printed form has no solution.
+    """
+
+    time: int
+    norm: str
+    selection: tuple[float, ...]
+    rate: float
+
+    def describe(self) -> str:
+        """Return the kink as text."""
+        xi = ", ".join(f"{part:.4g}" for part in self.selection)
+        return f"{self.norm} = 0 at t = {self.time} with xi = ({xi})"
+
+
+@dataclass(frozen=True, eq=False)
+class SwitchingFacts(Facts):
+    """What holds where several modes are active, with the multipliers that were judged.
+
+    Attributes
+    ----------
+    elsewhere : bool
+        Whether all conditions that do not depend on weights hold, and stationarity where a single mode is active. The
+        following facts but ``regular`` include it; without it, flips mean nothing.
+    joint : bool
+        Clarke's multiplier rule, the necessary condition.
+    flip_stationary : bool
+        Joint in x and u, along directions: then no trajectory in any sequence of the active modes is better.
+    flips : tuple of Flip
+        Where it fails, the steepest first.
+    printed : bool
+        The paper's C-iii to C-v, apart in x and u.
+    regular : bool
+        Whether -<eta_t, f_t> is Clarke-regular wherever several modes are active, as the printed form needs.
+    times : tuple of int
+        Where several modes are active, or the trajectory touches a gap.
+    weights : (len(times), modes)
+        alpha there.
+    jumping : SwitchingFacet or None
+        Where the map jumps most, if it does: then the theorem does not apply.
+    conditions : tuple of Condition
+        "flip", "printed" (in x, in u) and "regular" at their worst; of each, the component is a mode.
+    norms : tuple of NormKink
+        Where the arguments of norms are zero.
+    gaps : tuple of int
+        Where the trajectory touches a gap between regions: f_t is not defined around it, so that the theorem does not
+        apply.
+    """
+
+    elsewhere: bool
+    joint: bool
+    flip_stationary: bool
+    flips: tuple[Flip, ...]
+    printed: bool
+    regular: bool
+    times: tuple[int, ...]
+    weights: Array
+    jumping: SwitchingFacet | None
+    conditions: tuple[Condition, ...]
+    mode_names: tuple[str, ...]
+    norms: tuple[NormKink, ...] = ()
+    gaps: tuple[int, ...] = ()
+
+    @property
+    def applicable(self) -> bool:
+        """Whether the theorem says anything: the map does not jump, and is defined around the trajectory."""
+        return self.jumping is None and not self.gaps
+
+    def __str__(self) -> str:
+        parts = list[str]()
+        if self.jumping is not None:
+            first, second = (self.mode_names[i] for i in (self.jumping.first, self.jumping.second))
+            parts.append(f"the map jumps between {first} and {second}: the theorem does not apply")
+        if self.gaps:
+            where = ", ".join(map(str, self.gaps))
+            parts.append(f"the trajectory touches a gap between regions at t = {where}: the theorem does not apply")
+        parts += [kink.describe() for kink in self.norms]
+        if not self.times and not self.norms:
+            return "; ".join([*parts, "modes meet nowhere along the trajectory"])
+        if self.times:
+            parts.append(f"modes meet{' or end' if self.gaps else ''} at t = {', '.join(map(str, self.times))}")
+        parts.append(f"joint inclusion {'holds' if self.joint else 'fails'}")
+        parts.append("flip-stationary" if self.flip_stationary else "not flip-stationary")
+        flips = self.flips if self.elsewhere else tuple(flip for flip in self.flips if flip.improves)
+        parts += [self.describe(flip) for flip in flips[:SHOWN_FLIPS]]
+        parts += [f"{len(flips) - SHOWN_FLIPS} more flips"] if len(flips) > SHOWN_FLIPS else []
+        regular = "regular" if self.regular else "not regular"
+        parts.append(f"printed form {'holds' if self.printed else 'fails'} (-<eta, f> {regular})")
+        return "; ".join(parts)
+
+    def describe(self, flip: Flip) -> str:
+        """Return a flip in words."""
+        known = {True: ", verified", False: ", which does not improve: it has other multipliers", None: ""}
+        what = f"flip t = {flip.time} to {self.mode_names[flip.mode]}"
+        return f"{what} (rate {flip.rate:.2g}{known[flip.improves]})"
+
+
+def facts_where_modes_meet(certificate: Certificate) -> SwitchingFacts | None:
+    """Return the facts where modes meet of a certificate, if it has any."""
+    return certificate.borders if isinstance(certificate.borders, SwitchingFacts) else None
+
+
+def modes_along(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
+    """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
+    sizes = trajectory_sizes(problem, trajectory)
+    return piecewise_affine(problem).arrays(problem.horizon).with_sizes(*sizes, problem.dynamics.level_sizes)
+
+
+@dataclass(frozen=True, eq=False)
+class SwitchingStage:
+    """A time at which several modes are active; vectors are in (x, u), n + m entries.
+
+    ``slopes`` (k, n + m) are the a_i of the modes and ``required`` is p_t. ``normals`` (count, n + m) are the active
+    bounds and rows of the stage, ``held`` their multipliers in p_t. ``facets`` are, per mode, the active rows of its
+    region as columns; ``scale`` is what a residual is compared with, and ``states`` is n.
+    """
+
+    time: int
+    modes: Indices
+    slopes: Array
+    required: Array
+    normals: Array
+    held: Array
+    facets: tuple[Array, ...]
+    scale: Array
+    states: int
+
+    def own_normals(self, part: slice) -> Mask:
+        """Return which normals are zero outside a part of (x, u), (count,)."""
+        outside = np.ones(len(self.scale), dtype=bool)
+        outside[part] = False
+        return np.asarray(~self.normals[:, outside].any(axis=1))
+
+    def without(self, chosen: Mask) -> Array:
+        """Return p_t without some of the normals."""
+        return self.required - self.held[chosen] @ self.normals[chosen]
+
+
+def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Array]:
+    """Return the normals (count, n + m) to the active bounds and hard rows of (x_t, u_t), and their multipliers."""
+    problem, multipliers = extremal.problem, extremal.multipliers
+    (x, u), (n, m) = (extremal.trajectory.x, extremal.trajectory.u), (problem.state_dim, problem.control_dim)
+    y, unit = np.append(x[t], u[t]), np.eye(n + m)
+    tubes, given = (problem.state_tube, problem.control_tube), np.append(multipliers.mu[t], multipliers.nu[t])
+    near = CONDITION_TOLERANCE * (np.append(least.x, least.u) / SCALE_FLOOR + np.abs(y))
+    upper = y >= np.append(tubes[0].upper[t], tubes[1].upper[t]) - near
+    lower = y <= np.append(tubes[0].lower[t], tubes[1].lower[t]) + near
+    normals, held = [unit[upper], -unit[lower]], [given[upper], -given[lower]]
+    for priced in extremal.terms:
+        rows = priced.term.polyhedron(n, m)
+        if rows is None:
+            continue
+        sizes = priced.sizes.max(axis=0)
+        near = CONDITION_TOLERANCE * np.where(sizes > 0, sizes, 1.0)
+        active = priced.values >= priced.term.penalty.bounds(priced.term.shape)[1] - near
+        for group in np.flatnonzero(np.asarray(rows.times) == t):
+            normals.append(rows.matrix(int(group))[active[group]])
+            held.append(priced.given[group, active[group]])
+    return np.vstack(normals), np.maximum(np.concatenate(held), 0.0)
+
+
+def times_at_gaps(problem: OptimalControlProblem, trajectory: Trajectory, arrays: ModeArrays, active: Mask) -> Indices:
+    """Return the times at which the regions of the active modes (T, modes) leave a part of the sets out."""
+    if problem.gap is None:
+        return np.zeros(0, dtype=np.intp)
+    x, u, sets = trajectory.x, trajectory.u, problem.stage_sets
+    touched = (arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)
+    found = (t for t in np.flatnonzero(touched) if meets_gap(arrays, sets, int(t), np.append(x[t], u[t]), active[t]))
+    return np.fromiter(found, dtype=np.intp)
+
+
+def switching_stages(
+    extremal: Extremal, least: Floors, arrays: ModeArrays, active: Mask, gaps: Indices
+) -> list[SwitchingStage]:
+    """Return every time with several active modes (T, modes), or at a gap; the extremal is of any averaged dynamics."""
+    trajectory, multipliers = extremal.trajectory, extremal.multipliers
+    required, n = required_slopes(extremal), extremal.problem.state_dim
+    active_facets = arrays.active_facets(trajectory.x, trajectory.u)
+    rows = np.concatenate([arrays.G, arrays.H], axis=-1)
+    maps = np.concatenate([arrays.A, arrays.B], axis=-1)
+    slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
+    terms = np.einsum("tkij,ti->tkj", np.abs(maps), np.abs(multipliers.eta))
+    scale = np.maximum(stationarity_scale(extremal, least), np.where(active[..., None], terms, 0.0).max(axis=(0, 1)))
+    stages = list[SwitchingStage]()
+    for t in np.union1d(np.flatnonzero(active.sum(axis=1) > 1), gaps):
+        modes, (normals, held) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
+        facets = tuple(rows[t, i, active_facets[t, i]].T for i in modes)
+        stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, held, facets, scale, n))
+    return stages
+
+
+def required_slopes(extremal: Extremal) -> Array:
+    """Return p_t, (T, n + m): what D <eta_t, f_t> must be, for the extremal of any dynamics."""
+    through_x, through_u = extremal.problem.linear.pull_back(extended(extremal.multipliers.eta))
+    in_x = (extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] + through_x
+    return np.hstack([in_x, extremal.multipliers.nu - extremal.in_u + through_u]).astype(np.float64)
+
+
+def stationarity_scale(extremal: Extremal, least: Floors) -> Array:
+    """Return the scales of the adjoint equation and of stationarity in u, (n + m,)."""
+    in_x = np.abs(extremal.eta_before) + extremal.in_x_terms + np.abs(extremal.multipliers.mu)
+    in_u = extremal.in_u_terms + np.abs(extremal.multipliers.nu)
+    sizes = [np.maximum(terms.max(0), floor) for terms, floor in ((in_x, least.in_x), (in_u, least.in_u))]
+    scale = np.concatenate(sizes).astype(np.float64)
+    return np.where(scale > 0, scale, 1.0)  # without any terms there is no residual
+
+
+def nearest_weights(stage: SwitchingStage) -> Array:
+    """Return alpha >= 0, sum alpha = 1, with sum alpha_i a_i nearest to p_t, (k,).
+
+    The nearest point of a polytope V alpha to 0: beta >= 0 with the least |V beta|^2 + (sum beta - 1)^2 is a multiple
+    of alpha, as the sum s enters that as s^2 |V alpha|^2 + (s - 1)^2, which rises with |V alpha| for the best s.
+    """
+    from scipy.optimize import nnls  # slow to import
+
+    columns = ((stage.slopes - stage.required) / stage.scale).T
+    beta, _ = nnls(np.vstack([columns, np.ones(len(stage.modes))]), np.append(np.zeros(len(columns)), 1.0))
+    return beta / beta.sum()
+
+
+def switching_facts(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    stages: Sequence[SwitchingStage],
+    weights: Array,
+    gaps: Indices,
+    joint: bool,
+    elsewhere: bool,
+) -> SwitchingFacts:
+    """Return the facts; ``joint``: all conditions hold, ``elsewhere``: those that do not depend on weights do."""
+    sizes = np.concatenate(trajectory_sizes(problem, trajectory))
+    flips = [flip for stage in stages for flip in _flips(stage, sizes)]
+    checks = (
+        ("flip", "no mode towards which H rises", _flip_residuals),
+        ("printed", "C-iii and C-iv as printed, in x alone", _printed_in_x),
+        ("printed", "C-v as printed, in u alone", _printed_in_u),
+        ("regular", "-<eta, f> Clarke-regular", _regular_residuals),
+    )
+    conditions = tuple(_worst(label, name, stages, of) for label, name, of in checks) if stages else ()
+    passed = [condition.passed for condition in conditions] or [True] * len(checks)
+    facets = [facet for facet in problem.borders if isinstance(facet, SwitchingFacet)]
+    jumping = [facet for facet in facets if not facet.continuous]
+    return SwitchingFacts(
+        elsewhere=elsewhere,
+        joint=joint,
+        flip_stationary=elsewhere and passed[0],
+        flips=tuple(sorted(flips, key=lambda flip: -flip.rate)),
+        printed=elsewhere and passed[1] and passed[2],
+        regular=passed[3],
+        times=tuple(stage.time for stage in stages),
+        weights=weights[[stage.time for stage in stages]],
+        jumping=max(jumping, key=lambda facet: facet.jump, default=None),
+        conditions=conditions,
+        mode_names=piecewise_affine(problem).mode_names,
+        gaps=tuple(gaps.tolist()),
+    )
+
+
+def _worst(
+    label: str, name: str, stages: Sequence[SwitchingStage], residuals: Callable[[SwitchingStage], list[Array]]
+) -> Condition:
+    """Return the condition at the stage, mode and entry with the largest scaled residual."""
+    worst = (-1.0, 0, 0, 1.0)
+    for stage in stages:
+        for mode, scaled in zip(stage.modes, residuals(stage), strict=True):
+            k = int(np.argmax(np.abs(scaled)))
+            worst = max(worst, (abs(float(scaled[k])), stage.time, int(mode), float(stage.scale[k])))
+    relative, time, mode, scale = worst
+    return Condition(label, name, relative * scale, scale, CONDITION_TOLERANCE, time, mode)
+
+
+def _flips(stage: SwitchingStage, sizes: Array) -> Iterator[Flip]:
+    """Yield the modes for which the residual r of the flip test is not zero.
+
+    In the scaled metric r is orthogonal to what was subtracted and makes no acute angle with the generators, so that
+    d = r / scale is a direction into the mode within the sets, and <a_i - b, d> = |r|^2.
+    """
+    for mode, residual in zip(stage.modes, _flip_residuals(stage), strict=True):
+        if np.abs(residual).max() > CONDITION_TOLERANCE:
+            direction = residual / stage.scale
+            rate = float(residual @ residual) / float(np.abs(direction / sizes).max())
+            yield Flip(stage.time, int(mode), rate)
+
+
+def _flip_residuals(stage: SwitchingStage) -> list[Array]:
+    base = stage.without(np.ones(len(stage.held), dtype=bool))
+    return [
+        _outside(slope - base, np.hstack([facets, stage.normals.T]), stage.scale)
+        for slope, facets in zip(stage.slopes, stage.facets, strict=True)
+    ]
+
+
+def _printed_in_u(stage: SwitchingStage) -> list[Array]:
+    """Return the residual of D_v <eta, f> <= <b_u, v> for all v in the tangent cone of U_t, per mode."""
+    part = slice(stage.states, None)
+    own = stage.own_normals(part)
+    base, normals, no_state = stage.without(own)[part], stage.normals[own, part].T, np.zeros(stage.states)
+    return [
+        np.append(no_state, _outside(slope[part] - base, np.hstack([facets[part], normals]), stage.scale[part]))
+        for slope, facets in zip(stage.slopes, stage.facets, strict=True)
+    ]
+
+
+def _printed_in_x(stage: SwitchingStage) -> list[Array]:
+    """Return the residual of D_y <eta, f> - <mu, y> <= <b_x, y> for all y and one mu in N_X(x_t), per mode."""
+    part, k = slice(0, stage.states), len(stage.modes)
+    own = stage.own_normals(part)
+    facets = block_diag(*(facets[part] for facets in stage.facets))
+    generators = np.hstack([np.tile(stage.normals[own, part].T, (k, 1)), facets])
+    vector = np.concatenate([slope[part] - stage.without(own)[part] for slope in stage.slopes])
+    return np.split(_outside(vector, generators, np.tile(stage.scale[part], k)), k)
+
+
+def _regular_residuals(stage: SwitchingStage) -> list[Array]:
+    """Return, per mode, the largest residual of <a_i - a_k, d> <= 0 over the other modes."""
+    worst = list[Array]()
+    for slope, facets in zip(stage.slopes, stage.facets, strict=True):
+        residuals = [_outside(slope - other, facets, stage.scale) for other in stage.slopes]
+        worst.append(max(residuals, key=lambda residual: float(np.abs(residual).max())))
+    return worst
+
+
+def _outside(vector: Array, generators: Array, scale: Array) -> Array:
+    """Return the residual of a vector from the nearest nonnegative sum of generators, both divided by the scale."""
+    from scipy.optimize import nnls  # slow to import
+
+    scaled, columns = vector / scale, generators / scale[:, None]
+    norms = np.linalg.norm(columns, axis=0)
+    columns = columns[:, norms > 0] / norms[norms > 0]
+    return scaled - columns @ nnls(columns, scaled)[0] if columns.shape[1] else scaled
+
+
+# Conditions that depend on the weights: at times where only one mode is active they are checked apart
+OF_WEIGHTS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary in u", "Hamiltonian maximal in u")
+
+
+def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
+    """Judge a trajectory of affine modes."""
+    problem.require(trajectory)
+    arrays, sizes = modes_along(problem, trajectory), trajectory_sizes(problem, trajectory)
+    sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
+    active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
+    active[np.arange(len(sequence)), sequence] = True
+    gaps = times_at_gaps(problem, trajectory, arrays, active)
+    weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
+    extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
+    least = floors(extremal, sizes, origin=problem.origin)
+    least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
+    own = state_equation(replace(problem, dynamics=piecewise_affine(problem).along(sequence)), trajectory, least)
+    linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
+    active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)
+    stages = switching_stages(extremal, least, arrays, active, gaps)
+    others = all(given.passed for given in (*linear, active_mode) if given.name not in OF_WEIGHTS)
+    elsewhere = others and _stationary(extremal, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages]))
+    conditions = (*linear, active_mode, of_weights)
+    joint = all(given.passed for given in conditions)
+    facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere)
+    return Judgement(conditions, facts, cost_of_residuals(extremal))
+
+
+def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array]) -> Array:
+    """Return by how much (x_t, u_t) lies outside each region, relative to the terms of its rows, (T, modes)."""
+    arrays, (of_x, of_u) = piecewise_affine(problem).arrays(problem.horizon), sizes
+    least = np.append(SCALE_FLOOR * of_x, np.maximum(SCALE_FLOOR * of_u, problem.dynamics.level_sizes))
+    x, y = trajectory.x, np.hstack([trajectory.x[:-1], trajectory.u])
+    n = x.shape[1]
+    rows, maps = np.concatenate([arrays.G, arrays.H], axis=-1), np.concatenate([arrays.A, arrays.B], axis=-1)
+    images = np.einsum("tkij,tj->tki", np.abs(maps), np.abs(y)) + np.abs(arrays.offset)
+    largest = np.maximum(np.abs(y).max(axis=0), least)
+    largest[:n] = np.maximum.reduce([largest[:n], np.abs(x[-1]), images.min(axis=1).max(axis=0)])
+    limits = np.where(np.isfinite(arrays.h), np.abs(arrays.h), 0.0)
+    scale = (np.abs(rows) @ largest + limits).max(axis=0)
+    violation = (np.einsum("tkrj,tj->tkr", rows, y) - arrays.h) / np.where(scale > 0, scale, 1.0)
+    return np.maximum(violation.max(axis=2), 0.0)
+
+
+def _averaged(problem: OptimalControlProblem, weights: Array, sequence: Indices) -> OptimalControlProblem:
+    """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
+    dynamics, fixed = piecewise_affine(problem).averaged(weights), problem.dynamics.controls_of(sequence)
+    return replace(problem, dynamics=dynamics, control_set=held(problem.control_set, fixed))
+
+
+def _weights(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers,
+    arrays: ModeArrays,
+    sequence: Indices,
+    active: Mask,
+) -> Array:
+    """Return the weights that were given, or those that fit best, (T, modes)."""
+    T, modes = active.shape
+    if multipliers.weights is not None:
+        if multipliers.weights.shape != (T, modes):
+            raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", f"shape {(T, modes)}")
+        return multipliers.weights
+    weights = np.eye(modes)[sequence]
+    extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
+    least, none = floors(extremal, trajectory_sizes(problem, trajectory)), np.zeros(0, dtype=np.intp)
+    for stage in switching_stages(extremal, least, arrays, active, none):
+        weights[stage.time] = 0.0
+        weights[stage.time, stage.modes] = nearest_weights(stage)
+    return weights
+
+
+def _mode_is_active(distance: Array, sequence: Indices) -> Condition:
+    """S-f: (x_t, u_t) lies in the region of the mode that leads to x_{t+1}; relative to the terms of its rows."""
+    own = distance[np.arange(len(sequence)), sequence]
+    t = int(np.argmax(own))
+    name = "a mode holds that leads to the next state"
+    return Condition("S-f", name, float(own[t]), 1.0, CONDITION_TOLERANCE, t, int(sequence[t]))
+
+
+def _weights_of_modes(weights: Array, active: Mask) -> Condition:
+    """N-f: weights are >= 0, 0 for modes that are not active, and sum to 1."""
+    wrong = np.maximum(-weights, np.where(active, 0.0, np.abs(weights)))
+    wrong = np.maximum(wrong, np.abs(weights.sum(axis=1, keepdims=True) - 1))
+    t, mode = (int(i) for i in np.unravel_index(np.argmax(wrong), wrong.shape))
+    name = "weights >= 0, sum 1, of modes that hold"
+    return Condition("N-f", name, float(wrong[t, mode]), 1.0, CONDITION_TOLERANCE, t, mode)
+
+
+def _stationary(extremal: Extremal, least: Floors, times: Mask) -> bool:
+    """Whether the adjoint equation and stationarity in u hold at these of the times 0 .. T-1, and transversality."""
+    n, scale = extremal.problem.state_dim, stationarity_scale(extremal, least)
+    in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:n]
+    in_u = np.abs(extremal.in_u - extremal.multipliers.nu) / scale[n:]
+    return max(float(part[times].max(initial=0.0)) for part in (in_x, in_u)) <= CONDITION_TOLERANCE

@@ -1,0 +1,224 @@
+"""A lower bound on the cost of every pulse train, by branch and bound over boxes of its angles.
+
+A pulse train (problem/hybrid/pulse_train.py) that starts at level 0 is given by its steps s_i = +-step and
+the angles 0 <= a_1 <= .. <= a_d <= pi/2 at which they are taken. With c_i = pi/2 - a_i, and I(pi/2) = 0, it has
+I(theta) = -sum_i s_i min(pi/2 - theta, c_i) over the quarter, so that for odd k
+
+    J = 4/pi sum_ij s_i s_j K(c_i, c_j) + e_0,    K(a, b) = ab pi/2 - a^3/6 - a b^2/2  for a <= b,
+    b_k = 4/(pi k) sum_i s_i cos k a_i,
+
+twice differentiable, with K_ab = pi/2 - max(a, b) and K_aa = -min(a, b) for a != b, and d^2 K(a, a)/da^2 = pi - 4a.
+With any lambda and l_k <= b_k <= h_k, a feasible train has
+
+    J >= L = J + sum_k lambda_k b_k - sum_k max(lambda_k l_k, lambda_k h_k),
+
+and on a box with centre c and half widths r, by Taylor's formula,
+
+    L >= L(c) - sum_i |L_i(c)| r_i + 1/2 sum_i min(0, least of L_ii) r_i^2 - 1/2 sum_(i != j) |L_ij| r_i r_j.
+
+lambda makes the slope at the centre small (least squares), or is zero. Boxes are left out where their angles are not in
+order, or a b_k misses its bounds; the others are halved until the least of their bounds is the cost wanted. Patterns of
+steps are all those with levels within the limit. A train with fewer switches is one of them: two opposite steps at the
+same angle do nothing, nor does a step at pi/2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, DWELL, ENERGY, LEVEL, QUARTER, PulseTrain
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+ROUNDING = 1e-12  # of the sizes of J and b_k: what their terms add up to, so that some 10^3 roundings are below it
+MOST_BOXES = 2_000_000  # at once: some seconds and a gigabyte
+STEEPEST = 100.0  # largest multiplier, in sizes of J over those of b_k: its terms' rounding is below that of J
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Boxes of angles: patterns of steps, centres and half widths, each (boxes, d), and bounds (boxes,)."""
+
+    steps: Array
+    centre: Array
+    radius: Array
+    bound: Array
+
+    def take(self, kept: Indices) -> Boxes:
+        """Return some of the boxes."""
+        return Boxes(self.steps[kept], self.centre[kept], self.radius[kept], self.bound[kept])
+
+
+class AngleBound:
+    """The boxes of one problem; ``halve`` them until ``value`` is the bound wanted."""
+
+    def __init__(self, problem: OptimalControlProblem, dynamics: PulseTrain):
+        _require_form(problem, dynamics)
+        self._orders = np.array(dynamics.orders, dtype=float)
+        self._price = float(problem.quadratic.p[ENERGY])
+        start, end = problem.ends
+        self._offset = float(start.lower[ENERGY])
+        self._low, self._high = end.lower[4:] - start.upper[4:], end.upper[4:] - start.lower[4:]
+        limits = problem.state_boxes.lower[0, LEVEL], problem.state_boxes.upper[0, LEVEL]
+        d = problem.horizon - 1
+        self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
+        self._size = self._price * (2 * self._amplitude**2 + abs(self._offset))
+        patterns = [one for one in product((dynamics.step, -dynamics.step), repeat=d) if _within(one, limits)]
+        middle = np.full((len(patterns), d), QUARTER / 2)
+        self.boxes = self._bounded(
+            Boxes(np.array(patterns).reshape(len(patterns), d), middle, middle.copy(), np.full(len(patterns), -np.inf))
+        )
+        self.done = np.inf  # the least bound of the boxes that were dropped for their bound
+
+    def at(self, steps: Array, angles: Array) -> tuple[float, Array, Array, Array]:
+        """Return J, its slopes (d,), the amplitudes b_k and their slopes (k, d) of one train."""
+        s, c = steps[None], angles[None]
+        cost, slope, _, _ = self._cost(s, c, np.zeros_like(c))
+        values, slopes, _ = self._amplitudes(s, c, np.zeros_like(c))
+        return float(cost[0]), slope[0], values[0], slopes[0]
+
+    @property
+    def size(self) -> float:
+        """Return what the terms of J add up to."""
+        return self._size
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the bounds on the amplitudes."""
+        return self._low, self._high
+
+    @property
+    def value(self) -> float:
+        """Return the bound on the cost of every train."""
+        return min(self.done, float(self.boxes.bound.min(initial=np.inf)))
+
+    @property
+    def widest(self) -> float:
+        """Return the largest half width; 0 without boxes."""
+        return float(self.boxes.radius.max(initial=0.0))
+
+    def best(self) -> Iterator[tuple[Array, Array]]:
+        """Yield steps and angles of the centre of the box with the least bound, of one pattern after the other."""
+        seen = set[bytes]()
+        for i in np.argsort(self.boxes.bound):
+            key = self.boxes.steps[i].tobytes()
+            if key not in seen:
+                seen.add(key)
+                yield self.boxes.steps[i], np.maximum.accumulate(self.boxes.centre[i])
+
+    def halve(self, cutoff: float) -> bool:
+        """Halve every box with a bound below the cutoff along its longest side; False where there are too many."""
+        given = self.boxes
+        open_ = given.bound < cutoff
+        self.done = min(self.done, float(given.bound[~open_].min(initial=np.inf)))
+        given = given.take(np.flatnonzero(open_))
+        if 2 * len(given.bound) > MOST_BOXES:
+            self.boxes = given
+            return False
+        rows, side = np.arange(len(given.bound)), given.radius.argmax(axis=1)
+        radius = given.radius.copy()
+        radius[rows, side] /= 2
+        shift = np.zeros_like(radius)
+        shift[rows, side] = radius[rows, side]
+        halves = [Boxes(given.steps, given.centre + sign * shift, radius, given.bound) for sign in (-1.0, 1.0)]
+        parts = zip(*((one.steps, one.centre, one.radius, one.bound) for one in halves), strict=True)
+        self.boxes = self._bounded(Boxes(*(np.concatenate(part) for part in parts)))
+        return True
+
+    def _bounded(self, given: Boxes) -> Boxes:
+        """Return the boxes that may hold a train, with their bounds: not below those of the boxes that they are of."""
+        given = given.take(np.flatnonzero(self._possible(given)))
+        s, c, r = given.steps, given.centre, given.radius
+        values, slopes, curvature = self._amplitudes(s, c, r)
+        cost, slope, most, least = self._cost(s, c, r)
+        found = given.bound
+        for active in (0, 1, len(self._orders)):
+            weights = _multipliers(slope, slopes[:, :active], STEEPEST * self._size / self._amplitude)
+            value = cost + (weights * values[:, :active]).sum(1)
+            limits = np.where(weights > 0, self._high[:active], self._low[:active])
+            ends = weights * np.where(weights == 0, 0.0, limits)  # there may be no limit where there is no multiplier
+            steep = np.abs(slope + np.einsum("nk,nki->ni", weights, slopes[:, :active]))
+            own = least + np.einsum("nk,nki->ni", np.abs(weights), -curvature[:, :active])
+            bend = (np.minimum(own, 0.0) * r**2).sum(1) - np.einsum("ni,nij,nj->n", r, most, r)
+            found = np.maximum(found, value - ends.sum(1) - (steep * r).sum(1) + bend / 2 - ROUNDING * self._size)
+        return Boxes(s, c, r, found)
+
+    def _possible(self, given: Boxes) -> Array:
+        """Return which boxes hold angles in order whose amplitudes may meet their bounds."""
+        s, c, r = given.steps, given.centre, given.radius
+        ordered = ((c - r)[:, :-1] <= (c + r)[:, 1:] + ROUNDING).all(axis=1)
+        values, slopes, curvature = self._amplitudes(s, c, r)
+        reach = (np.abs(slopes) * r[:, None]).sum(2) + (curvature * r[:, None] ** 2).sum(2) / 2
+        reach += ROUNDING * self._amplitude
+        return ordered & ((values + reach >= self._low) & (values - reach <= self._high)).all(axis=1)
+
+    def _amplitudes(self, s: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
+        """Return b_k at centres, (boxes, k), slopes and largest |second derivatives| on boxes, (boxes, k, d)."""
+        k, weight = self._orders[:, None], (4 / np.pi) * s[:, None]
+        waves, turned = np.cos(k * c[:, None]), -np.sin(k * c[:, None])
+        curved = np.minimum(np.abs(waves) + k * r[:, None], 1.0)
+        return (weight * waves / k).sum(2), weight * turned, np.abs(weight) * k * curved
+
+    def _cost(self, s: Array, c: Array, r: Array) -> tuple[Array, Array, Array, Array]:
+        """Return J and its slopes at centres, the largest |L_ij| (i != j, else 0) and the least L_ii of J on boxes."""
+        a, both = QUARTER - c, self._price * (4 / np.pi) * s[:, :, None] * s[:, None, :]
+        low, high = np.minimum(a[:, :, None], a[:, None, :]), np.maximum(a[:, :, None], a[:, None, :])
+        kernel = low * high * QUARTER - low**3 / 6 - low * high**2 / 2
+        cost = (both * kernel).sum((1, 2)) + self._price * self._offset
+        first, second = a[:, :, None], a[:, None, :]
+        of_first = np.where(first <= second, second * QUARTER - (first**2 + second**2) / 2, second * (QUARTER - first))
+        slope = -2 * (both * of_first).sum(2)
+        others = ~np.eye(a.shape[1], dtype=bool)
+        wide = np.maximum(r[:, :, None], r[:, None, :])
+        most = np.where(others, np.abs(2 * both) * np.maximum(QUARTER - high + wide, 0.0), 0.0)
+        mixed = -2 * both * np.where(both > 0, low + wide, np.maximum(low - wide, 0.0))
+        alone = np.diagonal(both, axis1=1, axis2=2) * (np.pi - 4 * a - 4 * r)
+        return cost, slope, most, alone + np.where(others, mixed, 0.0).sum(2)
+
+
+def _multipliers(slope: Array, slopes: Array, largest: float) -> Array:
+    """Return lambda, (boxes, k), that makes slope + sum_k lambda_k slopes_k small; zero where it would be large."""
+    if not slopes.shape[1]:
+        return np.zeros((len(slope), 0))
+    found = -np.einsum("nik,ni->nk", np.linalg.pinv(slopes, rcond=1e-6), slope)
+    return np.where((np.abs(found) < largest).all(axis=1, keepdims=True), found, 0.0)
+
+
+def _within(pattern: tuple[float, ...], limits: tuple[float, float]) -> bool:
+    """Whether the levels of a pattern stay within limits."""
+    levels = np.cumsum(pattern)
+    slack = ROUNDING * np.abs(levels).max(initial=1.0)
+    return bool((levels >= limits[0] - slack).all() and (levels <= limits[1] + slack).all())
+
+
+def _require_form(problem: OptimalControlProblem, dynamics: PulseTrain) -> None:
+    """Raise UnsupportedError unless the problem is that of the head of this file."""
+    cost, (start, end), boxes = problem.quadratic, problem.ends, problem.state_boxes
+    price = np.zeros(problem.state_dim)
+    price[ENERGY] = cost.p[ENERGY]
+    linear = not (cost.Q.any() or cost.R.any() or cost.S.any() or cost.P.any() or cost.q.any() or cost.r.any())
+    named = {
+        "a horizon of 1": problem.horizon > 1,
+        "a cost other than that of the energy at the end": linear and (cost.p == price).all() and price[ENERGY] > 0,
+        "terms beyond boxes": not problem.terms and not problem.control_stop.any() and not problem.state_stop.any(),
+        "another start than theta = 0 at level 0 with known energy": _is(start.lower, start.upper, ANGLE, 0.0)
+        and _is(start.lower, start.upper, LEVEL, 0.0)
+        and start.lower[ENERGY] == start.upper[ENERGY],
+        "another end than theta = pi/2 with I = 0": _is(end.lower, end.upper, ANGLE, QUARTER)
+        and _is(end.lower, end.upper, CURRENT, 0.0),
+        "levels whose bounds depend on time": bool((boxes.lower[:, LEVEL] == boxes.lower[0, LEVEL]).all())
+        and bool((boxes.upper[:, LEVEL] == boxes.upper[0, LEVEL]).all()),
+        "dwells that may be below zero": bool((problem.control_tube.lower[:, DWELL] >= 0).all()),
+    }
+    missed = [words for words, holds in named.items() if not holds]
+    if missed:
+        raise UnsupportedError(f"the bound over angles does not know {missed[0]}; expected that of docs/levels.md.")
+
+
+def _is(lower: Array, upper: Array, place: int, value: float) -> bool:
+    return bool(lower[place] == value == upper[place])

@@ -1,0 +1,285 @@
+"""A lower bound on the cost of every trajectory of piecewise-smooth dynamics, by dynamic programming with intervals.
+
+For up to three states. Backwards in time, every cell of a lattice of states gets affine functions V_t below
+
+    min over u of   c_t(x, u) + V_{t+1}(f_t(x, u)),
+
+with any slopes; D is the least of V_0 over X_0. c_t holds the signals of frequency multipliers, which vanish in the sum
+over a feasible trajectory, so that for any multipliers D is a bound; its distance to the optimum is then at least the
+duality gap of the frequency constraint. The minimum is taken over boxes of (x, u), modes, and cells that the image of a
+box meets, each bounded by Taylor's formula of second order with enclosures of f, its gradient and its Hessian. Boxes
+with weak bounds are bisected. Where a cell has no width, as a fixed end, the slope is chosen so that the bound is best.
+
+What a box costs beyond V_t is its reduced cost; a trajectory costs at least D and the reduced costs of its boxes. Boxes
+that only trajectories above the cutoff go through are dropped, and the cells that are left are halved and bounded
+again: soon they are a tube around the best trajectories, however fine the lattice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
+    CUTOFF_MARGIN,
+    FINEST_CELL,
+    FIRST_BOXES,
+    FIRST_CELLS,
+    FIRST_LOSS,
+    MAX_LATTICE,
+    MAX_STATES,
+    ROUNDING,
+    STEP_SHARE,
+    CostToGo,
+    Lattice,
+    StageCosts,
+    Stages,
+    index_tuples,
+    stage_costs,
+)
+from lin_freq_ocp.certificate.hybrid.global_bound.samples import costs_to_come
+from lin_freq_ocp.certificate.hybrid.global_bound.step import Boxes, Step, met_cells
+from lin_freq_ocp.formulas.jets import interval_jets
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class ValueBound:
+    """D of one level, with cells and controls that nearly lead to it and their modes (T,): a start for a search."""
+
+    value: float
+    path: Trajectory | None = None
+    sequence: Indices | None = None
+
+
+def value_bounds(
+    problem: OptimalControlProblem,
+    multipliers: Multipliers,
+    cost: float,
+    gap: float,
+    deadline: float = np.inf,
+    progress: Callable[[int, float], None] | None = None,
+    scale: float | None = None,
+) -> Iterator[ValueBound]:
+    """Yield bounds, each as close as the last or closer, until one is cost - gap.
+
+    Of the multipliers, eta is not used. The cost is that of a trajectory, inf if none is known: D is a bound for any
+    value, but never more than cost - gap / 2. ``scale`` is S, for the loss expected of the first level. ``progress`` is
+    called with the number of the level and how much of it is done, from 0 to 1. OutOfTimeError is raised at the
+    deadline, by ``clock.now``; UnsupportedError for more than three states or unbounded components.
+    """
+    costs, T = stage_costs(problem, multipliers), problem.horizon
+    scale = scale or max(abs(cost), gap)
+    cutoff, best = cost - gap / 2 - costs.constant, -np.inf
+    stages = Stages.below(problem, costs, cutoff)
+    level, count = _first_level(stages, cost - costs.constant, scale), 0
+    while level:
+        count += 1
+        lost = FIRST_LOSS * scale if best == -np.inf else cost - best
+        tolerance = STEP_SHARE * (max(gap, lost) if np.isfinite(cost) else gap) / T
+        done = _backward(stages, level, tolerance, deadline, partial(progress, count) if progress else None)
+        values = np.concatenate([np.abs(time.value.values[np.isfinite(time.value.values)]) for time in done])
+        slack = ROUNDING * T * (costs.size + float(values.max(initial=0.0)))
+        level = _next_level(done, cutoff)
+        least = cutoff if level == [] else min(float(done[0].value.least.min(initial=np.inf)), cutoff)
+        best = max(best, least + costs.constant - slack)
+        yield ValueBound(best, *_cheapest(done))
+        if best >= cost - gap or least == np.inf:
+            return
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What is to be bounded at a time: boxes, not bisected above ``target`` (cells,), an estimate of c + V.
+
+    ``left`` (cells,) is the cutoff less the least cost-to-come of the level before, None on the first level; ``before``
+    is V_t of that level and ``parents`` (cells,) its cells, None at t = 0.
+    """
+
+    lattice: Lattice
+    boxes: Boxes
+    target: Array
+    left: Array | None = None
+    before: CostToGo | None = None
+    parents: Indices | None = None
+
+    def cutoff(self, slopes: Array) -> Array:
+        """Return c + V - slopes (x - centre) of trajectories above the cutoff at least, (cells, pieces).
+
+        They cost the cost-to-come less V_t(x) before t, at least, with V_t of the level before.
+        """
+        if self.left is None:
+            return np.full(slopes.shape[:2], np.inf)
+        if self.before is None or self.parents is None:
+            return self.left[:, None] + self.lattice.variation(slopes)
+        return self.left[:, None] + self.before.most(self.parents, self.lattice, slopes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Done:
+    """V_t, boxes, and the least reduced cost-to-go from each box and each cell: (boxes,), (cells,)."""
+
+    value: CostToGo
+    boxes: Boxes
+    to_go: Array
+    to_go_of_cells: Array
+
+
+def _first_level(stages: Stages, cost: float, scale: float) -> list[_Task]:
+    lattices = _lattices(stages)
+    tasks: list[_Task] = []
+    for t, (lattice, to_come) in enumerate(zip(lattices, costs_to_come(stages, lattices), strict=True)):
+        target = cost - to_come + CUTOFF_MARGIN * scale if np.isfinite(cost) else np.full(len(to_come), np.inf)
+        tasks.append(_Task(lattice, _first_boxes(stages, min(t, stages.problem.horizon - 1), lattice), target))
+    return tasks
+
+
+def _lattices(stages: Stages) -> list[Lattice]:
+    """Return cells over what can be reached at each time."""
+    problem, n = stages.problem, stages.problem.state_dim
+    if n > MAX_STATES:
+        raise UnsupportedError(f"a global bound: got {n} states; expected at most {MAX_STATES}.")
+    lower, upper, bounds = stages.lowest[0], stages.highest[0], list[tuple[Array, Array]]()
+    for t in range(problem.horizon + 1):
+        for j in np.flatnonzero(~np.isfinite(lower) | ~np.isfinite(upper)):
+            raise UnsupportedError(f"a global bound: {problem.state_names[j]} is not bounded at t = {t}.")
+        bounds.append((lower, upper))
+        if t == problem.horizon:
+            break
+        box = [np.append(part, bound[t])[None] for part, bound in ((lower, stages.lower), (upper, stages.upper))]
+        for j in np.flatnonzero(~np.isfinite(box[0][0, n:]) | ~np.isfinite(box[1][0, n:])):
+            raise UnsupportedError(f"a global bound: {problem.control_names[j]} is not bounded.")
+        images = [interval_jets(mode.f, box[0], box[1]).values for mode in piecewise_smooth(problem).modes]
+        lower = np.maximum(np.min([image[0][0] for image in images], axis=0), stages.lowest[t + 1])
+        upper = np.minimum(np.max([image[1][0] for image in images], axis=0), stages.highest[t + 1])
+        upper = np.maximum(lower, upper)  # where that is empty, no image will meet the cell
+    finest = FINEST_CELL * np.abs(bounds).max(axis=(0, 1))
+    return [Lattice.full(lower, upper, finest, FIRST_CELLS[n]) for lower, upper in bounds]
+
+
+def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
+    problem, m = stages.problem, stages.problem.control_dim
+    each = max(1, round(FIRST_BOXES ** (1 / m)))
+    width = (stages.upper[t] - stages.lower[t]) / each
+    u = stages.lower[t] + (index_tuples(np.full(m, each)) + 0.5) * width
+    x, modes = lattice.centres, len(piecewise_smooth(problem).modes)
+    centre = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
+    widths = np.concatenate([lattice.width, width])
+    radius = np.where(widths > 0, widths / 2 * (1 + ROUNDING) + ROUNDING * np.abs(centre), 0.0)
+    return Boxes.unbounded(
+        np.tile(np.repeat(np.arange(len(x)), len(u)), modes),
+        np.repeat(np.arange(modes), len(centre)),
+        np.tile(centre, (modes, 1)),
+        np.tile(radius, (modes, 1)),
+        problem.state_dim,
+    )
+
+
+def _backward(
+    stages: Stages, level: list[_Task], tolerance: float, deadline: float, progress: Callable[[float], None] | None
+) -> list[_Done]:
+    """Return V_t and boxes for all times."""
+    last = _last(stages.costs, level[-1].lattice)
+    none = level[-1].boxes.take(np.zeros(0, dtype=np.intp))
+    done = [_Done(last, none, np.zeros(0), np.zeros(len(last.values)))]
+    for t in range(stages.problem.horizon - 1, -1, -1):
+        task, after = level[t], done[-1]
+        step = Step(stages, t, task.lattice, after.value, deadline)
+        slopes, reached = step.slopes(task.boxes)
+        target = np.minimum(reached - tolerance, task.target[:, None] + task.lattice.variation(slopes))
+        value, boxes = step.values(task.boxes, slopes, target, task.cutoff(slopes), tolerance)
+        to_go = np.full(len(boxes.cell), np.inf)
+        for box, cell in met_cells(boxes, after.value):
+            np.minimum.at(to_go, box, after.to_go_of_cells[cell])
+        to_go += boxes.reduced
+        of_cells = np.full(len(value.values), np.inf)
+        np.minimum.at(of_cells, boxes.cell, to_go)
+        done.append(_Done(value, boxes, to_go, of_cells))
+        if progress is not None:
+            progress(1 - t / stages.problem.horizon)
+    return done[::-1]
+
+
+def _last(costs: StageCosts, lattice: Lattice) -> CostToGo:
+    """Return the tangents of the last cost at the centres: below it, as it is convex."""
+    x = lattice.centres
+    slopes = x @ costs.terminal_hessian + costs.terminal_linear
+    values = 0.5 * np.einsum("ci,ij,cj->c", x, costs.terminal_hessian, x) + x @ costs.terminal_linear
+    everything = np.full(x.shape, np.inf)
+    values = values - ROUNDING * np.abs(values)
+    return CostToGo(lattice, values[:, None], slopes[:, None], -everything, everything)
+
+
+def _cheapest(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, None]:
+    """Return the centres of cells, controls and modes of boxes with the least reduced cost-to-go."""
+    cell = int(np.argmin(done[0].value.least))
+    x, u, modes = [done[0].value.lattice.centres[cell]], list[Array](), list[int]()
+    for now, after in pairwise(done):
+        rows = np.flatnonzero((now.boxes.cell == cell) & np.isfinite(now.to_go))
+        if not len(rows):
+            return None, None
+        box = now.boxes.take(rows[[int(np.argmin(now.to_go[rows]))]])
+        cells = np.concatenate([cell for _, cell in met_cells(box, after.value)])
+        centres = after.value.lattice.centres[cells]
+        far = np.abs(centres - 0.5 * (box.low + box.high)).sum(axis=1)
+        nearest = np.lexsort([far, after.to_go_of_cells[cells]])[0]
+        cell = int(cells[nearest])
+        x.append(centres[nearest])
+        u.append(box.centre[0, len(x[0]) :])
+        modes.append(int(box.mode[0]))
+    return Trajectory(np.array(x), np.array(u)), np.array(modes, dtype=np.intp)
+
+
+def _next_level(done: list[_Done], cutoff: float) -> list[_Task] | None:
+    """Return the halves of cells that a trajectory below the cutoff may go through; [] if none, None if too many."""
+    to_come = done[0].value.least
+    tasks: list[_Task] = []
+    for t, (now, following) in enumerate(zip(done, [*done[1:], None], strict=True)):
+        boxes = now.boxes.take(to_come[now.boxes.cell] + now.to_go < cutoff)
+        alive = np.zeros(len(to_come), dtype=bool)
+        alive[boxes.cell] = True
+        if following is None:
+            alive = to_come < cutoff
+        if not alive.any():
+            return []
+        lattice, parents = now.value.lattice.halved(alive)
+        if lattice.shape.prod() > MAX_LATTICE:
+            return None
+        halves, target = _halved(boxes, now.value.lattice, lattice, alive), np.full(len(parents), np.inf)
+        if t == 0:
+            tasks.append(_Task(lattice, halves, target, np.full(len(parents), cutoff)))
+        else:
+            tasks.append(_Task(lattice, halves, target, cutoff - to_come[parents], now.value, parents))
+        if following is not None:
+            reached = np.full(len(following.value.values), np.inf)
+            for box, cell in met_cells(boxes, following.value):
+                np.minimum.at(reached, cell, (to_come[boxes.cell] + boxes.reduced)[box])
+            to_come = reached
+    return tasks
+
+
+def _halved(boxes: Boxes, coarse: Lattice, fine: Lattice, alive: Mask) -> Boxes:
+    """Return the parts of boxes in each half of their cells."""
+    n, split = len(coarse.width), coarse.split
+    corners = index_tuples(split)
+    rank = np.cumsum(alive) - 1
+    whole = (boxes.radius[:, :n] > coarse.width / 3) & (split > 1)
+    side = boxes.centre[:, :n] > coarse.centres[boxes.cell]
+    parts: list[Boxes] = []
+    for i, corner in enumerate(corners):
+        rows = np.flatnonzero((whole | (side == corner.astype(bool)) | (split == 1)).all(axis=1))
+        cell = rank[boxes.cell[rows]] * len(corners) + i
+        part, own = boxes.take(rows), whole[rows]
+        half = fine.width / 2 * (1 + ROUNDING) + ROUNDING * np.abs(fine.centres[cell])
+        part.centre[:, :n] = np.where(own, fine.centres[cell], part.centre[:, :n])
+        part.radius[:, :n] = np.where(own, half, part.radius[:, :n])
+        parts.append(Boxes.unbounded(cell, part.mode, part.centre, part.radius, n))
+    return Boxes.joined(parts)

@@ -1,0 +1,187 @@
+"""Estimates that steer the global bound, from samples of controls: nothing is proven by them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
+    ARRIVAL_SAMPLES,
+    ARRIVAL_SPREAD,
+    FIXED_PRICE,
+    MAX_SLOPE,
+    RIDGE,
+    SAMPLES,
+    SIDES,
+    ZOOM_SAMPLES,
+    ZOOMS,
+    ZOOMS_TO_END,
+    CostToGo,
+    Lattice,
+    Stages,
+    index_tuples,
+)
+from lin_freq_ocp.formulas.jets import interval_jets, values_of
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
+
+
+def costs_to_come(stages: Stages, lattices: list[Lattice]) -> list[Array]:
+    """Return an estimate of the least cost-to-come of every cell of full lattices, (cells,) per time."""
+    from scipy.ndimage import minimum_filter  # slow to import
+
+    to_come = [np.full(len(lattice.cells), np.inf) for lattice in lattices]
+    to_come[0][:] = 0.0
+    for t, (lattice, after) in enumerate(pairwise(lattices)):
+        lower, upper = stages.lower[t], stages.upper[t]
+        points = _unit_grid(ARRIVAL_SAMPLES * (1 if len(lattice.cells) > 1 else ARRIVAL_SPREAD), len(lower))
+        x, u = lattice.centres, lower + (points + 1) / 2 * (upper - lower)
+        pairs = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
+        total = np.repeat(to_come[t], len(u)) + stages.cost(t, pairs)
+        for mode in piecewise_smooth(stages.problem).modes:
+            y = values_of(mode.f, pairs)
+            inside = holds(mode, pairs) & np.isfinite(y).all(axis=1)
+            cells = after.numbers(after.indices(np.where(inside[:, None], y, 0.0)))
+            np.minimum.at(to_come[t + 1], cells, np.where(inside, total, np.inf))
+        window = ARRIVAL_SPREAD + int(after.shape.max()) // 40
+        spread = minimum_filter(to_come[t + 1].reshape(tuple(after.shape)), window, mode="nearest")
+        to_come[t + 1] = spread.ravel()
+    return to_come
+
+
+def holds(mode: SmoothMode, pairs: Array) -> Mask:
+    """Where a mode holds up to rounding; at samples, which prove nothing."""
+    inside = np.ones(len(pairs), dtype=bool)
+    if mode.region:
+        inside &= (values_of(mode.region, pairs) <= 0).all(axis=1)
+    if mode.domain:
+        inside &= (values_of(mode.domain, pairs) > 0).all(axis=1)
+    return inside
+
+
+def _unit_grid(points: int, m: int) -> Array:
+    """Return a grid of about ``points`` points over [-1, 1]^m, (points, m)."""
+    each = max(2, round(points ** (1 / m)))
+    return np.linspace(-1, 1, each)[index_tuples(np.full(m, each))]
+
+
+def freed_slopes(gradient: Array, J: Array, weights: Array) -> Array:
+    """Return what is added to slopes (p, n), so that the weighted gradient is smallest; J is (p, n, n + m)."""
+    columns = np.nan_to_num(weights[:, :, None] * np.swapaxes(J, 1, 2), posinf=0.0, neginf=0.0)
+    wanted = np.nan_to_num(weights * gradient, posinf=0.0, neginf=0.0)
+    squares = np.einsum("pij,pik->pjk", columns, columns)
+    sizes = np.diagonal(squares, axis1=1, axis2=2)
+    ridge = (RIDGE * sizes + (sizes == 0))[:, :, None] * np.eye(J.shape[1])
+    return -np.linalg.solve(squares + ridge, np.einsum("pij,pi->pj", columns, wanted)[..., None])[..., 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples of the controls, between lower and upper (cells, m), from the cells of time t; ``after`` is of t + 1."""
+
+    stages: Stages
+    t: int
+    lattice: Lattice
+    lower: Array
+    upper: Array
+    after: CostToGo
+
+    def slopes(self) -> tuple[Array, Array]:
+        """Return slopes (cells, pieces, n), and of every piece the value at the centre that samples allow it."""
+        lattice = self.lattice
+        sides = np.outer(SIDES[self.stages.problem.state_dim] if lattice.width.any() else (0.0,), lattice.width / 2)
+        found = [self._sampled_at(lattice.centres + side) for side in sides]
+        values, slopes = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+        allowed = values[:, None] - np.einsum("cpn,sn->cps", slopes, sides)
+        return slopes, allowed.min(axis=2)
+
+    def _sampled_at(self, x: Array) -> tuple[Array, Array]:
+        """Return what samples reach from states, and the slopes of that, (states,) and (states, n)."""
+        best, at, chosen, spacing = self._best(x)
+        problem, costs, after = self.stages.problem, self.stages.costs, self.after
+        n, free = problem.state_dim, np.full((len(x), problem.state_dim), np.inf)
+        lowest = np.hstack([-free, self.stages.lower[self.t] + 1.5 * spacing])
+        highest = np.hstack([free, self.stages.upper[self.t] - 1.5 * spacing])
+        width = np.concatenate([np.zeros(n), (self.stages.upper - self.stages.lower)[self.t]])
+        slopes, pole = np.zeros((len(x), n)), (after.lattice.width == 0).any()
+        for i, mode in enumerate(piecewise_smooth(problem).modes):
+            here = (chosen == i) & np.isfinite(best)
+            if here.any():
+                jets = interval_jets(mode.f, at[here], at[here], curved=False)
+                y, J = (0.5 * (part[0] + part[1]) for part in (jets.values, jets.slopes))
+                gradient = at[here] @ costs.hessians[self.t] + costs.linear[self.t]
+                sigma = after.slopes_at(after.lattice.numbers(after.lattice.indices(y)), y)
+                inside = (at[here] > lowest[here]) & (at[here] < highest[here])
+                weights = np.where(inside | pole, width, 0.0)
+                sigma = sigma + freed_slopes(gradient + np.einsum("pj,pji->pi", sigma, J), J, weights)
+                slope = gradient + np.einsum("pj,pji->pi", sigma, J)
+                slopes[here] = np.nan_to_num(slope[:, :n], posinf=0.0, neginf=0.0)
+        finite = np.isfinite(best)
+        usual = MAX_SLOPE[n] * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
+        return best, np.clip(slopes, -usual, usual)
+
+    def _best(self, x: Array) -> tuple[Array, Array, Indices, Array]:
+        """Return the least of c + V(f) that samples reach, where, in which mode, and how far apart samples were."""
+        m = self.stages.problem.control_dim
+        points, zoom = _unit_grid(SAMPLES, m), _unit_grid(ZOOM_SAMPLES, m)
+        middle, radius = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
+        best, at, chosen = self._best_of(x, middle[:, None] + points * radius[:, None])
+        spacing = 2 * radius / (round(len(points) ** (1 / m)) - 1)
+        for _ in range(ZOOMS_TO_END if (self.after.lattice.width == 0).any() else ZOOMS):
+            u = at[:, None, self.stages.problem.state_dim :] + zoom * spacing[:, None]
+            better, where, mode = self._best_of(x, np.clip(u, self.lower[:, None], self.upper[:, None]))
+            closer = better < best
+            best, at = np.where(closer, better, best), np.where(closer[:, None], where, at)
+            chosen = np.where(closer, mode, chosen)
+            spacing = 2 * spacing / (round(len(zoom) ** (1 / m)) - 1)
+        return best, at, chosen, spacing
+
+    def _best_of(self, x: Array, u: Array) -> tuple[Array, Array, Indices]:
+        """Return the least of c + V(f) over controls u (states, controls, m), where it is, and in which mode."""
+        count = u.shape[1]
+        pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
+        costs = self.stages.cost(self.t, pairs)
+        best, at, chosen = np.full(len(x), np.inf), pairs[::count].copy(), np.zeros(len(x), dtype=np.intp)
+        for i, mode in enumerate(piecewise_smooth(self.stages.problem).modes):
+            y = values_of(mode.f, pairs)
+            inside = holds(mode, pairs) & np.isfinite(y).all(axis=1)
+            total = costs + self._value_at(np.where(inside[:, None], y, 0.0))
+            total = np.where(inside, total, np.inf).reshape(len(x), count)
+            least = total.argmin(axis=1)
+            found = total[np.arange(len(x)), least]
+            better = found < best
+            best[better], chosen[better] = found[better], i
+            at[better] = pairs.reshape(len(x), count, -1)[better, least[better]]
+        return best, at, chosen
+
+    def _value_at(self, y: Array) -> Array:
+        """Return V_{t+1}, with the distance to fixed states priced."""
+        after, lattice = self.after, self.after.lattice
+        cell, pole = lattice.numbers(lattice.indices(y)), lattice.width == 0
+        inside = (y >= lattice.lower) & (y <= lattice.upper) & (cell >= 0)[:, None]
+        far = np.where(pole, self._prices * np.abs(y - lattice.lower), np.where(inside, 0.0, np.inf)).sum(axis=1)
+        return after.pieces_at(cell, np.where(pole, lattice.centres[cell], y)).max(axis=1) + far
+
+    @cached_property
+    def _prices(self) -> Array:
+        """Prices of distances to fixed states, (n,): some ten times what they cost at the slopes of the stage."""
+        low, high = (np.append(*pair) for pair in self._ends())
+        range_, corners = high - low, np.stack([low, high])
+        costs = np.abs(corners @ self.stages.costs.hessians[self.t] + self.stages.costs.linear[self.t]) * range_
+        worth = float(costs.sum(axis=1).max()) or 1.0
+        moved = np.zeros(len(self.after.lattice.width))
+        for mode in piecewise_smooth(self.stages.problem).modes:
+            slopes = interval_jets(mode.f, corners, corners, curved=False).slopes[0]
+            effect = (np.abs(slopes) * range_).sum(axis=2)
+            moved = np.maximum(moved, np.where(np.isfinite(effect), effect, 0.0).max(axis=0))
+        with np.errstate(over="ignore", divide="ignore"):
+            return np.nan_to_num(FIXED_PRICE * worth / moved, posinf=0.0)  # 0 where nothing moves a state
+
+    def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Return the least states and controls, and the largest."""
+        stages, t = self.stages, self.t
+        return (self.lattice.lower, stages.lower[t]), (self.lattice.upper, stages.upper[t])

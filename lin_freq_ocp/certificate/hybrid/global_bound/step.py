@@ -1,0 +1,349 @@
+"""One step of dynamic programming with intervals: bounds of c + V(f) over boxes of (x, u), and their bisection.
+
+A box is bounded by Taylor's formula: a quadratic plus <sigma, f> over y = (x, u), with enclosures of f.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
+    BOXES_PER_CELL,
+    MAX_PAIRS,
+    MAX_SPAN,
+    ROUNDING,
+    ROUNDS,
+    SMALL_BATCH,
+    CostToGo,
+    Lattice,
+    Minima,
+    Stages,
+)
+from lin_freq_ocp.certificate.hybrid.global_bound.samples import Samples, freed_slopes, holds
+from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
+
+
+def least_of(
+    hessian: Array,
+    gradient: Array,
+    given: Array,
+    sigma: Array,
+    at: Array,
+    r: Array,
+    centre: IntervalJets,
+    whole: IntervalJets,
+    box: Indices,
+) -> Array:
+    """Return lower bounds of given + gradient z + 1/2 z' hessian z + sigma (f(y + z) - at) over |z| <= r, (p,).
+
+    hessian (p, k, k), gradient and r (p, k), given (p,), sigma and at (p, n). ``centre`` and ``whole`` enclose f at the
+    centres y and over the boxes numbered by ``box`` (p,).
+    """
+    value, terms = given.copy(), np.abs(given)
+    slope, bend = [gradient.copy(), gradient.copy()], [hessian.copy(), hessian.copy()]
+    change = np.einsum("pi,pij->pj", r, np.abs(hessian))
+    wide = [gradient - change, gradient + change]
+    with np.errstate(invalid="ignore"):
+        for j in range(sigma.shape[1]):
+            s = sigma[:, j]
+            reached = _scaled(s, centre.values[0][box, j], centre.values[1][box, j])
+            value = value + reached[0] - s * at[:, j]
+            terms += np.abs(reached[0]) + np.abs(s * at[:, j])
+            for total, (low, high) in ((slope, centre.slopes), (wide, whole.slopes), (bend, whole.curvatures)):
+                factor = s.reshape(-1, *[1] * (low.ndim - 2))
+                for side, more in enumerate(_scaled(factor, low[box, j], high[box, j])):
+                    total[side] = total[side] + more
+        best = np.fmax(_second_order(slope, bend, r), _first_order(wide, r))
+    infinite = np.isposinf(given)
+    terms = np.where(infinite, 0.0, terms - np.where(np.isfinite(best), best, 0.0))
+    return np.where(infinite, np.inf, value + best - ROUNDING * terms)
+
+
+def enclosed(centre: IntervalJets, whole: IntervalJets, r: Array) -> tuple[Array, Array]:
+    """Return bounds of values over |z| <= r: the intersection with those of the mean value theorem."""
+    mean = mean_value(centre.values, whole.slopes, r)
+    return np.fmax(whole.values[0], mean[0]), np.fmin(whole.values[1], mean[1])
+
+
+def possible(mode: SmoothMode, lower: Array, upper: Array) -> Mask:
+    """Whether a mode can hold somewhere in each box."""
+    possible = np.ones(len(lower), dtype=bool)
+    middle, radius = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    for formulas, sign in ((mode.region, 1.0), (mode.domain, -1.0)):
+        if formulas:
+            whole, centre = (interval_jets(formulas, *box, curved=False) for box in ((lower, upper), (middle, middle)))
+            low, high = enclosed(centre, whole, radius)
+            excluded = low > 0 if sign > 0 else high <= 0
+            possible &= ~excluded.any(axis=1)
+    return possible
+
+
+def _second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Array:
+    """Return the least of slope z + 1/2 z' bend z over |z| <= r, both known to lie between two bounds."""
+    at_most = np.maximum(np.abs(slope[0]), np.abs(slope[1]))
+    largest = np.maximum(np.abs(bend[0]), np.abs(bend[1]))
+    diagonal = np.arange(r.shape[1])
+    largest[:, diagonal, diagonal] = 0.0
+    across = (largest * r[:, None, :]).sum(axis=2) / np.where(r > 0, r, 1.0)
+    curvature = bend[0][:, diagonal, diagonal] - across
+    turned = (curvature > 0) & (at_most < curvature * r)
+    inner = -(at_most**2) / (2 * np.where(turned, curvature, 1.0))
+    found = np.where(r > 0, np.where(turned, inner, -at_most * r + 0.5 * curvature * r * r), 0.0).sum(axis=1)
+    return np.where(np.isnan(found), -np.inf, found)
+
+
+def _first_order(slope: Sequence[Array], r: Array) -> Array:
+    """Return the least of slope z over |z| <= r, with any slope between two bounds."""
+    found = np.where(r > 0, -np.maximum(np.abs(slope[0]), np.abs(slope[1])) * r, 0.0).sum(axis=1)
+    return np.where(np.isnan(found), -np.inf, found)
+
+
+def _scaled(factor: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    ends = factor * low, factor * high
+    return np.fmin(*ends), np.fmax(*ends)
+
+
+class OutOfTimeError(Exception):
+    """The deadline has passed; no bound was found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Boxes of (x, u), each in a cell and a mode.
+
+    Attributes
+    ----------
+    cell, mode : (boxes,)
+    centre, radius : (boxes, n + m)
+    low, high : (boxes, n)
+        Bounds of the states that the box leads to.
+    reduced : (boxes,)
+        Reduced cost: c + V_{t+1}(f) >= V_t + reduced in the box.
+    """
+
+    cell: Indices
+    mode: Indices
+    centre: Array
+    radius: Array
+    low: Array
+    high: Array
+    reduced: Array
+
+    @classmethod
+    def unbounded(cls, cell: Indices, mode: Indices, centre: Array, radius: Array, n: int) -> Boxes:
+        """Return boxes with no bounds of their images yet."""
+        far = np.full((len(cell), n), np.inf)
+        return cls(cell, mode, centre, radius, -far, far, np.zeros(len(cell)))
+
+    def take(self, chosen: Mask | Indices) -> Boxes:
+        """Return some of the boxes."""
+        return Boxes(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    @staticmethod
+    def joined(parts: Sequence[Boxes]) -> Boxes:
+        """Return the boxes of all parts."""
+        return Boxes(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Boxes)))
+
+    def bisected(self, steep: Array) -> tuple[Boxes, Array]:
+        """Return both halves of every box along its steepest direction, and how steep they are, (boxes, n + m)."""
+        rows, steepest = np.arange(len(steep)), np.argmax(steep, axis=1)
+        radius, shift, less = self.radius.copy(), np.zeros_like(self.centre), steep.copy()
+        radius[rows, steepest] /= 2
+        shift[rows, steepest] = radius[rows, steepest]
+        radius[rows, steepest] *= 1 + ROUNDING
+        less[rows, steepest] /= 2
+        image = self.low, self.high, self.reduced
+        halves = [Boxes(self.cell, self.mode, self.centre + side * shift, radius, *image) for side in (-1, 1)]
+        return Boxes.joined(halves), np.tile(less, (2, 1))
+
+    def extremes(self, cells: int, part: slice) -> tuple[Array, Array]:
+        """Return the least and largest values of components of (x, u) over the boxes of each cell, (cells, .)."""
+        centre, radius = self.centre[:, part], self.radius[:, part]
+        lower, upper = np.full((cells, centre.shape[1]), np.inf), np.full((cells, centre.shape[1]), -np.inf)
+        np.minimum.at(lower, self.cell, centre - radius)
+        np.maximum.at(upper, self.cell, centre + radius)
+        return lower, upper
+
+
+def met_cells(boxes: Boxes, after: CostToGo) -> Iterator[tuple[Indices, Indices]]:
+    """Yield numbers of boxes with numbers of cells of t + 1 that they may lead to, in batches."""
+    lattice = after.lattice
+    first, final = lattice.indices(boxes.low, -1), lattice.indices(boxes.high, 1)
+    for rows in _batches(np.flatnonzero(_meets(boxes, lattice)), first, final):
+        yield _pairs(rows, first, final, boxes, after)
+
+
+def _meets(boxes: Boxes, lattice: Lattice) -> Mask:
+    margin = ROUNDING * (np.abs(lattice.lower) + np.abs(lattice.upper))
+    meets = (boxes.high >= lattice.lower - margin) & (boxes.low <= lattice.upper + margin)
+    return np.asarray(meets.all(axis=1))
+
+
+class Step:
+    """The step from t to t + 1."""
+
+    def __init__(self, stages: Stages, t: int, lattice: Lattice, after: CostToGo, deadline: float):
+        self._modes, self._n, self._t = piecewise_smooth(stages.problem).modes, stages.problem.state_dim, t
+        self._stages, self._lattice, self._after, self._deadline = stages, lattice, after, deadline
+        self._pole = after.lattice.width == 0
+        self._minima = Minima(after)
+        self._hessian = stages.costs.hessians[t]
+
+    def slopes(self, boxes: Boxes) -> tuple[Array, Array]:
+        """Return slopes for the pieces of every cell, and the value at its centre that samples of its boxes allow."""
+        ends = self._stages.lower[self._t], self._stages.upper[self._t]
+        controls = boxes.extremes(len(self._lattice.cells), slice(self._n, None))
+        lower, upper = (np.clip(bounds, *ends) for bounds in controls)
+        return Samples(self._stages, self._t, self._lattice, lower, upper, self._after).slopes()
+
+    def values(
+        self, boxes: Boxes, slopes: Array, target: Array, cutoff: Array, tolerance: float
+    ) -> tuple[CostToGo, Boxes]:
+        """Return V_t with slopes (cells, pieces, n), and boxes that cover all trajectories below the cutoff.
+
+        Boxes whose bound is above target (cells, pieces), or within the tolerance of the value at the centre of a box,
+        are not bisected any more; those above the cutoff (cells, pieces) are dropped.
+        """
+        lattice, target = self._lattice, target.copy()
+        lowest = np.full(target.shape, np.inf)
+        kept: list[Boxes] = []
+        bounds_kept: list[Array] = []
+        total, most = 0, SMALL_BATCH + BOXES_PER_CELL * len(lowest)
+        for round_ in range(ROUNDS):
+            total += len(boxes.cell)
+            final = round_ == ROUNDS - 1 or total > most
+            boxes, bounds, reached, steep = self._bounded(boxes, slopes)
+            np.minimum.at(target, boxes.cell, reached - tolerance)
+            looked_at = np.flatnonzero(~(bounds >= cutoff[boxes.cell]).any(axis=1))
+            boxes, bounds, steep = boxes.take(looked_at), bounds[looked_at], steep[looked_at]
+            weak = np.asarray((bounds < target[boxes.cell]).any(axis=1) & (not final))
+            np.minimum.at(lowest, boxes.cell[~weak], bounds[~weak])
+            weak &= (bounds < np.minimum(target, lowest)[boxes.cell]).any(axis=1)
+            np.minimum.at(lowest, boxes.cell[~weak], bounds[~weak])
+            kept.append(boxes.take(~weak))
+            bounds_kept.append(bounds[~weak])
+            boxes, steep = boxes.take(weak).bisected(steep[weak])
+            if len(boxes.cell) < SMALL_BATCH:
+                boxes, _ = boxes.bisected(steep)
+            if not len(boxes.cell):
+                break
+        cover = Boxes.joined(kept)
+        with np.errstate(invalid="ignore"):
+            cover.reduced[:] = np.nan_to_num((np.concatenate(bounds_kept) - lowest[cover.cell]).min(axis=1))
+        return CostToGo(lattice, lowest, slopes, *cover.extremes(len(lowest), slice(self._n))), cover
+
+    def _bounded(self, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
+        """Return the boxes in which their mode can hold, with bounds, values at centres, and losses per direction."""
+        none = np.zeros((0, slopes.shape[1]))
+        found = [(boxes.take(np.zeros(0, dtype=np.intp)), none, none, boxes.radius[:0])]
+        for i, mode in enumerate(self._modes):
+            rows = np.flatnonzero(boxes.mode == i)
+            for start in range(0, len(rows), MAX_PAIRS // 8):
+                if now() > self._deadline:
+                    raise OutOfTimeError
+                found.append(self._of_mode(mode, boxes.take(rows[start : start + MAX_PAIRS // 8]), slopes))
+        parts, *arrays = zip(*found, strict=True)
+        bounds, reached, steep = (np.concatenate(array) for array in arrays)
+        return Boxes.joined(parts), bounds, reached, steep
+
+    def _of_mode(self, mode: SmoothMode, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
+        after = self._after.lattice
+        boxes = boxes.take(possible(mode, boxes.centre - boxes.radius, boxes.centre + boxes.radius))
+        y, r = boxes.centre, boxes.radius
+        whole, centre = interval_jets(mode.f, y - r, y + r), interval_jets(mode.f, y, y, curved=False)
+        boxes.low[:], boxes.high[:] = enclosed(centre, whole, r)
+        meets = _meets(boxes, after)
+        first, final = after.indices(boxes.low, -1), after.indices(boxes.high, 1)
+        span = (final - first + 1).max(axis=1)
+        own = slopes[boxes.cell]
+        gradient = np.repeat((y @ self._hessian + self._stages.costs.linear[self._t])[:, None], own.shape[1], axis=1)
+        gradient[:, :, : self._n] -= own
+        from_centre = y[:, : self._n] - self._lattice.centres[boxes.cell]
+        offset = self._stages.cost(self._t, y)[:, None] - np.einsum("psn,pn->ps", own, from_centre)
+        change = np.abs(gradient) + (r @ np.abs(self._hessian))[:, None]
+        bounds = offset - (change * r[:, None]).sum(axis=2) + self._minima.least(first, final)[:, None]
+        bounds[~meets] = np.inf
+        for rows in _batches(np.flatnonzero(meets & (span <= MAX_SPAN[self._n])), first, final):
+            pair, cell = _pairs(rows, first, final, boxes, self._after)
+            closer = np.full(bounds.shape, np.inf)
+            for s in range(own.shape[1]):
+                found = self._second_order(pair, cell, boxes, gradient[:, s], offset[:, s], centre, whole)
+                np.minimum.at(closer[:, s], pair, found)
+            bounds[rows] = np.fmax(bounds[rows], closer[rows])
+        steep = change.max(axis=1) * r
+        steep += self._losses_after(boxes, whole, float(steep.sum(axis=1).max(initial=0.0)))
+        reached = np.where(holds(mode, y), self._after.at(0.5 * (centre.values[0] + centre.values[1])), np.inf)
+        return boxes, bounds, offset + reached[:, None], steep
+
+    def _losses_after(self, boxes: Boxes, whole: IntervalJets, cost: float) -> Array:
+        """Return about how much of V the image of a box leaves open, by its directions, (boxes, n + m).
+
+        Along a state where V is flat, as where an end is fixed, an image over everything is worth the spread of V, or
+        a cost.
+        """
+        after, r = self._after.lattice, boxes.radius
+        widths = np.where(np.isfinite(boxes.high - boxes.low), boxes.high - boxes.low, 0.0)
+        extent = np.maximum(after.upper - after.lower, widths.max(axis=0, initial=0.0))
+        extent = np.where(extent > 0, extent, 1.0)
+        worth = self._minima.steepest + (self._minima.spread or cost or 1.0) / extent
+        largest = np.maximum(np.abs(whole.slopes[0]), np.abs(whole.slopes[1])) * r[:, None]
+        everywhere = np.where(r[:, None] > 0, extent[:, None], 0.0)
+        return np.einsum("i,pij->pj", worth, np.where(np.isfinite(largest), largest, everywhere))
+
+    def _second_order(
+        self,
+        pair: Indices,
+        cell: Indices,
+        boxes: Boxes,
+        gradient: Array,
+        offset: Array,
+        centre: IntervalJets,
+        whole: IntervalJets,
+    ) -> Array:
+        """Return bounds of c + V(f) - slope x over boxes, with V that of one cell."""
+        after, r, width = self._after, boxes.radius[pair], self._after.lattice.width
+        at = after.lattice.centres[cell]
+        middle = 0.5 * (centre.slopes[0] + centre.slopes[1])[pair]
+        half = width * (0.5 + ROUNDING) + ROUNDING * np.abs(at)
+        low = np.fmax(np.fmax(boxes.low[pair], after.first[cell]) - at, -half)
+        high = np.fmin(np.fmin(boxes.high[pair], after.last[cell]) - at, half)
+        hessian = np.broadcast_to(self._hessian, (len(pair), *self._hessian.shape))
+        found = np.full(len(pair), -np.inf)
+        for piece in range(after.slopes.shape[1]):
+            slopes, value = after.slopes[cell, piece], after.values[cell, piece]
+            freed = freed_slopes(gradient[pair] + np.einsum("pj,pji->pi", slopes, middle), middle, r)
+            for change in (freed, np.where(self._pole, freed, 0.0)):
+                less = np.where(self._pole, 0.0, np.fmax(change * low, change * high)).sum(axis=1)
+                sigma, given = slopes + change, value - less
+                more = least_of(hessian, gradient[pair], offset[pair] + given, sigma, at, r, centre, whole, pair)
+                found = np.fmax(found, more)
+        return found
+
+
+def _batches(rows: Indices, first: Indices, final: Indices) -> Iterator[Indices]:
+    """Yield rows whose pairs are at most MAX_PAIRS each time."""
+    counts = np.cumsum((final[rows] - first[rows] + 1).prod(axis=1)) // MAX_PAIRS
+    for k in np.unique(counts):
+        yield rows[counts == k]
+
+
+def _pairs(rows: Indices, first: Indices, final: Indices, boxes: Boxes, after: CostToGo) -> tuple[Indices, Indices]:
+    """Return boxes with each cell that their image meets and from which trajectories go on."""
+    sizes = final[rows] - first[rows] + 1
+    counts = sizes.prod(axis=1)
+    pair = np.repeat(rows, counts)
+    local = np.arange(len(pair)) - np.repeat(np.cumsum(counts) - counts, counts)
+    repeated, indices = np.repeat(sizes, counts, axis=0), np.empty((len(pair), sizes.shape[1]), dtype=np.intp)
+    for j in range(sizes.shape[1] - 1, -1, -1):
+        local, indices[:, j] = np.divmod(local, repeated[:, j])
+    cell = after.lattice.numbers(np.repeat(first[rows], counts, axis=0) + indices)
+    pair, cell = pair[cell >= 0], cell[cell >= 0]
+    met = ((boxes.low[pair] <= after.last[cell]) & (boxes.high[pair] >= after.first[cell])).all(axis=1)
+    return pair[met], cell[met]

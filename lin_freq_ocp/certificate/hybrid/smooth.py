@@ -1,0 +1,184 @@
+"""The conditions of a problem with piecewise-smooth dynamics: those of its linearisation along the trajectory.
+
+To first order at a trajectory the problem is one with affine modes (``OptimalControlProblem.affine_at``), and the
+conditions of the maximum principle, all of first order, are the same. Where the arguments q of a norm are zero, its
+derivative may be any xi' Dq with |xi| <= 1: one selection xi for states and controls alike, the nearest to what the
+adjoint equation and stationarity in u require. With c the derivative of <eta_t, f_t> by the norm, -<eta_t, f_t> is
+regular there iff c <= 0; with c > 0 the printed form has no solution, and a step away from the kink raises H.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.hybrid.clarke import (
+    NormKink,
+    SwitchingFacts,
+    judge_modes,
+    modes_along,
+    required_slopes,
+    stationarity_scale,
+)
+from lin_freq_ocp.certificate.sizes import floors, trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
+from lin_freq_ocp.certificate.verdict import Judgement
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.formulas.text import text_of
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+
+def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
+    """Judge a trajectory of smooth pieces."""
+    problem.require(trajectory)
+    selections, norms = _selections(problem, trajectory, multipliers)
+    found = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers)
+    facts, rising = found.borders, any(kink.rate > 0 for kink in norms)
+    if not isinstance(facts, SwitchingFacts):
+        return found
+    facts = replace(
+        facts,
+        norms=norms,
+        flip_stationary=facts.flip_stationary and not rising,
+        printed=facts.printed and not rising,
+        regular=facts.regular and not rising,
+    )
+    return replace(found, borders=facts)
+
+
+def _selections(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
+) -> tuple[dict[Formula, Array], tuple[NormKink, ...]]:
+    """Return the selection of every norm at the times at which its arguments are zero, not a number elsewhere."""
+    found: dict[Formula, Array] = {}
+    kinks: list[NormKink] = []
+    dynamics = piecewise_smooth(problem)
+    for norm, active in dynamics.active_kinks(trajectory.x, trajectory.u).items():
+        selection = found[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
+        if not active.any():
+            continue
+        selection[active] = 0.0
+        linear = problem.affine_at(trajectory, found)
+        modes = piecewise_affine(linear)
+        sequence = modes.sequence_of(trajectory.x, trajectory.u)
+        alone = replace(linear, dynamics=modes.along(sequence))
+        extremal = extremal_at(alone, trajectory, multipliers)
+        least = floors(extremal, trajectory_sizes(linear, trajectory))
+        scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
+        base, columns = _norm_slopes(problem, trajectory, multipliers, found, norm)
+        for t in np.flatnonzero(active):
+            mode = int(sequence[t])
+            missing = (required[t] - base[t, mode]) / scale
+            selection[t] = nearest_in_ball((columns[:, t, mode] / scale).T, missing)
+            here = np.append(trajectory.x[t], trajectory.u[t])
+            pull = dynamics.pull_of_norm(norm, here, mode, multipliers.eta[t])
+            rate = pull if pull > CONDITION_TOLERANCE * float(scale.max()) else min(pull, 0.0)
+            kinks.append(NormKink(int(t), _text(problem, norm), tuple(float(part) for part in selection[t]), rate))
+    return found, tuple(kinks)
+
+
+def _text(problem: OptimalControlProblem, norm: Formula) -> str:
+    return text_of(norm, [name.split(" [")[0] for name in (*problem.state_names, *problem.control_names)])
+
+
+def _slopes(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers,
+    selections: Mapping[Formula, Array],
+) -> Array:
+    """Return D <eta_t, f_i> of every mode, (T, modes, n + m)."""
+    arrays = piecewise_affine(problem.affine_at(trajectory, selections)).arrays(problem.horizon)
+    return np.einsum("tkij,ti->tkj", np.concatenate([arrays.A, arrays.B], axis=-1), multipliers.eta)
+
+
+def _norm_slopes(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers,
+    selections: Mapping[Formula, Array],
+    norm: Formula,
+) -> tuple[Array, Array]:
+    """Return D <eta_t, f_i> for xi = 0 of a norm, and its change per component of xi, (components, T, modes, .)."""
+    zero = np.where(np.isfinite(selections[norm]), 0.0, np.nan)
+    base, *changed = (
+        _slopes(problem, trajectory, multipliers, {**selections, norm: zero + unit})
+        for unit in np.vstack([np.zeros(zero.shape[1]), np.eye(zero.shape[1])])
+    )
+    return base, np.stack(changed) - base
+
+
+def nearest_in_ball(columns: Array, wanted: Array) -> Array:
+    """Return xi with |xi| <= 1 for which columns @ xi is nearest to what is wanted; the shortest of those."""
+    from scipy.optimize import brentq  # slow to import
+
+    xi = np.asarray(np.linalg.lstsq(columns, wanted, rcond=1e-12)[0], dtype=np.float64)
+    if np.linalg.norm(xi) <= 1:
+        return xi
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    along = vectors.T @ (columns.T @ wanted)
+
+    def excess(shift: float) -> float:
+        return float(np.linalg.norm(along / (values + shift))) - 1
+
+    largest = float(np.linalg.norm(along))  # there the norm is at most 1
+    least = 1e-14 * max(float(values[-1]), largest)
+    shift = brentq(excess, least, largest) if excess(least) > 0 else least
+    return np.asarray(vectors @ (along / (values + shift)), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Kink:
+    """A time at which several modes are active or the arguments of a norm are zero.
+
+    Attributes
+    ----------
+    lower, upper : (n,)
+        The least and the largest of each component of D_x <eta_t, f_i> over the active modes i and, at the zero of a
+        norm, over all its selections |xi| <= 1.
+    required : (n,)
+        p_t in x: what the adjoint equation requires.
+    """
+
+    time: int
+    lower: Array
+    upper: Array
+    required: Array
+
+    def of(self, i: int) -> Array:
+        """Return the three values of component i, (3,)."""
+        return np.array([self.lower[i], self.upper[i], self.required[i]])
+
+
+def kinks(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, facts: SwitchingFacts
+) -> tuple[Kink, ...]:
+    """Return the kinks of judged switching facts along a trajectory, in time."""
+    times = sorted({*facts.times, *(kink.time for kink in facts.norms)})
+    if not times:
+        return ()
+    n, x, u = problem.state_dim, trajectory.x, trajectory.u
+    judged = {(kink.norm, kink.time): kink.selection for kink in facts.norms}
+    selections: dict[Formula, Array] = {}
+    for norm, active in problem.dynamics.active_kinks(x, u).items():
+        selections[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
+        for t in np.flatnonzero(active):
+            selections[norm][t] = judged.get((_text(problem, norm), int(t)), 0.0)
+    affine = problem.affine_at(trajectory, selections)
+    arrays = modes_along(affine, trajectory)
+    alone = replace(affine, dynamics=piecewise_affine(affine).along(arrays.sequence(x, u)))
+    required = required_slopes(extremal_at(alone, trajectory, multipliers))[:, :n]
+    centre, radius = _slopes(problem, trajectory, multipliers, selections), 0.0
+    for norm, selection in selections.items():
+        columns = _norm_slopes(problem, trajectory, multipliers, selections, norm)[1]
+        centre = centre - np.einsum("jtki,tj->tki", columns, np.nan_to_num(selection))
+        radius = radius + np.linalg.norm(columns, axis=0)  # the largest of columns @ xi, |xi| <= 1
+    lower, upper = (centre - radius)[..., :n], (centre + radius)[..., :n]
+    modes = arrays.active_modes(x, u)
+    return tuple(Kink(t, lower[t, modes[t]].min(axis=0), upper[t, modes[t]].max(axis=0), required[t]) for t in times)

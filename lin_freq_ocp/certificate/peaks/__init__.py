@@ -1,1 +1,0 @@
-"""Largest values over parameter sets, with proof."""

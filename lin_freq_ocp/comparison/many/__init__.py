@@ -1,1 +1,0 @@
-"""One problem from many initial states, or for many references."""

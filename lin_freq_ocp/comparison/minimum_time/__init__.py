@@ -1,1 +1,0 @@
-"""The least horizon at which a problem is feasible."""

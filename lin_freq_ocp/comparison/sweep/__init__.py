@@ -1,1 +1,0 @@
-"""One problem at every point of a grid of parameters."""

@@ -1,0 +1,312 @@
+"""Sweeps and answers to many problems in files: JSON lines that grow during a run, and from which it is resumed.
+
+The first line describes the run. A line per finished point or answer follows; in the file of a sweep also a line with
+the grid whenever that is new. Each line is on the disk before the next begins, and an incomplete last line is ignored.
+A finished sweep is also written as a table, and as a JSON object.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from importlib.metadata import version
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Self, get_type_hints
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.atomic import locked, write_text, writing
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.batch.grid import grid_points, point_key
+from lin_freq_ocp.batch.many import Item, ManyHead
+from lin_freq_ocp.batch.sweep import MEASURED, Row, SweepHead, SweepOutcome
+from lin_freq_ocp.batch.tasks import ERROR
+from lin_freq_ocp.files.reading import (
+    FileTable,
+    FileValue,
+    parsed_json,
+    read_bytes,
+    read_text,
+    require_file,
+    require_keys,
+)
+from lin_freq_ocp.files.solution_files import header
+
+SCHEMA = 1  # version of the layout; a file with another version is refused
+KIND = "lin-freq-ocp sweep"
+BEGINNING = json.dumps({"kind": KIND, "schema": SCHEMA})[:-1]  # of every file, also of one cut off in its first line
+HEAD_KEYS = ("kind", "schema", "version", "problem", "fingerprint", "names", "options", "grid")
+HEAD_KINDS = {"problem": str, "fingerprint": str, "names": list, "options": dict}
+# Types of the values of a row.
+ROW_KINDS = {
+    key: dict if key == "parameters" else int | float | None if kind == float | None else kind
+    for key, kind in get_type_hints(Row).items()
+}
+
+DIFFERENCES = (("problem", "another problem"), ("names", "other parameters"), ("options", "other options of solve"))
+ANOTHER_PATH = "Give another path, or remove the file."
+
+MANY_KIND = "lin-freq-ocp solve_many"
+MANY_HEAD_KEYS = ("kind", "schema", "version", "fingerprint", "options")
+NUMBERS = ("cost", "lower_bound", "gap", "seconds")
+ITEM_KEYS = ("key", "status", "proven", "message", *NUMBERS, "x", "u")
+
+
+class Log:
+    """A file of JSON lines that grows, for this process alone: what others append meanwhile would mix with it."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        if path.exists():
+            require_file(str(path), path)
+        with writing(path), ExitStack() as stack:
+            self._stream = stack.enter_context(path.open("ab"))
+            if not stack.enter_context(locked(self._stream, wait=False)):
+                advice = "Wait until it ends, or choose another folder or name."
+                raise ProblemError(str(path), "a file that another run is writing", "one of its own", advice)
+            self._open = stack.pop_all()
+
+    def truncate(self, size: int) -> None:
+        """Keep so many bytes: an incomplete last line is dropped."""
+        with writing(self._path):
+            self._stream.truncate(size)
+
+    def write(self, entry: Mapping[str, object]) -> None:
+        """Append a line; it is on the disk when this returns."""
+        with writing(self._path):
+            self._stream.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+
+    def close(self) -> None:
+        """Give the file free."""
+        with writing(self._path):
+            self._open.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class SweepFile(Log):
+    """A file that gets a line per point; a file of the same sweep is continued, and any other is a ProblemError.
+
+    ``rows`` are those of the file when it was opened, without points that ended with an error.
+    """
+
+    def __init__(self, path: str | PathLike[str], head: SweepHead, grid: Mapping[str, Sequence[FileValue]]):
+        super().__init__(Path(path))
+        try:
+            self.rows: list[Row] = self._begin(Path(path), head, grid)
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, path: Path, head: SweepHead, grid: Mapping[str, Sequence[FileValue]]) -> list[Row]:
+        """Return the finished points of the file, which gets its first line, or the grid if that is new."""
+        first = {"kind": KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
+        first |= {"problem": head.problem, "fingerprint": head.fingerprint, "names": sorted(head.names)}
+        lines = _sweep_lines(path)
+        rows = [row for row in _rows_of(lines) if row["status"] != ERROR]
+        if lines:
+            _require_same(path, lines[0], head)
+        self.truncate(read_bytes(path).rfind(b"\n") + 1 if lines else 0)
+        given = {name: list(values) for name, values in grid.items()}
+        if not lines:
+            self.write(first | {"options": dict(head.options), "grid": given})
+        elif list(_last_grid(lines).items()) != list(given.items()):
+            self.write({"grid": given})
+        return rows
+
+    def append(self, row: Row) -> None:
+        """Write one point; it is on the disk when this returns."""
+        self.write(row)
+
+
+def _sweep_lines(path: Path) -> list[FileTable]:
+    """Return all whole lines of a sweep's file; none, if not even the first is whole."""
+    head, *others = read_text(path).split("\n")
+    if not others and BEGINNING.startswith(head[: len(BEGINNING)]):
+        return []
+    if not head.startswith(BEGINNING):
+        raise _no_sweep_error(path)
+    lines = [_sweep_line(path, number, text) for number, text in enumerate([head, *others[:-1]], 1)]
+    require_keys(path.name, lines[0], HEAD_KEYS)
+    for key, kind in HEAD_KINDS.items():
+        _require_kind(path.name, lines[0], key, kind)
+    return lines
+
+
+def _no_sweep_error(path: Path) -> ProblemError:
+    return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")
+
+
+def _sweep_line(path: Path, number: int, text: str) -> FileTable:
+    line = parsed_json(f"{path}, line {number}", text)
+    location = f"{path.name}, line {number}"
+    require_keys(location, line, optional=() if not isinstance(line, dict) else line)
+    if "grid" in line:
+        _require_grid(location, line["grid"])
+    elif number > 1:
+        line.setdefault("bound", None)  # rows of earlier versions have none
+        require_keys(location, line, ("parameters", *MEASURED))
+        for key, kind in ROW_KINDS.items():
+            _require_kind(location, line, key, kind)
+    return line
+
+
+def _require_grid(location: str, grid: object) -> None:
+    if (
+        not isinstance(grid, dict)
+        or not grid
+        or not all(isinstance(values, list) and values for values in grid.values())
+    ):
+        raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
+
+
+def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
+    value = line[key]
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
+        raise ProblemError(f"{location}.{key}", brief(value), "what a sweep writes there")
+
+
+def _rows_of(lines: Sequence[FileTable]) -> list[FileValue]:
+    return [line for line in lines if "grid" not in line]
+
+
+def _require_same(path: Path, found: FileTable, head: SweepHead) -> None:
+    expected = {"problem": head.problem, "names": sorted(head.names), "options": dict(head.options)}
+    for key, difference in DIFFERENCES:
+        if found[key] != expected[key]:
+            got = f"a sweep of {difference} ({brief(found[key])})"
+            raise ProblemError(str(path), got, brief(expected[key]), ANOTHER_PATH)
+    if found["fingerprint"] != head.fingerprint:
+        same = f"{head.problem}, with the same data and fixed arguments"
+        raise ProblemError(str(path), f"a sweep of another problem, also called {head.problem}", same, ANOTHER_PATH)
+
+
+def _last_grid(lines: Sequence[FileTable]) -> FileTable:
+    return [line["grid"] for line in lines if "grid" in line][-1]
+
+
+def read_sweep(path: str | PathLike[str]) -> SweepOutcome:
+    """Read the file of a sweep, complete or not, with its last grid; ProblemError if it is no such file, or damaged."""
+    path = Path(path)
+    lines = _sweep_lines(path)
+    if not lines:
+        raise _no_sweep_error(path)
+    grid = {name: tuple(values) for name, values in _last_grid(lines).items()}
+    rows = {point_key(row["parameters"]): row for row in _rows_of(lines)}
+    kept = tuple(rows[key] for key in grid_points(grid) if key in rows)
+    return SweepOutcome(lines[0]["problem"], grid, kept, lines[0]["options"])
+
+
+def save_sweep_csv(path: str | PathLike[str], sweep: SweepOutcome) -> None:
+    """Write a line per row, parameters first; numbers with all digits, absent values empty."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(map(header, (*sweep.names, *MEASURED)))
+    writer.writerows([_cell(value) for value in row.values()] for row in sweep.table())
+    write_text(path, text.getvalue())
+
+
+def _cell(value: FileValue) -> FileValue:
+    """Return a value as a cell that no spreadsheet takes for a formula; "-inf" is a number."""
+    return value if not isinstance(value, str) or value in ("-inf", "inf", "nan") else header(value)
+
+
+def sweep_summary(sweep: SweepOutcome) -> FileTable:
+    """Return a sweep as the JSON object of ``lin-freq-ocp sweep --json``."""
+    return {
+        "schema": SCHEMA,
+        "version": version("lin-freq-ocp"),
+        "problem": sweep.problem,
+        "grid": {name: list(values) for name, values in sweep.grid.items()},
+        "options": dict(sweep.options),
+        "complete": sweep.complete,
+        "interrupted": sweep.interrupted,
+        "points": list(sweep.rows),
+    }
+
+
+class ManyFile(Log):
+    """A file that gets a line per answer; ``items`` are those of the file when it was opened, without errors."""
+
+    def __init__(self, path: str | PathLike[str], head: ManyHead):
+        super().__init__(Path(path))
+        try:
+            self.items: Mapping[str, Item] = self._begin(head)
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, head: ManyHead) -> dict[str, Item]:
+        """Return the answers of the file, which gets its first line."""
+        first = {"kind": MANY_KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
+        first |= {"fingerprint": head.fingerprint, "options": dict(head.options)}
+        text = read_text(self._path)
+        whole = text[: text.rfind("\n") + 1].encode()
+        if not whole and not json.dumps(first)[:10].startswith(text[:10]):
+            raise self._another(text)
+        lines = [parsed_json(f"{self._path}, line {i}", line) for i, line in enumerate(whole.decode().splitlines(), 1)]
+        if lines:
+            self._require_same(lines[0], first)
+        found = {line["key"]: _item_of_line(line) for line in map(self._require_item, lines[1:])}
+        self.truncate(len(whole))
+        if not lines:
+            self.write(first)
+        return {key: item for key, item in found.items() if item.status != ERROR}
+
+    def append(self, key: str, item: Item) -> None:
+        """Write one answer; it is on the disk when this returns."""
+        numbers = {name: getattr(item, name) for name in NUMBERS}
+        x, u = (None if signal is None else signal.tolist() for signal in (item.x, item.u))
+        self.write(
+            {
+                "key": key,
+                "status": item.status,
+                "proven": item.proven,
+                "message": item.message,
+                **numbers,
+                "x": x,
+                "u": u,
+            }
+        )
+
+    def _require_same(self, found: FileTable, first: FileTable) -> None:
+        if not isinstance(found, dict) or found.get("kind") != MANY_KIND:
+            raise self._another(found)
+        require_keys(self._path.name, found, MANY_HEAD_KEYS)
+        for key, what in (
+            ("schema", "another layout"),
+            ("fingerprint", "another problem"),
+            ("options", "other options"),
+        ):
+            if found[key] != first[key]:
+                raise ProblemError(str(self._path), f"a file of {what}", brief(first[key]), ANOTHER_PATH)
+
+    def _require_item(self, line: FileTable) -> FileTable:
+        require_keys(self._path.name, line, ITEM_KEYS)
+        return line
+
+    def _another(self, found: object) -> ProblemError:
+        return ProblemError(
+            str(self._path), brief(found, 30), "a file of solve_many, or a new name", "It is left as it is."
+        )
+
+
+def _item_of_line(line: FileTable) -> Item:
+    given = {name: line[name] for name in ITEM_KEYS if name not in ("key", "x", "u")}
+    x, u = (None if line[name] is None else np.array(line[name], dtype=np.float64) for name in ("x", "u"))
+    return Item(**given, x=x, u=u)

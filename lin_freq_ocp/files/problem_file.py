@@ -1,0 +1,345 @@
+"""The problem file: a problem in TOML, with large arrays in an .npz beside it, and the facts that show prints of it.
+
+In place of a large array the TOML file has a reference, ``{npz = "data.npz", key = "A"}``; a measured response may be a
+CSV file, ``{csv = "response.csv"}``. Before a problem is solved, its facts, its signals and the parameters that
+``--set`` can change are available as plain data.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from importlib.resources import files
+from os import PathLike
+from pathlib import Path, PureWindowsPath
+
+import numpy as np
+import tomli_w
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.atomic import write_bytes, writing
+from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.base.phrases import split_unit
+from lin_freq_ocp.batch.grid import CUTOFFS
+from lin_freq_ocp.files.problem_tables import PROBLEM, problem_from_tables
+from lin_freq_ocp.files.reading import (
+    FileTable,
+    FileValue,
+    naming_file,
+    npz_bytes,
+    opened_npz,
+    read_text,
+    require_file,
+    require_keys,
+)
+from lin_freq_ocp.files.summary import finite, head
+from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.dynamics.frequency_response import read_response
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+
+ARRAYS_SUFFIX = ".problem.npz"  # of the arrays of cart.toml: cart.npz may be a solution
+MOST_BYTES = 2**22  # of a problem file: they take some 4 s to parse; larger arrays belong into an .npz
+INLINE_LIMIT = 400  # most numbers of one field that are written into the text itself
+_ROW = re.compile(r"\[\n((?:\s+[-+.\w]+,\n)+)\s*\]")
+
+SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)  # a heading of a numpydoc docstring
+ARRAY_REFERENCE = {"npz", "key"}  # keys of a table that stands for an array in another file
+# Keys that are not in a file.
+MEANINGS = {
+    "cutoff": "low pass of all controls [rad/sample], in place of control_spectrum",
+    "cutoff_hz": "low pass of all controls [Hz], in place of control_spectrum",
+}
+
+
+def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] | None = None) -> OptimalControlProblem:
+    """Read a problem from a TOML file.
+
+    Nothing is executed, and nothing outside the file's folder is read.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    overrides : mapping, optional
+        Values that take precedence over the file's, as nested tables: ``{"horizon": 100, "cost": {"R": 2.0}}``.
+
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If it is no such file or describes no problem; the field is the file and the location in it,
+        ``"cart.toml: dynamics.A"``.
+
+    Examples
+    --------
+    >>> lfo.write_problem(lfo.library.double_integrator(), "problem.toml")
+    >>> lfo.read_problem("problem.toml", {"horizon": 60}).horizon
+    60
+    """
+    path = Path(path)
+    tables = read_tables(path)
+    with naming_file(path):
+        try:
+            return problem_from_tables(_resolve(_merge(tables, overrides or {}), path.parent))
+        except ProblemError:
+            raise
+        except RecursionError:
+            raise ProblemError("tables", "nested too deeply", "tables as the documentation has them") from None
+        except (ValueError, OverflowError, MemoryError) as error:  # sizes no array can have, integers no float can
+            raise ProblemError("values", f"what no array can hold ({error})", "smaller numbers and sizes") from None
+
+
+def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:
+    """Return the tables with every reference replaced by its array; only files inside ``folder`` are read."""
+    if isinstance(value, Mapping):
+        if "npz" in value:
+            return _load_reference(field, value, folder)
+        if set(value) == {"csv"}:
+            return read_response(_path_inside(f"{field}.csv", value["csv"], folder))
+        return {key: _resolve(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+    if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
+        return [_resolve(entry, folder, f"{field}[{i}]") for i, entry in enumerate(value)]
+    return value
+
+
+def _load_reference(field: str, reference: Mapping[str, FileValue], folder: Path) -> FileValue:
+    require_keys(field, reference, required=("npz", "key"))
+    path, key = _path_inside(f"{field}.npz", reference["npz"], folder), reference["key"]
+    with opened_npz(f"{field}.npz", path) as arrays:
+        if key not in arrays.files:
+            expected = f"the name of an array in {path.name}: {', '.join(arrays.files)}"
+            raise ProblemError(f"{field}.key", brief(key), expected, suggestion(key, arrays.files))
+        array = arrays[key]
+    if array.dtype.kind not in "iuf":
+        raise ProblemError(field, f"{array.dtype} in {path.name}", "an array of real numbers")
+    return array
+
+
+def _path_inside(field: str, name: FileValue, folder: Path) -> Path:
+    """Return the path of a named file, links followed, if it lies in the folder or below."""
+    expected = "the name of a file in the folder of the problem file, or below"
+    if not isinstance(name, str):
+        raise ProblemError(field, brief(name), expected)
+    as_written = PureWindowsPath(name)  # knows both separators and drives: a file means the same everywhere
+    if as_written.anchor or ".." in as_written.parts:
+        raise ProblemError(field, brief(name), expected)
+    try:
+        target = (folder / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, or a character no file name can have
+        raise ProblemError(field, f"{brief(name)} ({error})", expected) from None
+    if not target.is_relative_to(folder.resolve()):
+        raise ProblemError(field, f"{brief(name)}, a link to another folder", expected)
+    return target
+
+
+def _merge(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -> FileTable:
+    """Return the table with the overrides; None removes a key."""
+    merged = dict(table)
+    for key, value in overrides.items():
+        if isinstance(value, Mapping):
+            old = merged.get(key)
+            merged[key] = _merge(old if isinstance(old, Mapping) else {}, value)
+        else:
+            merged[key] = value
+    return {key: value for key, value in merged.items() if value is not None}
+
+
+def read_tables(path: Path) -> FileTable:
+    """Return the tables of a TOML file; ProblemError if it is no such file."""
+    require_file(str(path), path)
+    if (size := path.stat().st_size) > MOST_BYTES:
+        advice = 'Put large arrays into an .npz beside it, as {npz = "data.npz", key = "A"}; write_problem does so.'
+        raise ProblemError(str(path), f"{size} bytes", f"a TOML file of at most {MOST_BYTES} bytes", advice)
+    text = read_text(path)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # not only TOMLDecodeError: also numbers of thousands of digits
+        raise ProblemError(f"{path.name}: TOML syntax", f"{error}", "a TOML file") from None
+
+
+def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> None:
+    """Write a problem to a TOML file, from which ``read_problem`` makes the same problem, to the last bit.
+
+    Arrays of more than ``INLINE_LIMIT`` numbers go to an .npz beside it (``cart.problem.npz`` for ``cart.toml``).
+    Files of these names are replaced.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        A continuous model is written as sampled, zero terms of the cost are left out, one set per time becomes one
+        array of bounds.
+    path : path
+        The file.
+
+    Returns
+    -------
+    None
+
+    Raises
+    ------
+    ProblemError
+        If it cannot be written there, or problem files do not know the class of a set, cost or constraint.
+
+    Examples
+    --------
+    >>> lfo.write_problem(lfo.library.double_integrator(), "problem.toml")
+    >>> lfo.read_problem("problem.toml").name
+    'double_integrator'
+    """
+    path = Path(path)
+    for name, content in problem_files(problem, path.name).items():
+        write_bytes(path.parent / name, content)
+
+
+def template() -> str:
+    """Return the text of a complete problem file, a cart with a speed limit and a low pass; comments explain it."""
+    return files("lin_freq_ocp.files").joinpath("template.toml").read_text(encoding="utf-8")
+
+
+def init_problem_file(path: str | PathLike[str]) -> None:
+    """Write the template to a new file; ProblemError if there is a file already, or none can be written there."""
+    path = Path(path)
+    with writing(path):
+        try:
+            stream = path.open("x", encoding="utf-8", newline="\n")
+        except FileExistsError:
+            raise ProblemError(str(path), "a file that exists already", "a new name", "It is left as it is.") from None
+        try:
+            with stream:
+                stream.write(template())
+        except OSError:
+            path.unlink()  # half a file would be in the way of the next attempt
+            raise
+
+
+def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]:
+    """Return the contents of the files of ``write_problem``, by their names, the arrays first."""
+    arrays: dict[str, ArrayLike] = {}
+    beside = Path(name).stem + ARRAYS_SUFFIX
+    text = _ROW.sub(_put_on_one_line, tomli_w.dumps(_store(PROBLEM.write("", problem), beside, arrays)))
+    return ({beside: npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
+
+
+def _put_on_one_line(row: re.Match[str]) -> str:
+    """Put a row of numbers on one line; strings have no line breaks, but escapes."""
+    return "[" + " ".join(row[1].split()).removesuffix(",") + "]"
+
+
+def _store(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field: str = "") -> FileValue:
+    """Return the tables with arrays as lists; large arrays go to ``arrays``, and are replaced by references."""
+    if isinstance(value, Mapping):
+        return {key: _store(entry, npz_name, arrays, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_store(entry, npz_name, arrays, f"{field}[{i}]") for i, entry in enumerate(value)]
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.size <= INLINE_LIMIT:
+        return value.tolist()
+    arrays[field] = value
+    return {"npz": npz_name, "key": field}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """What ``--set`` can change: a keyword of a function, or a key of a file, within tables written with dots."""
+
+    name: str
+    default: FileValue  # without settings; None if there is none
+    value: FileValue  # with the settings
+    about: str = ""  # its documentation
+
+
+def description_summary(problem: OptimalControlProblem, about: str, parameters: list[Parameter]) -> FileTable:
+    """Return the JSON object of ``lin-freq-ocp show --json``."""
+    states, bounds = problem.state_boxes, (problem.initial_box, problem.terminal_box)
+    return finite(
+        {
+            **head(problem),
+            "about": about or None,
+            "facts": [{"what": what, "words": words} for what, words in problem_facts(problem, problem.gap)],
+            "states": [
+                _signal_facts(name, states, i)
+                | {"initial": _end_bounds(bounds[0], i), "terminal": _end_bounds(bounds[1], i)}
+                for i, name in enumerate(problem.state_names)
+            ],
+            "controls": [_signal_facts(name, problem.control_tube, j) for j, name in enumerate(problem.control_names)],
+            "parameters": [asdict(parameter) for parameter in parameters],
+        }
+    )
+
+
+def _signal_facts(name: str, bounds: Box, i: int) -> FileTable:
+    plain_name, unit = split_unit(name)
+    return {
+        "name": plain_name,
+        "unit": unit or None,
+        "lower": _over_time(bounds.lower[:, i]),
+        "upper": _over_time(bounds.upper[:, i]),
+    }
+
+
+def _over_time(bounds: Array) -> float | list[float]:
+    """Return a bound, or one per time if it depends on time."""
+    return bounds.tolist() if (bounds != bounds[0]).any() else float(bounds[0])
+
+
+def _end_bounds(end: Box, i: int) -> list[float]:
+    return [float(end.lower[i]), float(end.upper[i])]
+
+
+def parameters_of_function(function: Callable[..., object], settings: Mapping[str, FileValue]) -> list[Parameter]:
+    """Return the keywords of a function with their defaults and documentation."""
+    about = _parameter_texts(inspect.getdoc(function) or "")
+    return [
+        Parameter(name, given.default, settings.get(name, given.default), about.get(name, ""))
+        for name, given in inspect.signature(function).parameters.items()
+    ]
+
+
+def _parameter_texts(docstring: str) -> dict[str, str]:
+    """Return the text of each name in the section Parameters of a numpydoc docstring."""
+    parts = SECTION.split(docstring)
+    sections = dict(zip(parts[1::2], parts[2::2], strict=True))
+    about: dict[str, str] = {}
+    names: list[str] = []
+    for line in sections.get("Parameters", "").splitlines():
+        if line[:1].strip():
+            names = [name.strip() for name in line.partition(" : ")[0].split(",")]
+        else:
+            about |= {name: f"{about.get(name, '')} {line.strip()}".strip() for name in names}
+    return about
+
+
+def about_function(function: Callable[..., object]) -> str:
+    """Return the text of a docstring before its first section, one line for each paragraph."""
+    text = SECTION.split(inspect.getdoc(function) or "", maxsplit=1)[0]
+    return "\n".join(" ".join(part.split()) for part in text.strip().split("\n\n"))
+
+
+def parameters_of_file(path: Path, settings: Mapping[str, FileValue]) -> list[Parameter]:
+    """Return the keys of a problem file with their values, and those that it could have without a value."""
+    tables, given = read_tables(path), _leaves(settings)
+    defaults = {key: value for key, value in _leaves(tables).items() if key != "schema"}
+    known = (*PROBLEM.optional, *CUTOFFS)
+    absent = [key for key in known if key not in tables and not isinstance(settings.get(key), dict)]
+    keys = dict.fromkeys([*defaults, *absent, *given])
+    return [Parameter(key, defaults.get(key), given.get(key, defaults.get(key)), MEANINGS.get(key, "")) for key in keys]
+
+
+def _leaves(tables: Mapping[str, FileValue], within: str = "") -> FileTable:
+    """Return every value of nested tables under its key with dots; a list of tables is one value."""
+    leaves: FileTable = {}
+    for key, value in tables.items():
+        if isinstance(value, Mapping) and set(value) != ARRAY_REFERENCE and value:
+            leaves |= _leaves(value, f"{within}{key}.")
+        else:
+            leaves[within + key] = value
+    return leaves

@@ -1,0 +1,422 @@
+"""A problem as plain tables, and back: the layout of the problem file, without the file.
+
+Each class has one record, from which its reader and its writer follow: first the kinds of dynamics (A and B of a linear
+model, one table for each mode of a piecewise model, formulas, a frequency response, a pulse train), then sets, bands,
+frequency constraints, costs and joint rows, and last the problem itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_integer, real_array
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.files.codec import Kinds, Record, Tables, Value, checked_value, nonzero
+from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
+from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.text import defined, formula_from_text, require_formula, with_definitions
+from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
+from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
+from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.affine_mode import MODE, AffineMode
+from lin_freq_ocp.problem.hybrid.levels import FiniteSet
+from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
+from lin_freq_ocp.problem.hybrid.pulse_train import PulseTrain
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.base import Intersection
+from lin_freq_ocp.problem.sets.box import Box, Everything, Point
+from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
+from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.bands import Band, LinearConstraint, band_pass, high_pass, low_pass, notch, stop_band
+from lin_freq_ocp.problem.spectrum.base import OutputSpectrum
+from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, MagnitudeBound
+from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
+from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
+
+FORMULA_KEYS = ("f", "region", "domain")
+
+
+def _linear(continuous: bool = False, **arguments: FileValue) -> LinearDynamics:
+    if not continuous:
+        return LinearDynamics(**arguments)
+    if "sampling_time" not in arguments:
+        raise ProblemError("sampling_time", "nothing", "seconds per step", "A continuous model is sampled with it.")
+    return LinearDynamics.from_continuous(**arguments)
+
+
+def without_zeros(first: Array, second: Array) -> tuple[Array | None, Array | None]:
+    """Return two matrices of the same rows, None for those of zeros; the second stays if both are zero."""
+    left, right = (part if part.any() or part.ndim > 2 else None for part in (first, second))
+    return left, second if left is None else right
+
+
+def _mode_values(mode: AffineMode) -> FileTable:
+    linear, region = mode.linear, mode.region
+    table = {"name": mode.name or None, "A": linear.A, "B": linear.B, "offset": linear.offset}
+    G, H = without_zeros(region.C, region.D)
+    trivial = not (region.C.any() or region.D.any()) and region.C.ndim == region.D.ndim == 2
+    if trivial and mode.everywhere and region.e.shape == (1,):
+        return table
+    return table | {"G": G, "H": H, "h": region.e}
+
+
+def _from_formulas(
+    f: FileValue, control_dim: FileValue, let: FileValue = None, domain: FileValue = (), **labels: FileValue
+) -> PiecewiseSmoothDynamics:
+    n, m = _dimensions(f, control_dim)
+    mode = _parse_formulas("dynamics", SmoothMode(f, domain=domain), _definitions(let, n, m), n, m)
+    return PiecewiseSmoothDynamics.from_formulas(mode.f, n, m, domain=mode.domain, **labels)
+
+
+def _from_modes(
+    modes: list[SmoothMode], control_dim: FileValue, let: FileValue = None, **labels: FileValue
+) -> PiecewiseSmoothDynamics:
+    n, m = _dimensions(modes[0].f, control_dim)
+    known = _definitions(let, n, m)
+    parsed = [_parse_formulas(f"dynamics.modes[{i}]", mode, known, n, m) for i, mode in enumerate(modes)]
+    return PiecewiseSmoothDynamics(parsed, n, m, **labels)
+
+
+def _response(
+    G_real: FileValue,
+    G_imag: FileValue,
+    offset_real: FileValue = None,
+    offset_imag: FileValue = None,
+    disturbance: FileValue = None,
+    mode: FileValue = "periodic",
+    **labels: FileValue,
+) -> FrequencyResponse:
+    G, offset = _complex("G", G_real, G_imag), None
+    if offset_real is not None or offset_imag is not None:
+        offset = _complex("offset", offset_real, offset_imag)
+    return FrequencyResponse(G, offset=offset, disturbance=disturbance, mode=mode, **labels)
+
+
+def _complex(field: str, real: FileValue, imaginary: FileValue) -> ComplexArray:
+    """Return the complex array of two keys, both of which must be there with the same shape."""
+    parts = [real_array(f"dynamics.{field}_{part}", one) for part, one in (("real", real), ("imag", imaginary))]
+    if parts[0].shape != parts[1].shape:
+        raise ProblemError(
+            f"dynamics.{field}_imag", f"shape {parts[1].shape}", f"that of {field}_real, {parts[0].shape}"
+        )
+    return parts[0] + 1j * parts[1]
+
+
+def _response_values(dynamics: FrequencyResponse) -> FileTable:
+    known = dynamics.offset if dynamics.offset.any() else None
+    return {
+        "G_real": dynamics.G.real,
+        "G_imag": dynamics.G.imag,
+        "offset_real": None if known is None else known.real,
+        "offset_imag": None if known is None else known.imag,
+        "disturbance": dynamics.disturbance,
+        "mode": dynamics.mode,
+        "sampling_time": dynamics.sampling_time,
+        "state_names": dynamics.state_names,
+        "control_names": dynamics.control_names,
+    }
+
+
+def _labels(sampling_time: object = None, state_names: object = None, control_names: object = None) -> None:
+    """Declare the arguments that all dynamics share."""
+
+
+def _dimensions(f: object, control_dim: FileValue) -> tuple[int, int]:
+    """Return n, the number of formulas, and m."""
+    return max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
+
+
+def _definitions(let: FileValue, n: int, m: int) -> dict[str, Formula]:
+    return defined("dynamics.let", {} if let is None else let, (n, m))
+
+
+def _parse_formulas(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: int, m: int) -> SmoothMode:
+    """Return the mode with its texts parsed; its class refuses other values."""
+    parsed: FileTable = {}
+    for key in FORMULA_KEYS:
+        given = getattr(mode, key)
+        if isinstance(given, (str, list)):
+            parsed[key] = [
+                formula_from_text(f"{location}.{key}[{i}]", text, (n, m), known) if isinstance(text, str) else text
+                for i, text in enumerate([given] if isinstance(given, str) else given)
+            ]
+    return replace(mode, **parsed)
+
+
+def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
+    """Return the keys of dynamics by formulas, with ``let`` if formulas are long or share subexpressions."""
+    formulas: list[Formula] = []
+    for i, mode in enumerate(dynamics.modes):
+        for key in FORMULA_KEYS:
+            for j, formula in enumerate(getattr(mode, key)):
+                for node in in_order([formula]):
+                    require_formula(node, f"dynamics.modes[{i}].{key}[{j}]")
+                formulas.append(formula)
+    texts, definitions = with_definitions(formulas)
+    left = iter(texts)
+    modes = [
+        replace(mode, **{key: [next(left) for _ in getattr(mode, key)] for key in FORMULA_KEYS})
+        for mode in dynamics.modes
+    ]
+    names = {key: getattr(dynamics, key) for key in ("control_dim", "sampling_time", "state_names", "control_names")}
+    return names | {"let": definitions or None, "modes": modes}
+
+
+def _smooth_mode_values(mode: SmoothMode) -> FileTable:
+    return {key: getattr(mode, key) or None for key in ("name", *FORMULA_KEYS)}
+
+
+AFFINE_MODE = Record(AffineMode, own=MODE, values=_mode_values, offset=nonzero(1))
+SMOOTH_MODE = Record(SmoothMode, values=_smooth_mode_values)
+
+LINEAR = Record(
+    _linear,
+    like=LinearDynamics,
+    offset=nonzero(1),
+    continuous=checked_value(lambda given: isinstance(given, bool), "true or false"),
+)
+PIECEWISE_AFFINE = Record(PiecewiseAffineDynamics, modes=Tables(AFFINE_MODE, single=False))
+SMOOTH_MODES = Record(
+    _from_modes,
+    like=_labels,
+    classes=(PiecewiseSmoothDynamics,),
+    values=_smooth_values,
+    modes=Tables(SMOOTH_MODE, single=False),
+)
+SMOOTH = Record(_from_formulas, like=_labels)
+
+RESPONSE = Record(_response, like=_labels, classes=(FrequencyResponse,), values=_response_values)
+MEASURED = Record(FrequencyResponse.from_table, own="dynamics")
+
+PULSE_TRAIN = Record(PulseTrain)
+
+RECORDS: dict[type, Record] = {
+    FrequencyResponse: RESPONSE,
+    PulseTrain: PULSE_TRAIN,
+    LinearDynamics: LINEAR,
+    PiecewiseAffineDynamics: PIECEWISE_AFFINE,
+    PiecewiseSmoothDynamics: SMOOTH_MODES,
+}
+
+
+def _read_dynamics(location: str, given: FileValue) -> Dynamics:
+    keys = given if isinstance(given, Mapping) else {}
+    modes = keys.get("modes")
+    if "table" in keys:
+        return MEASURED.read(location, given)
+    if "G_real" in keys:
+        return RESPONSE.read(location, given)
+    if "f" in keys:
+        return SMOOTH.read(location, given)
+    if "orders" in keys:
+        return PULSE_TRAIN.read(location, given)
+    if isinstance(modes, list) and any(isinstance(mode, Mapping) and "f" in mode for mode in modes):
+        return SMOOTH_MODES.read(location, given)
+    return (PIECEWISE_AFFINE if "modes" in keys else LINEAR).read(location, given)
+
+
+def _write_dynamics(location: str, value: Dynamics) -> FileTable:
+    """Return the table of dynamics, of another class that of their standard form."""
+    record = entry_for(RECORDS, value)
+    return record.write(location, value if record.holds(value) else value.standard_form)
+
+
+# Dynamics of every kind: a table with ``A`` and ``B``, with formulas ``f``, with ``modes`` of either form, or with
+# ``orders`` of a pulse train.
+DYNAMICS = Value(_read_dynamics, _write_dynamics)
+
+
+SCHEMA = 2  # version of the layout; earlier ones are read, as what was added since is optional
+
+SETS = Kinds("set", default="box")
+SETS.records |= {
+    "box": Record(Box, classes=(Box, Point, Everything)),
+    "polyhedron": Record(Polyhedron),
+    "ball": Record(Ball),
+    "ellipsoid": Record(Ellipsoid),
+    "second_order_cone": Record(SecondOrderCone),
+    "intersection": Record(Intersection, sets=Tables(SETS, single=False)),
+    "finite_set": Record(FiniteSet),
+    "linked_ends": Record(LinkedEnds),
+    "periodic": Record(Periodic),
+    "soft": Record(Soft, renamed={"soft_set": "set"}, soft_set=SETS),
+}
+SET_TABLES = Tables(SETS)
+
+
+def _read_sets(location: str, given: FileValue) -> FileValue:
+    return (SET_TABLES if isinstance(given, list) else SETS).read(location, given)
+
+
+def _write_sets(location: str, value: FileValue) -> FileValue:
+    return (SET_TABLES if isinstance(value, (list, tuple)) else SETS).write(location, value)
+
+
+def _read_end(location: str, given: FileValue) -> FileValue:
+    if isinstance(given, Mapping):
+        return SETS.read(location, given)
+    with at_location(location, "Point"):
+        return Point(given)
+
+
+def _write_end(location: str, value: Box) -> FileValue:
+    if not value.members and value.fixed.all():
+        return value.lower
+    free = not value.members and np.isinf(value.lower).all() and np.isinf(value.upper).all()
+    return None if free else SETS.write(location, value)
+
+
+SET_OR_SETS = Value(_read_sets, _write_sets)  # one set for all times, or a list with one per time
+# The set of an end of the horizon: a point, which is an array in the file, a table, or nothing for a free end.
+END_SET = Value(_read_end, _write_end)
+
+BINS = checked_value(lambda given: isinstance(given, (list, np.ndarray)), "a list of whole numbers")
+
+
+class _Band(Record):
+    """A kind of band: its edges from ``first`` on are these arguments, in rad/sample or, with _hz, in Hz."""
+
+    def __init__(self, make: Callable[..., Band], *edges: str, first: int = 0):
+        super().__init__(make, values=self._keys, bins=BINS)
+        self._kind, self._edges, self._first = make.__name__, edges, first
+
+    def holds(self, value: object) -> bool:
+        """Whether an object is a band of this kind."""
+        return isinstance(value, Band) and value.kind == self._kind
+
+    def _keys(self, band: Band) -> FileTable:
+        if band.unit == "bins":
+            return {"bins": np.array(band.edges, dtype=np.int64), "component": band.component}
+        keys = [f"{name}_hz" if band.unit == "Hz" else name for name in self._edges]
+        edges = zip(keys, band.edges[self._first :], strict=False)
+        return {key: float(edge) for key, edge in edges} | {"component": band.component}
+
+
+BANDS = Kinds("band")
+BANDS.records |= {
+    "low_pass": _Band(low_pass, "cutoff", first=1),  # its first edge is 0
+    "high_pass": _Band(high_pass, "cutoff"),  # its second edge is inf
+    "band_pass": _Band(band_pass, "lower", "upper"),
+    "notch": _Band(notch, "centre", "width"),
+    "stop_band": _Band(stop_band),
+}
+
+
+def _bound_values(bound: MagnitudeBound | EnergyBound) -> FileTable:
+    """Return the keys of a bound: bins as a stop band, and a component only where the band does not have it."""
+    return {
+        "limit": bound.limit,
+        "band": bound.band,
+        "component": bound.component if bound.band.component is None else None,
+        "oversampling": bound.oversampling if bound.oversampling != 1 else None,
+        "between": getattr(bound, "between", False) or None,
+        "every_frequency": bound.every_frequency or None,
+        "hold": getattr(bound, "hold", False) or None,
+        "penalty": bound.penalty,
+        "window": bound.window,
+    }
+
+
+NO_LOWER = checked_value(lambda given: False, "an upper limit", NO_LOWER_MASK)
+SPECTRUM = Kinds("frequency constraint")
+SPECTRUM.records |= BANDS.records
+SPECTRUM.records |= {
+    "magnitude_bound": Record(
+        MagnitudeBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS, at_least=NO_LOWER
+    ),
+    "energy_bound": Record(EnergyBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS),
+    "linear_constraint": Record(LinearConstraint),
+    "residual_vibration": Record(ResidualVibration),
+}
+BOUNDS = Kinds("mask or energy bound")
+BOUNDS.records |= {kind: SPECTRUM.records[kind] for kind in ("magnitude_bound", "energy_bound")}
+SPECTRUM.records["spectrogram"] = Record(Spectrogram, bound=BOUNDS)
+OUTPUTS = Record(OutputSpectrum, own="output_spectrum", required=["constraints"], constraints=Tables(SPECTRUM))
+
+NORM_COSTS = Kinds("cost")
+NORM_COSTS.records |= {
+    kind: Record(make, **dict.fromkeys(("x", "u", "terminal", "x_ref", "u_ref"), nonzero(2)))
+    for kind, make in {"L1": L1Cost, "Linf": LInfCost}.items()
+}
+
+
+def _cost(norms: FileValue = None, **terms: FileValue) -> Cost:
+    quadratic = QuadraticCost(**terms)
+    if norms is None:
+        return quadratic
+    return CostSum([quadratic, *(norms if isinstance(norms, list) else [norms])])
+
+
+def _cost_values(cost: Cost) -> FileTable:
+    terms = {key: getattr(cost.quadratic, key) for key in COST.optional if key != "norms"}
+    return terms | {"norms": cost.norms}
+
+
+COST = Record(
+    _cost,
+    like=QuadraticCost,
+    values=_cost_values,
+    norms=Tables(NORM_COSTS),
+    **dict.fromkeys(("Q", "R", "S", "P"), nonzero(2)),
+    **dict.fromkeys(("q", "r", "p", "x_ref", "u_ref"), nonzero(1)),
+)
+
+
+def _row_values(rows: StageRows) -> FileTable:
+    C, D = without_zeros(rows.C, rows.D)
+    return {"name": rows.name, "C": C, "D": D, "e": rows.e, "penalty": rows.penalty}
+
+
+STAGE_ROWS = Record(StageRows, own="stage_rows", required=["e"], values=_row_values)
+
+
+def _problem(schema: int, **fields: FileValue) -> OptimalControlProblem:
+    return OptimalControlProblem(**fields)
+
+
+def _problem_values(problem: OptimalControlProblem) -> FileTable:
+    """Return the keys of a problem in the order of the file; a list of boxes becomes one box with bounds per time."""
+    keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
+    fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key != "schema"}
+    dynamics, finite = problem.dynamics.given
+    if finite is not None:
+        if problem.control_set is not finite.hull:
+            got, expected = brief(problem.control_set), "the FiniteSet of the dynamics' levels"
+            raise ProblemError("control_set", got, expected, "A file has one control set: another cannot stand beside.")
+        fields |= {"dynamics": dynamics, "control_set": finite}
+    for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):
+        given = fields[key]
+        if isinstance(given, (list, tuple)) and not any(member.members for member in given):
+            fields[key] = boxes
+    return fields
+
+
+PROBLEM = Record(
+    _problem,
+    like=OptimalControlProblem,
+    values=_problem_values,
+    schema=checked_value(lambda given: readable(given, SCHEMA), versions(SCHEMA), OTHER_VERSION),
+    name=checked_value(lambda given: isinstance(given, str), "text in quotes"),
+    dynamics=DYNAMICS,
+    cost=COST,
+    initial_state=END_SET,
+    terminal_state=END_SET,
+    control_set=SET_OR_SETS,
+    state_set=SET_OR_SETS,
+    control_spectrum=Tables(SPECTRUM),
+    state_spectrum=Tables(SPECTRUM),
+    stage_rows=Tables(STAGE_ROWS),
+    output_spectrum=Tables(OUTPUTS),
+)
+
+
+def problem_from_tables(tables: Mapping[str, FileValue]) -> OptimalControlProblem:
+    """Return the problem of tables with arrays as nested lists or numpy arrays; ProblemError names the field there."""
+    return PROBLEM.read("", tables)

@@ -1,0 +1,227 @@
+"""Results as plain data for JSON: the keys are a contract; an absent value is null, never 0 or infinity."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lin_freq_ocp.base.atomic import write_text
+from lin_freq_ocp.certificate.conditions import Condition
+from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, facts_where_modes_meet
+from lin_freq_ocp.certificate.rays import Direction
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.files.reading import FileTable, FileValue
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.solving.hybrid.modes import tree_of
+from lin_freq_ocp.solving.outcome import Outcome
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.comparison.compare import ComparisonOutcome
+    from lin_freq_ocp.comparison.moves import Move
+
+SCHEMA = 2
+
+
+def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
+    """Return a result as the JSON object of ``lin-freq-ocp solve --json``, with ``--trajectory`` if asked for."""
+    return finite(
+        {
+            **head(result.problem),
+            "status": result.status,
+            "primal": result.primal,
+            "dual": result.dual,
+            **_values(result, result.bound),
+            "method": result.method,
+            "backend": result.backend,
+            "seconds": result.seconds,
+            "certificate": _certificate(result.certificate),
+            "conflict": None if result.conflict is None else [asdict(part) for part in result.conflict],
+            "explanation": None if result.explanation is None else asdict(result.explanation),
+            "direction": _direction(result.direction),
+            "modes": None if result.sequence is None else result.sequence.tolist(),
+            "tree": _tree(result),
+            "message": result.message or None,
+            **_atoms(result.multipliers),
+            **_levels(result),
+            **({"trajectory": _trajectory(result)} if with_trajectory else {}),
+        }
+    )
+
+
+def certificate_summary(problem: OptimalControlProblem, certificate: Certificate) -> FileTable:
+    """Return a certificate as the JSON object of ``lin-freq-ocp certify --json``."""
+    bound = None if certificate.bound is None or certificate.lower_bound is None else certificate.bound.kind
+    return finite({**head(problem), **_values(certificate, bound), "certificate": _certificate(certificate)})
+
+
+def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
+    """Return the JSON object of ``lin-freq-ocp compare --json``: the constrained result, and all beside it."""
+    constrained, moves = comparison.constrained_measures, comparison.moves
+    return finite(
+        {
+            **result_summary(comparison.constrained),
+            "classical": asdict(comparison.classical_measures),
+            "constrained": None if constrained is None else asdict(constrained),
+            "filtered": {
+                filtered.name: {
+                    **asdict(filtered.replay.measures),
+                    "description": filtered.description,
+                    "replay_meaningful": filtered.replay.meaningful,
+                    "one_step_residual": filtered.replay.one_step_residual.tolist(),
+                }
+                for filtered in comparison.filtered
+            },
+            **({} if moves is None else {"moves": {move.name: _move(move) for move in moves.all}}),
+        }
+    )
+
+
+def _move(move: Move) -> FileTable:
+    return {
+        "description": move.description,
+        "found": move.measured is not None,
+        "samples": move.samples,
+        "seconds": move.seconds,
+        "vibration": move.ratio,
+    }
+
+
+def failed_comparison_summary(result: Outcome) -> FileTable:
+    """Return the same object for a problem that has no solution even without its frequency constraints."""
+    return {**result_summary(result), "classical": None, "constrained": None, "filtered": {}}
+
+
+def to_json(summary: Mapping[str, object]) -> str:
+    """Return a summary as JSON text; it holds finite numbers only."""
+    return json.dumps(summary, indent=2, allow_nan=False)
+
+
+def save_json(path: str | Path, summary: Mapping[str, object]) -> None:
+    """Write a summary as a JSON file."""
+    write_text(path, to_json(summary) + "\n")
+
+
+def head(problem: OptimalControlProblem) -> FileTable:
+    """Return the first entries of every JSON object."""
+    return {
+        "schema": SCHEMA,
+        "version": version("lin-freq-ocp"),
+        "problem": {
+            "name": problem.name,
+            "horizon": problem.horizon,
+            "state_dim": problem.state_dim,
+            "control_dim": problem.control_dim,
+            "sampling_time": problem.sampling_time,
+        },
+    }
+
+
+def _values(source: Outcome | Certificate, bound: str | None) -> FileTable:
+    return {"cost": source.cost, "lower_bound": source.lower_bound, "gap": source.gap, "bound": bound}
+
+
+def _certificate(certificate: Certificate | None) -> FileTable | None:
+    if certificate is None:
+        return None
+    return {
+        "pmp": certificate.pmp,
+        "normal": certificate.normal,
+        "global": certificate.globally_optimal,
+        "conditions": _conditions(certificate.conditions),
+        "descent": _direction(certificate.descent),
+        "borders": _borders(facts_where_modes_meet(certificate)),
+    }
+
+
+def _atoms(multipliers: Multipliers | None) -> FileTable:
+    """Return the multipliers of masks at every frequency, if any: where each stands, real and imaginary part."""
+    if multipliers is None or not multipliers.frequencies:
+        return {}
+    atoms = {
+        name: np.column_stack([found, multipliers.stage[name]]).tolist()
+        for name, found in multipliers.frequencies.items()
+    }
+    return {"atoms": atoms}
+
+
+def _levels(result: Outcome) -> FileTable:
+    """Return how the control uses its levels, if it has some: duty cycles by component, time and level."""
+    use = result.level_use
+    if use is None:
+        return {}
+    duty_cycles = [one.tolist() for one in use.duty_cycles]
+    return {"levels": {"fractional": use.fractional, "rows": use.rows, "duty_cycles": duty_cycles}}
+
+
+def _conditions(conditions: Sequence[Condition]) -> list[FileTable]:
+    tables = [{**asdict(condition), "passed": condition.passed} for condition in conditions]
+    for table in tables:
+        del table["rounding"]  # of the judge alone
+    return [{key: value for key, value in table.items() if key != "peak" or value is not None} for table in tables]
+
+
+def _borders(facts: SwitchingFacts | None) -> FileTable | None:
+    if facts is None:
+        return None
+    jumping = facts.jumping
+    return {
+        "joint": facts.joint,
+        "flip_stationary": facts.flip_stationary,
+        "printed": facts.printed,
+        "regular": facts.regular,
+        "elsewhere": facts.elsewhere,
+        "modes": list(facts.mode_names),
+        "times": list(facts.times),
+        "weights": facts.weights.tolist(),
+        "flips": [flip._asdict() for flip in facts.flips],
+        "jumping": jumping and {"modes": [jumping.first, jumping.second], "jump": jumping.jump, "time": jumping.time},
+        "conditions": _conditions(facts.conditions),
+        "norms": [kink._asdict() for kink in facts.norms],
+        "gaps": list(facts.gaps),
+    }
+
+
+def _direction(direction: Direction | None) -> FileTable | None:
+    if direction is None:
+        return None
+    return {"slope": direction.slope, "residual": direction.residual, "time": direction.steepest}
+
+
+def _trajectory(result: Outcome) -> FileTable | None:
+    """Return times, states and controls, one row per time; the times in seconds if there is a sampling time."""
+    if result.trajectory is None:
+        return None
+    problem = result.problem
+    return {
+        "time": None if problem.sampling_time is None else problem.times.tolist(),
+        "state_names": list(problem.state_names),
+        "control_names": list(problem.control_names),
+        "x": result.trajectory.x.tolist(),
+        "u": result.trajectory.u.tolist(),
+    }
+
+
+def _tree(result: Outcome) -> FileTable | None:
+    found = tree_of(result)
+    if found is None:
+        return None
+    return {"nodes": len(found.tree.nodes), "leaves": found.bound.leaves, "covers": found.bound.covers}
+
+
+def finite(value: FileValue) -> FileValue:
+    """Replace NaN and infinity, which JSON does not have, by null."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

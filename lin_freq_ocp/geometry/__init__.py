@@ -1,1 +1,0 @@
-"""Polyhedra, by linear programs of HiGHS."""

@@ -1,1 +1,0 @@
-"""EXCHANGE: problems and solutions as files (TOML, npz, CSV) and as CVXPY problems."""

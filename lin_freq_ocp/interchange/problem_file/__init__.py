@@ -1,1 +1,0 @@
-"""The problem file: a problem in TOML, with large arrays in an .npz beside it."""

@@ -1,1 +1,0 @@
-"""Trajectories and solutions as files and as objects of other packages."""

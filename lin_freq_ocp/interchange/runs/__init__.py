@@ -1,1 +1,0 @@
-"""Runs and sweeps as files: the problem, its options, results and environment."""

@@ -1,1 +1,0 @@
-"""Waveforms: controls whose moments or spectra are prescribed."""

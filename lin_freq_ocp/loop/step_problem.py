@@ -1,0 +1,160 @@
+"""The problem of a step: a free first state, frequency constraints that see the past, and soft constraints.
+
+What was applied and measured is data. A spectrogram without a length keeps as many samples of the past as it was given;
+one of short windows keeps those of the windows that have not ended yet, so that windows stand still in absolute time.
+
+A step solves the problem with soft constraints where the hard ones contradict each other. A penalty above the
+multipliers of the constraints is exact: where they can be satisfied, they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.base.arrays import Array, brief, positive_number, real_array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.explanation.blocks import GivenSet
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import translation_of
+from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
+from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
+from lin_freq_ocp.problem.sets.convex import Soft
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.bands import Band
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, entries_of
+from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy
+FIELDS = ("state_set", "terminal_state", "stage_rows", "control_spectrum", "state_spectrum", "output_spectrum")
+
+SPECTRA = ("control_spectrum", "state_spectrum", "output_spectrum")
+
+
+def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem without its state set and rows of the state alone at time 0."""
+    given, T = problem.state_set, problem.horizon
+    changes: dict[str, object] = {"stage_rows": [_free_first_rows(rows, T) for rows in problem.stage_rows]}
+    if isinstance(given, Sequence) or (given is not None and given.members):
+        later = list(given[1:]) if isinstance(given, Sequence) else [given] * T
+        changes["state_set"] = [Everything(), *later]
+    elif given is not None:
+        lower, upper = problem.state_boxes.lower.copy(), problem.state_boxes.upper.copy()
+        lower[0], upper[0] = -np.inf, np.inf
+        changes["state_set"] = Box(lower, upper)
+    return replace(problem, **changes) if given is not None or problem.stage_rows else problem
+
+
+def _free_first_rows(rows: StageRows, horizon: int) -> StageRows:
+    """Return the rows with those of the state alone left out at time 0."""
+    limits = np.array(np.broadcast_to(rows.e, (horizon, rows.rows)))
+    on_control = np.broadcast_to(rows.D, (horizon, *rows.D.shape[-2:]))[0].any(axis=-1)
+    limits[0, ~on_control] = np.inf
+    return StageRows(rows.C, rows.D, limits, rows.name, rows.penalty)
+
+
+def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalControlProblem:
+    """Return the problem behind states x (k, n) and controls u (k, m), which follow the past it was stated with."""
+    return replace(
+        problem,
+        control_spectrum=[one.behind(u, 0) for one in entries_of(problem.control_spectrum)] or None,
+        state_spectrum=[one.behind(x, 1) for one in entries_of(problem.state_spectrum)] or None,
+        output_spectrum=[one.behind(x, u) for one in entries_of(problem.output_spectrum)] or None,
+    )
+
+
+def depends_on_past(problem: OptimalControlProblem) -> bool:
+    """Whether frequency constraints of a problem depend on samples of the past."""
+    return any(one.remembers for field in SPECTRA for one in entries_of(getattr(problem, field)))
+
+
+def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
+    """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
+    dynamics, T, n = problem.dynamics, problem.horizon, problem.state_dim
+    if not isinstance(dynamics, LinearDynamics):
+        what = type(dynamics).__name__
+        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {what}.")
+    expected = real_array("disturbance", disturbance)
+    if expected.shape not in ((n,), (T, n)):
+        raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
+    return replace(problem, dynamics=replace(dynamics, offset=dynamics.offset + expected))
+
+
+def checked_penalties(given: Mapping[str, float] | None) -> dict[str, float]:
+    """Return the penalty of each field; ProblemError if a field cannot be soft, or a penalty is not above zero."""
+    if given is not None and not isinstance(given, Mapping):
+        raise ProblemError("soft", brief(given), "a mapping from fields of the problem to penalties")
+    for field in given or {}:
+        if field not in FIELDS:
+            advice = "Bounds of controls are those of the actuator." if field == "control_set" else ""
+            raise ProblemError(f"soft.{field}", "a field that cannot be soft", f"one of {', '.join(FIELDS)}", advice)
+    return {field: positive_number(f"soft.{field}", penalty) for field, penalty in (given or {}).items()}
+
+
+def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> OptimalControlProblem:
+    """Return the problem where what is hard in these fields costs the penalty per unit of excess."""
+    changes: dict[str, object] = {}
+    for field, penalty in penalties.items():
+        given = getattr(problem, field)
+        if field in ("state_set", "terminal_state"):
+            changes[field] = _soften_sets(given, penalty)
+        elif field == "stage_rows":
+            changes[field] = [_soften_rows(rows, penalty) for rows in given]
+        elif field == "output_spectrum":
+            changes[field] = [_soften_outputs(one, penalty) for one in entries_of(given)] or None
+        else:
+            changes[field] = [_soften_bound(one, penalty) for one in entries_of(given)] or None
+    return replace(problem, **changes)
+
+
+def _soften_sets(given: GivenSet, penalty: float) -> GivenSet:
+    if isinstance(given, Sequence):
+        return [one and _soften_set(one, penalty) for one in given]
+    if given is not None and given.bounds[0].ndim > 1:
+        return [_soften_set(_set_at(given, t), penalty) for t in range(len(given.bounds[0]))]
+    return given and _soften_set(given, penalty)
+
+
+def _soften_set(given: ConvexSet, penalty: float) -> ConvexSet:
+    box = box_of(given)
+    hard: list[ConvexSet] = [member for member in given.members if not member.soft]
+    if np.isfinite(box.lower).any() or np.isfinite(box.upper).any():
+        hard.insert(0, Box(box.lower, box.upper))
+    members = [member for member in given.members if member.soft] + [Soft(one, penalty) for one in hard]
+    return Intersection(members) if members else given
+
+
+def _set_at(given: ConvexSet, t: int) -> ConvexSet:
+    """Return a set whose bounds are given per time at one of the times."""
+    bounds = box_of(given).at(t)
+    return Intersection([bounds, *given.members]) if given.members else bounds
+
+
+def _soften_rows(rows: StageRows, penalty: float) -> StageRows:
+    return rows if rows.penalty is not None else StageRows(rows.C, rows.D, rows.e, rows.name, penalty)
+
+
+def _soften_outputs(outputs: OutputSpectrum, penalty: float) -> OutputSpectrum:
+    bounds = [_soften_bound(one, penalty) for one in outputs.constraints]
+    return OutputSpectrum(outputs.C, outputs.D, bounds, outputs.output_names)
+
+
+def _soften_bound(given: FrequencyConstraint, penalty: float) -> FrequencyConstraint:
+    return MagnitudeBound(0.0, band=given, penalty=penalty) if isinstance(given, Band) else given.softened(penalty)
+
+
+def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:
+    """Return by how much soft constraints are exceeded, in the units of their limits and summed over time, by name."""
+    found, near = dict[str, float](), translation_of(problem)
+    trajectory = near.translated(trajectory)
+    for term in near.problem.terms:
+        if not term.hard and not term.kind.is_cost:
+            by = float((term.cost(trajectory.x, trajectory.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())
+            size = float(np.max(term.map.sizes(trajectory.x, trajectory.u), initial=0.0))
+            found |= {term.name: by} if by > ROUNDING * size else {}
+    return found

@@ -1,0 +1,350 @@
+"""Branch and bound over mode sequences, best bound first, with incumbents from rounding and from flips of modes.
+
+A node is a mask of modes. Its relaxation bounds the cost of all sequences within. A node is split at the time at which
+the relaxed step misses the true dynamics most, weighted by the adjoint. A leaf is a node whose bound comes within the
+gap of the best sequence found; its multipliers prove that.
+
+In a control loop, a search begins with a cover of all mode sequences. After a step, the tree of the problem before is
+shifted by one time: splits at time 0 are dropped, with all nodes that have another mode there; masks and duals move to
+the time before; the last time is new, with all modes (Marcucci and Tedrake, IEEE TAC 66(6), 2021). What the reach had
+left out is not: the state may be disturbed. Every path of splits still has a node for each mode, so that leaves cover
+all sequences, whichever mode at time 0 is followed.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Indices, Mask
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.methods.hybrid.search.node import Relaxed, adjoint_of, compiled_is_loaded, multipliers_of
+from lin_freq_ocp.methods.hybrid.search.search import (
+    TOLERANCES,
+    SearchLimits,
+    SearchOutcome,
+    SearchProgress,
+    one_mode_each,
+    proven_tree,
+    relaxed,
+)
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.hybrid.mode_reach import Reach
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.sizes import search_scale
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
+
+Shift = Callable[[PathDuals], PathDuals]
+
+
+@dataclass(frozen=True, eq=False)
+class CoverNode:
+    """A node: its parent and the time at which that was split (-1 for the root), its mask, and duals for a leaf."""
+
+    parent: int
+    stage: int
+    allowed: Mask
+    duals: PathDuals | None
+
+
+def shifted_cover(
+    nodes: Sequence[ModeNode], duals: Sequence[Duals | PathDuals | None], first: int, shift: Shift
+) -> tuple[CoverNode, ...]:
+    """Return the cover that a tree leaves after a step in mode ``first``; ``shift`` moves duals by one time."""
+    children: dict[int, list[int]] = {}
+    for index, node in enumerate(nodes[1:], start=1):
+        if node.bound < np.inf or duals[index] is not None:  # the reach alone has closed the others
+            children.setdefault(node.parent, []).append(index)
+    cover: list[CoverNode] = []
+    pending = [(0, -1, -1, np.ones_like(nodes[0].allowed))]
+    while pending:
+        index, parent, stage, mask = pending.pop()
+        own = children.get(index, [])
+        while own and nodes[own[0]].stage == 0:
+            followed = [child for child in own if nodes[child].allowed[0, first]]
+            index = followed[0] if followed else -1  # -1: a leaf of which nothing is known
+            own = children.get(index, [])
+        kept = None if own or index < 0 else duals[index]
+        cover.append(CoverNode(parent, stage, mask, shift(kept) if isinstance(kept, PathDuals) else None))
+        if own:
+            split, here = nodes[own[0]].stage, len(cover) - 1
+            chosen = [nodes[child].allowed[split] for child in own]
+            pending += [
+                (child, here, split - 1, _cut(mask, split - 1, row)) for child, row in zip(own, chosen, strict=True)
+            ]
+            others = ~np.any(chosen, axis=0)
+            if others.any():
+                pending.append((-1, here, split - 1, _cut(mask, split - 1, others)))
+    return tuple(cover)
+
+
+def _cut(mask: Mask, t: int, row: Mask) -> Mask:
+    found = mask.copy()
+    found[t] &= row
+    return found
+
+
+SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
+ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
+COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
+CURVED = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
+
+OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
+
+
+@dataclass
+class BranchAndBound:
+    """One search; ``run`` it once."""
+
+    problem: OptimalControlProblem
+    limits: SearchLimits = field(default_factory=SearchLimits)
+    progress: Callable[[SearchProgress], None] | None = None
+    relaxation: Callable[[OptimalControlProblem], ModeRelaxation] = PathRelaxation
+    compiled_from: int = COMPILED_FROM
+
+    def __post_init__(self):
+        self._started = now()
+        self._relaxation = self.relaxation(self.problem)
+        self._first_level = self._relaxation.level
+        self._arrays = self._relaxation.reach.arrays
+        self._nodes: list[ModeNode] = []
+        self._duals: list[Duals | PathDuals | None] = []
+        self._heap: list[OpenNode] = []
+        self._best: Indices | None = None
+        self._cost, self._scale = np.inf, 0.0
+        self._tried: set[bytes] = set()
+        self._solved, self._next_rounding = 0, 0
+        self._setup = now() - self._started
+
+    def run(
+        self,
+        start: Indices | None = None,
+        within: Reach | None = None,
+        until_open: float = np.inf,
+        cover: Sequence[CoverNode] = (),
+    ) -> SearchOutcome:
+        """Search from a sequence (T,), within a reach; stop when ``until_open`` nodes are open (see ``open_nodes``).
+
+        With a cover of all sequences, begin at its leaves.
+        """
+        message, interrupted = "", False
+        self._until_open = until_open
+        try:
+            if start is not None:
+                self._try([start])
+            if cover:
+                message = self._open_cover(cover)
+            else:
+                self._open(self._root(within), -1, -1, -np.inf)
+            message = message or self._loop()
+        except KeyboardInterrupt:
+            message, interrupted = "interrupted", True
+        tree = proven_tree(self._relaxation, self._nodes, self._duals)
+        return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup)
+
+    @property
+    def final_relaxation(self) -> ModeRelaxation:
+        """Return the relaxations in whose units the last duals are."""
+        return self._relaxation
+
+    def cover_after_step(self) -> tuple[CoverNode, ...]:
+        """Return the cover that the tree leaves for the problem one time later; empty if nothing was found."""
+        one = self._relaxation
+        if self._best is None or not self._nodes or not isinstance(one, PathRelaxation) or not one.proves:
+            return ()
+        return shifted_cover(self._nodes, self._duals, int(self._best[0]), one.later)
+
+    def _loop(self) -> str:
+        """Split nodes until none is open; return which limit stopped the search, or an empty string."""
+        while self._heap and self._heap[0][0] < self._cutoff and len(self._heap) < self._until_open:
+            message = self.limits.reached(now() - self._started, self._solved)
+            if message:
+                return message
+            self._split(*self._next())
+        leaves = (node for node in self._nodes if (node.allowed.sum(axis=1) == 1).all())
+        if any(node.bound == -np.inf for node in leaves):  # the time was over before one was solved
+            return self.limits.reached(now() - self._started, self._solved)
+        return ""
+
+    def _next(self) -> OpenNode:
+        """Take the node with the least bound; as long as no sequence was found, dive: take the newest."""
+        if self._best is not None:
+            return heapq.heappop(self._heap)
+        newest = max(range(len(self._heap)), key=lambda position: self._heap[position][1])
+        taken = self._heap.pop(newest)
+        heapq.heapify(self._heap)
+        return taken
+
+    @property
+    def open_nodes(self) -> list[tuple[int, Reach]]:
+        """Return the nodes still to be split, the least bound first."""
+        return [(index, answer.reach) for bound, index, answer in sorted(self._heap) if bound < self._cutoff]
+
+    def _root(self, within: Reach | None) -> list[tuple[Mask, Relaxed | None]]:
+        everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
+        reach = self._relaxation.reach.from_start(everything) if within is None else within
+        return [(everything, None if reach is None else self._relaxed(reach, self._cutoff))]
+
+    def _open_cover(self, cover: Sequence[CoverNode]) -> str:
+        """Add the nodes of a cover; solve those leaves that their duals leave open, the least bound first."""
+        parents = {node.parent for node in cover}
+        leaves = [index for index in range(len(cover)) if index not in parents]
+        reaches = self._relaxation.reach.from_start_each([cover[index].allowed for index in leaves])
+        nodes = [ModeNode(node.parent, node.stage, node.allowed, -np.inf, None) for node in cover]
+        duals, open_ = list[Duals | PathDuals | None](None for _ in cover), list[tuple[float, int, Reach]]()
+        for index, reach in zip(leaves, reaches, strict=True):
+            bound, given = np.inf if reach is None else -np.inf, cover[index].duals
+            if reach is not None and given is not None and isinstance(self._relaxation, PathRelaxation):
+                given = given.times(self._relaxation.level / self._first_level)  # the first answer may have changed it
+                bound, duals[index] = self._relaxation.proven_by(reach, given), given
+            nodes[index] = replace(nodes[index], bound=bound)
+            if reach is not None and bound < np.inf:
+                open_.append((bound, index, reach))
+        self._nodes, self._duals = nodes, duals
+        for bound, index, reach in sorted(open_, key=lambda one: one[:2]):
+            message = self.limits.reached(now() - self._started, self._solved)
+            if message:
+                return message
+            if bound < self._cutoff:
+                self._solve_leaf(index, reach)
+        return ""
+
+    def _solve_leaf(self, index: int, reach: Reach) -> None:
+        """Solve a leaf of a cover, and keep what proves more of it."""
+        answer, node = self._relaxed(reach, self._cutoff), self._nodes[index]
+        if answer.bound >= node.bound:
+            self._duals[index] = answer.duals
+        self._nodes[index] = replace(node, allowed=reach.allowed, bound=max(node.bound, answer.bound))
+        self._consider(index, answer)
+
+    def _split(self, bound: float, index: int, answer: Relaxed) -> None:
+        """Replace a node by one for each of its modes at some time."""
+        t = self._stage_to_split(answer)
+        masks = one_mode_each(answer.reach.allowed, t)
+        self._report(min(bound, self._heap[0][0]) if self._heap else bound)
+        reaches = self._relaxation.reach.after(answer.reach, t, [mask[t] for mask in masks])
+        answers = [None if reach is None else self._relaxed(reach, self._cutoff) for reach in reaches]
+        self._open(list(zip(masks, answers, strict=True)), index, t, bound)
+
+    def _open(self, answers: list[tuple[Mask, Relaxed | None]], parent: int, stage: int, bound: float) -> None:
+        """Add nodes, all at once so that an interrupt leaves none out, and look in each for better sequences."""
+        first, inherited = len(self._nodes), self._duals[parent] if parent >= 0 else None
+        for allowed, answer in answers:
+            if answer is None:
+                self._nodes.append(ModeNode(parent, stage, allowed, np.inf, None))
+                self._duals.append(None)
+            else:
+                self._nodes.append(ModeNode(parent, stage, answer.reach.allowed, max(bound, answer.bound), None))
+                # those of the parent hold for the child, too, and may prove more than those of a rough solution
+                self._duals.append(answer.duals if answer.duals and answer.bound >= bound else inherited)
+        if parent >= 0:
+            self._duals[parent] = None
+        for index, (_, answer) in enumerate(answers, start=first):
+            if answer is not None:
+                self._consider(index, answer)
+
+    def _consider(self, index: int, answer: Relaxed) -> None:
+        """Try the sequences that a node suggests, and keep it for splitting unless its bound closes it."""
+        bound = self._nodes[index].bound
+        if bound == np.inf:
+            return
+        if answer.sequence is not None:
+            self._accept(answer.sequence, answer)
+            return
+        if bound < self._cutoff:
+            heapq.heappush(self._heap, (bound, index, answer))
+            if index >= self._next_rounding or self._best is None:
+                self._try(self._rounded(answer))
+                self._next_rounding = index + ROUNDING_EVERY
+
+    def _rounded(self, answer: Relaxed) -> Iterator[Indices]:
+        """Yield the sequence of the largest weights, and the sequence of the relaxed controls' trajectory."""
+        if answer.trajectory is None or answer.weights is None:
+            return
+        yield np.argmax(np.where(answer.reach.allowed, answer.weights, -1.0), axis=1)
+        try:
+            replayed = simulate(self.problem, answer.trajectory.u, answer.trajectory.x[0])
+        except NumericalError:  # the controls lead out of all regions
+            return
+        yield self._arrays.active(replayed.x, replayed.u).argmax(axis=1)
+
+    def _try(self, sequences: Iterable[Indices]) -> None:
+        """Solve sequences until one is the best so far."""
+        before, modes = self._best, np.arange(len(piecewise_affine(self.problem).modes))
+        for sequence in sequences:
+            if self._best is not before or now() - self._started > self.limits.search_seconds:
+                return
+            if sequence.tobytes() not in self._tried:
+                self._tried.add(sequence.tobytes())
+                reach = self._relaxation.reach.from_start(sequence[:, None] == modes)
+                if reach is not None:
+                    self._accept(sequence, self._relaxed(reach, self._cost))
+
+    def _accept(self, sequence: Indices, answer: Relaxed) -> None:
+        """Keep a sequence if it is the best so far, and try its flips."""
+        if answer.trajectory is None or answer.duals is None or not answer.bound < self._cost:
+            return
+        self._cost, self._best = answer.bound, sequence
+        self._scale = search_scale(self.problem, answer.trajectory)
+        self._try(self._flips(sequence, answer.trajectory, answer.duals))
+
+    def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals | PathDuals) -> Iterator[Indices]:
+        """Yield the sequences with one mode flipped across a facet with a positive multiplier, the largest first."""
+        largest = multipliers_of(self._relaxation, duals).region_along(sequence).max(axis=1, initial=0.0)
+        near = self._arrays.active(trajectory.x, trajectory.u)
+        for t in np.argsort(-largest):
+            if largest[t] <= 0:
+                break
+            for i in np.flatnonzero(near[t]):
+                if i != sequence[t]:
+                    flipped = sequence.copy()
+                    flipped[t] = i
+                    yield flipped
+
+    def _stage_to_split(self, answer: Relaxed) -> int:
+        """Return the time, of those with several modes left, with the largest estimated loss of the relaxation.
+
+        A relaxed step that misses the true dynamics by d changes the cost by about <|eta_t|, |d|> and a part of d'H d.
+        """
+        several, duals = answer.reach.allowed.sum(axis=1) > 1, answer.duals
+        if answer.trajectory is None or answer.weights is None or duals is None:
+            return int(np.argmax(several))
+        x, u = answer.trajectory.x, answer.trajectory.u
+        nearest = np.argmin(self._arrays.distance(x, u), axis=1)
+        images = self._arrays.images(x, u)[np.arange(len(u)), nearest]
+        miss, eta = np.abs(x[1:] - images), adjoint_of(self._relaxation, duals)
+        loss = (miss * np.abs(eta)).sum(axis=1) + CURVED * miss**2 @ self._relaxation.state_curvature
+        undecided = 1 - answer.weights.max(axis=1)
+        return int(np.lexsort((undecided, np.where(several, loss, -1.0)))[-1])
+
+    @property
+    def _cutoff(self) -> float:
+        if not np.isfinite(self._cost):
+            return np.inf
+        return self._cost - SHARE_OF_GAP * self.limits.gap * self._scale
+
+    def _relaxed(self, reach: Reach, cutoff: float) -> Relaxed:
+        self._solved += 1
+        end = self._started + self.limits.search_seconds
+        compiled = self._solved > self.compiled_from or compiled_is_loaded()
+        answer = relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+        if self._solved == 1 and np.isfinite(answer.bound):
+            first, self._relaxation = self._relaxation, self._relaxation.for_cost(answer.bound)
+            if self._relaxation is not first:
+                factor = self._relaxation.level / first.level
+                self._duals = [one.times(factor) if isinstance(one, PathDuals) else one for one in self._duals]
+                return relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+        return answer
+
+    def _report(self, bound: float) -> None:
+        if self.progress is not None:
+            seconds = now() - self._started
+            self.progress(SearchProgress(self._cost, bound, self._solved, len(self._heap), seconds))

@@ -1,0 +1,436 @@
+"""Multipliers of a trajectory of piecewise-affine dynamics: from a mode sequence, or fitted to the trajectory.
+
+Where several modes are active, a trajectory lies in several mode sequences, and each may have multipliers of its own.
+Candidates, all with the least residual of stationarity as in ``methods/multipliers.py``:
+
+    common    every active mode of a stage is stationary with the same eta, and with normals and region multipliers of
+              its own: then the trajectory is flip-stationary
+    kinks     multipliers of either sign in the directions across kinks, the span of all (F_i - F_s)', and no region
+              multipliers, as if the trajectory had to stay on the kinks: if the active gradients are independent, no
+              other multipliers can satisfy Clarke's rule
+    weights   stationarity of the sequence's own mode s with sum_j alpha_j (F_j - F_s)' eta added, alpha_j >= 0,
+              sum_j alpha_j <= 1, and eta from the last fit: Clarke's rule once eta has converged; only where the
+              active gradients depend on each other
+
+The first belong to a linear problem, too: with d_j the part of (dx_t, du_t) that goes into mode j, in the cone of
+directions into its region within the sets of the stage, and the remainder in the cone of the sequence's own mode,
+
+    dx_{t+1} = A_s dx_t + B_s du_t + sum_j (F_j - F_s) d_j,        F = [A, B],
+
+the convex hull of the map's directions. Stationarity in d_j is a_j - b_t = G_j' lambda_j + N nu_j.
+
+``weighted`` leads from the multipliers of a fixed mode sequence to those of the map (docs/borders.md). In the linear
+problem of a mode sequence s, stationarity at a stage reads  a_s - G_s' lambda = b + N nu  with the slopes
+a_i = (A_i' eta, B_i' eta), the region multipliers lambda, and the normals N nu of the sets of the stage. Clarke's rule
+for the map asks for  sum_i alpha_i a_i = b + N nu'  with weights alpha >= 0, sum alpha = 1: for two modes that share a
+facet lambda = alpha <g, eta>. So alpha, and nu' where nu does not fit, minimise
+
+    |sum_i alpha_i (a_i - a_s) + G_s' lambda + N (nu - nu')|,
+
+the distance of a polyhedron from 0: beta, nu'' >= 0 with the least |V beta - N nu''|^2 + (sum beta - 1)^2 are a
+multiple of them. eta and the other multipliers stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness
+from lin_freq_ocp.problem.hybrid.affine_mode import REGION, ModeArrays
+from lin_freq_ocp.problem.hybrid.forms import linear_along, measured_modes
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sizes import stated_sizes
+from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.program import Program, Scaling
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import scaled_program
+
+ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: what the judge accepts
+STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """An active bound or row of a stage.
+
+    Attributes
+    ----------
+    family : str
+        STATE, CONTROL, or the name of a term.
+    place : (int, int)
+        Index of its multiplier in the array of the family.
+    sign : float
+        1, or -1 for a lower bound, whose multiplier is negative.
+    column : (n + m,)
+        What a multiplier of ``sign`` adds to the normal (in x, in u).
+    """
+
+    family: str
+    place: tuple[int, int]
+    sign: float
+    column: Array
+
+    def value(self, multipliers: Multipliers) -> float:
+        """Return how much of the column the multipliers have; of a fixed component, both signs have it."""
+        own = {STATE: multipliers.mu, CONTROL: multipliers.nu}
+        array = own.get(self.family, multipliers.stage.get(self.family))
+        return 0.0 if array is None else max(self.sign * float(array[self.place]), 0.0)
+
+
+def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> list[list[Normal]]:
+    """Return the active bounds of x_t and u_t and the active hard rows of t alone, for t = 0 .. T-1.
+
+    Balls, cones and soft sets are not among them: their multipliers are kept.
+    """
+    found: list[list[Normal]] = [[] for _ in range(problem.horizon)]
+    sizes, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
+    tubes, first = (problem.state_tube, problem.control_tube), 0
+    for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, sizes, strict=True):
+        for t, normal in _of_box(family, signal, tube, size, first, problem.state_dim + problem.control_dim):
+            found[t].append(normal)
+        first = problem.state_dim
+    for term in problem.terms:
+        for t, normal in _of_rows(term, trajectory, problem.horizon):
+            found[t].append(normal)
+    return found
+
+
+def _of_box(family: str, signal: Array, tube: Box, size: Array, first: int, total: int) -> Iterator[tuple[int, Normal]]:
+    near = ACTIVE_DISTANCE * (size + np.abs(signal))
+    lower, upper = tube.lower[: len(signal)], tube.upper[: len(signal)]
+    for sign, active in ((1.0, signal >= upper - near), (-1.0, signal <= lower + near)):
+        for t, k in np.argwhere(active):
+            column = np.zeros(total)
+            column[first + k] = sign
+            yield int(t), Normal(family, (int(t), int(k)), sign, column)
+
+
+def _of_rows(term: Term, trajectory: Trajectory, horizon: int) -> Iterator[tuple[int, Normal]]:
+    rows = term.polyhedron(trajectory.x.shape[1], trajectory.u.shape[1])
+    if rows is None:
+        return
+    values = term.map.values(trajectory.x, trajectory.u)
+    sizes = term.map.sizes(trajectory.x, trajectory.u).max(0)
+    near = ACTIVE_DISTANCE * np.where(sizes > 0, sizes, 1.0)
+    for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
+        if rows.times[group] < horizon:
+            place = int(group), int(row)
+            yield int(rows.times[group]), Normal(term.name, place, 1.0, rows.matrix(int(group))[row])
+
+
+GOOD_FIT = 1e-8  # relative residual up to which normals stay as they are: solvers leave 1e-9, the judge allows 1e-6
+
+
+def weighted(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    sequence: Indices,
+    multipliers: Multipliers,
+    pushed: Array | None = None,
+) -> Multipliers:
+    """Return the multipliers of the map, with weights of active modes, from those of ``problem.with_modes(sequence)``.
+
+    The latter have region multipliers under the name REGION (zero by default); ``pushed`` (T, n + m) is added to
+    G_s' lambda. The result is the best fit to Clarke's rule with this adjoint, be it good or not.
+    """
+    arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
+    times, active = np.arange(problem.horizon), arrays.active_modes(x, u)
+    active[times, sequence] = True
+    rows = np.concatenate([arrays.G, arrays.H], axis=-1)
+    maps = np.concatenate([arrays.A, arrays.B], axis=-1)
+    slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
+    region = multipliers.stage.get(REGION, np.zeros((problem.horizon, 0)))
+    across = np.einsum("tr,trj->tj", region, rows[times, sequence, : region.shape[1]])
+    across += 0.0 if pushed is None else pushed
+    weights, normals = np.zeros(active.shape), stage_normals(problem, trajectory)
+    weights[times, sequence] = 1.0
+    if problem.dynamics.controls_of(sequence) is not None:  # every u is normal to a point
+        nu, stage = multipliers.nu + across[:, x.shape[1] :], dict(multipliers.stage)
+        stage.pop(REGION, None)
+        return replace(multipliers, nu=nu, stage=stage, weights=weights)
+    parts = {term.name: multipliers.stage.get(term.name, np.zeros(term.shape)).copy() for term in problem.terms}
+    parts |= {STATE: multipliers.mu.copy(), CONTROL: multipliers.nu.copy()}
+    scale = _scale(maps, multipliers)
+    for t in times:
+        s, modes = sequence[t], np.flatnonzero(active[t])
+        if len(modes) == 1 and not (np.abs(across[t]) > GOOD_FIT * scale).any():
+            continue
+        differences = (slopes[t, modes] - slopes[t, s] + across[t]) / scale
+        held = np.array([normal.value(multipliers) for normal in normals[t]])
+        weights[t, modes], changed = _nearest(differences, normals[t], held, scale)
+        if changed is not None:
+            for normal in normals[t]:
+                parts[normal.family][normal.place] = 0.0
+            for normal, value in zip(normals[t], changed, strict=True):  # of a fixed component, both signs add up
+                parts[normal.family][normal.place] += normal.sign * value
+    mu, nu = parts.pop(STATE), parts.pop(CONTROL)
+    return Multipliers(multipliers.eta_C, multipliers.eta, mu, nu, multipliers.rho_u, multipliers.rho_x, parts, weights)
+
+
+def _nearest(differences: Array, normals: Sequence[Normal], held: Array, scale: Array) -> tuple[Array, Array | None]:
+    """Return alpha, and new multipliers of the normals, or None to keep ``held``; ``differences`` is (modes, n + m)."""
+    columns = np.array([normal.column / scale for normal in normals]).reshape(-1, len(scale))
+    alpha, _, residual = _polytope(differences, columns[:0])
+    if residual <= GOOD_FIT or not len(normals):
+        return alpha, None
+    freed, values, with_normals = _polytope(differences + held @ columns, columns)
+    return (freed, values) if with_normals < residual else (alpha, None)
+
+
+def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
+    """Return alpha, nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
+    from scipy.optimize import nnls  # slow to import
+
+    norms = np.linalg.norm(rays, axis=1)
+    norms = np.where(norms > 0, norms, 1.0)
+    matrix = np.hstack([points.T, -(rays / norms[:, None]).T])
+    total = np.concatenate([np.ones(len(points)), np.zeros(len(rays))])
+    found, _ = nnls(np.vstack([matrix, total]), np.append(np.zeros(len(matrix)), 1.0))
+    found = found / found[: len(points)].sum()
+    return found[: len(points)], found[len(points) :] / norms, float(np.abs(matrix @ found).max())
+
+
+def _scale(maps: Array, multipliers: Multipliers) -> Array:
+    """Return the scale of each entry of a slope, (n + m,): the largest terms of all slopes and normals."""
+    terms = np.einsum("tkij,ti->tkj", np.abs(maps), np.abs(multipliers.eta)).max(axis=(0, 1))
+    scale = terms + np.concatenate([np.abs(multipliers.mu).max(0), np.abs(multipliers.nu).max(0)])
+    return np.where(scale > 0, scale, 1.0)
+
+
+ROUNDS = 12  # fits of weights, each with the adjoint of the last
+SAME_ADJOINT = 1e-9  # change of eta, relative to its largest entry, at which the rounds have converged
+SMALLEST_KINK = 1e-9  # difference of two maps' derivatives, relative to their largest entry, that is no kink
+
+
+def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Multipliers]:
+    """Yield multipliers with eta_C = 1, the best guess first; NumericalError if the first fit could not be solved."""
+    point = _FitPoint.of(problem, trajectory)
+    common = weighted(problem, trajectory, point.sequence, point.multipliers(fitted_duals(*_hull(point))[0]))
+    yield common
+    if not point.stages:
+        return
+    try:
+        program, pushes = _on_kinks(point)
+        y, _ = fitted_duals(program, point.z)
+        pushed = (y[len(point.program.lower) :] @ pushes).reshape(problem.horizon, -1)
+        on_kinks = weighted(problem, trajectory, point.sequence, point.multipliers(y), pushed)
+        yield on_kinks
+        if _independent(problem, trajectory):
+            return
+        for start in (on_kinks, common):
+            yield from _with_weights_of(point, start.eta)
+    except NumericalError:
+        return
+
+
+def _independent(problem: OptimalControlProblem, trajectory: Trajectory) -> bool:
+    """Whether the active gradients are known to be independent: then there are no other multipliers."""
+    try:
+        return uniqueness(linear_along(problem, trajectory), trajectory).unique
+    except UnsupportedError:  # too many gradients
+        return False
+
+
+def _with_weights_of(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
+    """Yield the fits with weights, starting from an adjoint; the judge finds the weights again."""
+    for _ in range(ROUNDS):
+        y, _ = fitted_duals(*_weighing(point, eta))
+        fit = point.multipliers(y)
+        stage = {name: weights for name, weights in fit.stage.items() if name != REGION}
+        yield Multipliers(1.0, fit.eta, fit.mu, fit.nu, fit.rho_u, fit.rho_x, stage)
+        if np.abs(fit.eta - eta).max() <= SAME_ADJOINT * np.abs(fit.eta).max():
+            return
+        eta = fit.eta
+
+
+@dataclass(frozen=True, eq=False)
+class _FitPoint:
+    """A trajectory as a point z of the scaled program of its mode sequence, with the active modes and facets.
+
+    ``rows`` has, for each multiplier, the number of its row in the program, counted from 1 (0: no row); ``stages`` are
+    the (time, mode) of active modes other than the sequence's own.
+    """
+
+    arrays: ModeArrays
+    sequence: Indices
+    active: Mask
+    facets: Mask
+    normals: list[list[Normal]]
+    transcription: LinearTranscription
+    scaling: Scaling
+    program: Program
+    z: Array
+    rows: Multipliers
+    stages: list[tuple[int, int]]
+
+    @classmethod
+    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _FitPoint:
+        arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
+        sequence, active = arrays.sequence(x, u), arrays.active_modes(x, u)
+        transcription, scaling, program = scaled_program(problem.with_modes(sequence))
+        numbers = np.arange(1.0, 1.0 + len(program.lower))
+        return cls(
+            arrays=arrays,
+            sequence=sequence,
+            active=active,
+            facets=arrays.active_facets(x, u),
+            normals=stage_normals(problem, trajectory),
+            transcription=transcription,
+            scaling=scaling,
+            program=program,
+            z=scaling.scaled_primal(transcription.point(trajectory)),
+            rows=transcription.multipliers(numbers, 1.0),
+            stages=[(int(t), int(j)) for t, j in np.argwhere(active) if j != sequence[t]],
+        )
+
+    def multipliers(self, y: Array) -> Multipliers:
+        """Return the multipliers of the mode sequence from duals that begin with those of its program."""
+        return self.transcription.multipliers(self.scaling.dual(y[: len(self.program.lower)]), 1.0)
+
+    def signals(self, t: int) -> Indices:
+        """Return the variables of (x_t, u_t), (n + m,)."""
+        T, n, m = *self.rows.eta.shape, self.rows.nu.shape[1]
+        return np.concatenate([t * n + np.arange(n), (T + 1) * n + t * m + np.arange(m)])
+
+    @property
+    def times(self) -> list[int]:
+        """Return the times at which several modes are active."""
+        return sorted({t for t, _ in self.stages})
+
+    def maps(self, t: int) -> Array:
+        """Return F_i of every mode, (modes, n, n + m)."""
+        return np.concatenate([self.arrays.A[t], self.arrays.B[t]], axis=-1)
+
+    def region(self, t: int, i: int) -> Array:
+        """Return the rows of the region of a mode, (rows, n + m)."""
+        return np.hstack([self.arrays.G[t, i], self.arrays.H[t, i]])
+
+    def region_row(self, t: int, row: int) -> int:
+        """Return the row of the program that is a row of the region of the sequence's own mode, or -1."""
+        return int(self.rows.stage[REGION][t, row]) - 1
+
+    def normal_row(self, normal: Normal) -> int:
+        """Return the row of the program that a normal belongs to, or -1."""
+        arrays = {STATE: self.rows.mu, CONTROL: self.rows.nu} | dict(self.rows.stage)
+        return int(arrays[normal.family][normal.place]) - 1
+
+
+def _without_regions(point: _FitPoint) -> Program:
+    """Return the program without region rows where several modes are active."""
+    upper = point.program.upper.copy()
+    for t in point.times:
+        region = point.rows.stage[REGION][t].astype(int)
+        upper[region[region > 0] - 1] = np.inf
+    return replace(point.program, upper=upper)
+
+
+def _on_kinks(point: _FitPoint) -> tuple[Program, Array]:
+    """Return the program on the kinks, and what a dual of each new row adds to stationarity, (rows, T * (n + m)).
+
+    Where several modes are active, (x_t, u_t) is fixed in all directions in which their maps differ.
+    """
+    rows, pushes = list[sp.csc_array](), list[Array]()
+    for t in point.times:
+        signals, maps = point.signals(t), point.maps(t)
+        units, held = point.scaling.columns[signals], maps[point.active[t]]
+        differences = ((held - maps[point.sequence[t]]) * units).reshape(-1, len(signals))
+        _, sizes, across = np.linalg.svd(differences, full_matrices=False)
+        across = across[sizes > SMALLEST_KINK * np.abs(held * units).max()]
+        row, column = np.nonzero(np.ones_like(across))
+        rows.append(sp.csc_array((across.ravel(), (row, signals[column])), shape=(len(across), len(point.z))))
+        push = np.zeros((len(across), len(point.sequence), len(signals)))
+        push[:, t] = across / units / point.scaling.cost
+        pushes.append(push.reshape(len(across), len(point.sequence) * len(signals)))
+    fixed = sp.csc_array(sp.vstack(rows))
+    return _extended(_without_regions(point), fixed, np.asarray(fixed @ point.z), equations=True), np.vstack(pushes)
+
+
+def _weighing(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
+    """Return the program whose duals are weights of modes, and the point.
+
+    The cost max(0, max_j -v_j'(dx, du)) of a stage, v_j = (F_j - F_s)' eta, is a slack sigma >= 0 of price 1 with rows
+    -v_j'(x_t, u_t) - sigma <= -v_j'z: their duals alpha_j are >= 0, and sum to at most 1 by stationarity in sigma.
+    """
+    times, count, variables = point.times, len(point.stages), len(point.z)
+    rows = np.zeros((count + len(times), variables + len(times)))
+    for k, (t, j) in enumerate(point.stages):
+        signals, kink = point.signals(t), point.maps(t)[j] - point.maps(t)[point.sequence[t]]
+        rows[k, signals] = -point.scaling.cost * point.scaling.columns[signals] * (eta[t] @ kink)
+        rows[k, variables + times.index(t)] = -1.0
+    rows[count:, variables:] = -np.eye(len(times))
+    z, sparse = np.append(point.z, np.zeros(len(times))), sp.csc_array(rows)
+    return _extended(_without_regions(point), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
+
+
+def _hull(point: _FitPoint) -> tuple[Program, Array]:
+    """Return the program with a direction d_j for every other active mode, and the point with d = 0."""
+    program, width = point.program, point.signals(0).size
+    further = width * len(point.stages)
+    if not further:
+        return program, point.z
+    entries, cones = list[tuple[Indices, Indices, Array]](), list[sp.csc_array]()
+    for k, (t, j) in enumerate(point.stages):
+        units = point.scaling.columns[point.signals(t)]
+        rows, coefficients = _own_rows(point, t, j)
+        scaled = point.scaling.rows[rows, None] * coefficients * units
+        row, column = np.nonzero(scaled)
+        entries.append((rows[row], k * width + column, scaled[row, column]))
+        facets = point.region(t, j)[point.facets[t, j]]
+        cone = np.vstack([facets, *(normal.column for normal in point.normals[t])]) * units
+        norms = np.linalg.norm(cone, axis=1)
+        cones.append(sp.csc_array(cone[norms > 0] / norms[norms > 0, None]))
+    row, column, value = (np.concatenate(part) for part in zip(*entries, strict=True))
+    beside = sp.csc_array((value, (row, column)), shape=(program.A.shape[0], further))
+    cone = sp.block_diag(cones)
+    rows = sp.csc_array(sp.hstack([sp.csc_array((cone.shape[0], len(point.z))), cone]))
+    extended = _extended(program, rows, np.zeros(cone.shape[0]), prices=np.zeros(further), beside=beside)
+    return extended, np.append(point.z, np.zeros(further))
+
+
+def _own_rows(point: _FitPoint, t: int, j: int) -> tuple[Indices, Array]:
+    """Return the program's rows with d_j, and its coefficients, (rows, n + m).
+
+    These are F_j - F_s in the dynamics, and minus the rows of the own mode's region and of the stage's sets.
+    """
+    own = int(point.sequence[t])
+    kinks = point.maps(t)[j] - point.maps(t)[own]
+    found = {int(row) - 1: -line for row, line in zip(point.rows.eta[t], kinks, strict=True)}
+    for row in np.flatnonzero(point.facets[t, own]):
+        found[point.region_row(t, int(row))] = -point.region(t, own)[row]
+    for normal in point.normals[t]:
+        found[point.normal_row(normal)] = -normal.sign * normal.column
+    found.pop(-1, None)
+    return np.array(list(found), dtype=int), np.array(list(found.values()))
+
+
+def _extended(
+    program: Program,
+    rows: sp.csc_array,
+    limits: Array,
+    equations: bool = False,
+    prices: Array | None = None,
+    beside: sp.csc_array | None = None,
+) -> Program:
+    """Return the program with new rows <= limits (or equations) and new variables.
+
+    The variables have these prices, and the coefficients ``beside`` in the rows of the program.
+    """
+    prices = np.zeros(0) if prices is None else prices
+    count = program.A.shape[0], len(prices)
+    beside = sp.csc_array(count) if beside is None else beside
+    return replace(
+        program,
+        P=sp.csc_array(sp.block_diag([program.P, sp.csc_array((len(prices), len(prices)))])),
+        q=np.append(program.q, prices),
+        A=sp.csc_array(sp.vstack([sp.hstack([program.A, beside]), rows])),
+        lower=np.append(program.lower, limits if equations else np.full(len(limits), -np.inf)),
+        upper=np.append(program.upper, limits),
+    )

@@ -1,0 +1,261 @@
+"""The embedding of path relaxations, compiled as a whole: nodes of a search take some ten steps of it.
+
+minimise cost'w subject to C w = b, G w + s = 0, s in K. With multipliers p and z, and homogeneous in tau,
+
+    r_w = C'p + G'z + cost tau,   r_p = C w - b tau,   r_s = G w + s,   r_tau = kappa + cost'w + b'p.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import types
+
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.methods.hybrid.search import path_cones, path_factors, path_lengths
+from lin_freq_ocp.methods.hybrid.search.path_cones import (
+    cones_margin,
+    cones_product,
+    cones_quotient,
+    cones_scale,
+    cones_scaled,
+    cones_steepest,
+)
+from lin_freq_ocp.methods.hybrid.search.path_factors import (
+    PathData,
+    PathFactors,
+    add_adjoint,
+    add_rows,
+    band_width,
+    edges_weighted,
+    path_factored,
+    path_solved,
+)
+from lin_freq_ocp.methods.hybrid.search.path_lengths import path_proven
+from lin_freq_ocp.methods.structured import embedding
+from lin_freq_ocp.methods.structured.embedding import FRACTION, INTERIOR, MOVED
+from lin_freq_ocp.methods.structured.kkt import kernels
+from lin_freq_ocp.methods.structured.kkt.compilation import WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
+from lin_freq_ocp.methods.structured.kkt.kernels import dot, largest
+
+OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
+"""How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
+
+MOST_STEPS = 60
+SHORTEST = 1e-5  # a step that makes no progress
+VANISHED = 1e-2  # tau, relative to kappa, below which a ray is looked for; who uses it checks it
+RAY = 1e-7  # residual of a ray relative to -b'p
+CLEAR_RESIDUAL = 1e-3  # of a point whose cost is good enough to say that a node must be split
+BOUNDED_FROM = 4  # steps: the bounds of points before prove nothing of use
+
+NUMBERS = 10
+TAU, KAPPA, COST, BOUND, OF_PRIMAL, OF_DUAL, OF_RAY, MU, STEPS, PROVEN = range(NUMBERS)
+"""What is known of a point: cost and bound of (w, p)/tau, relative residuals, that of (p, z) as a ray, the bound that
+its multipliers prove by a shortest path."""
+
+Point = tuple[Array, Array, Array, Array]
+"""w (W, E), p, z (rows, E), s."""
+
+Residuals = tuple[Array, Array, Array]
+"""r_w (W, E), r_p, r_s (rows, E)."""
+
+
+@jit
+def add_cone_rows(G: Array, w: Array, out: Array) -> None:
+    """Add G w."""
+    for i in range(G.shape[0]):
+        for m in range(G.shape[1]):
+            for e in range(G.shape[2]):
+                out[i, e] += G[i, m, e] * w[m, e]
+
+
+@jit
+def subtract_cone_adjoint(G: Array, z: Array, out: Array) -> None:
+    """Subtract G'z."""
+    for i in range(G.shape[0]):
+        for m in range(G.shape[1]):
+            for e in range(G.shape[2]):
+                out[m, e] -= G[i, m, e] * z[i, e]
+
+
+@inlined
+def path_measure(data: PathData, point: Point, residuals: Residuals, numbers: Array) -> None:
+    """Write the residuals of a point and the numbers beside tau, kappa and the steps."""
+    (w, p, z, s), (r_w, r_p, r_s), tau = point, residuals, numbers[TAU]
+    r_w[:], r_p[:], r_s[:] = 0.0, 0.0, s
+    add_rows(data, data.rows, w, r_p)
+    add_cone_rows(data.G, w, r_s)
+    subtract_cone_adjoint(data.G, z, r_w)
+    add_adjoint(data, data.rows, -p, r_w)
+    r_w *= -1.0
+    cost, bound, size_w = dot(data.cost.ravel(), w.ravel()), -dot(data.b, p), largest(w.ravel())
+    numbers[OF_RAY] = largest(r_w.ravel()) / bound if bound > 0.0 else np.inf
+    r_w += tau * data.cost
+    r_p -= tau * data.b
+    numbers[COST], numbers[BOUND] = cost / tau, bound / tau
+    numbers[OF_PRIMAL] = max(largest(r_p), largest(r_s.ravel())) / (tau + size_w)
+    numbers[OF_DUAL] = largest(r_w.ravel()) / (tau * (1.0 + largest(data.cost.ravel())))
+    numbers[MU] = (dot(s.ravel(), z.ravel()) + tau * numbers[KAPPA]) / ((data.linear + 1) * w.shape[1] + 1)
+
+
+@inlined
+def ended(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear: float) -> int:
+    """Return how the run ends at a point, or -1; tolerances of the point, and of the bound that it proves.
+
+    A node is to be split where the bound misses the cost by less than ``clear`` times what is left to the cutoff.
+    """
+    cost, proven = numbers[COST], numbers[PROVEN]
+    gap, size = abs(cost - numbers[BOUND]), max(1.0, min(abs(cost), abs(proven)))
+    if numbers[OF_PRIMAL] <= tolerances[0] and gap <= tolerances[0] * size and cost - proven <= tolerances[1] * size:
+        return OPTIMAL
+    if numbers[TAU] < VANISHED * min(1.0, numbers[KAPPA]) and numbers[OF_RAY] <= RAY:
+        return INFEASIBLE
+    if proven > cutoff:
+        return DECIDED
+    split = clear > 0.0 and cutoff < np.inf and abs(cost - proven) <= clear * (cutoff - cost)
+    return DECIDED if split and numbers[OF_PRIMAL] <= CLEAR_RESIDUAL else -1
+
+
+@inlined
+def path_directed(
+    data: PathData,
+    factors: PathFactors,
+    scaling: tuple[Array, Array, Array],
+    residuals: Residuals,
+    constant: tuple[Array, Array],
+    second: Array,
+    numbers: tuple[float, float, float, float, float, float],
+) -> tuple[Array, Array, Array, Array, Array, tuple[float, float, float]]:
+    """Return dw, dp, dz, ds, W^-1 ds o W dz; dtau, dkappa, and 1/a for the longest step a.
+
+    second: what is added to the complementarity lam o lam. numbers: sigma, sigma mu, r_tau, tau, kappa, d_kappa.
+    """
+    (r_w, r_p, r_s), (w, eta, lam), linear = residuals, scaling, data.linear
+    sigma, centre, r_tau, tau, kappa, d_kappa = numbers
+    rest, d_s = 1.0 - sigma, cones_product(linear, lam, lam)
+    d_s += second
+    d_s[: linear + 1] -= centre
+    moved = rest * cones_scaled(linear, w, eta, r_s, True) - cones_quotient(linear, lam, d_s)
+    of_w = -rest * r_w
+    subtract_cone_adjoint(data.G, cones_scaled(linear, w, eta, moved, True), of_w)
+    dw, dp = path_solved(data, factors, of_w, -rest * r_p)
+    cost, b = data.cost.ravel(), data.b
+    steepness = dot(cost, constant[0].ravel()) + dot(b, constant[1]) - kappa / tau
+    dtau = (-rest * r_tau + d_kappa / tau - dot(cost, dw.ravel()) - dot(b, dp)) / steepness
+    dw += dtau * constant[0]
+    dp += dtau * constant[1]
+    of_rows = np.zeros(r_s.shape)
+    add_cone_rows(data.G, dw, of_rows)
+    of_z = cones_scaled(linear, w, eta, of_rows, True) + moved
+    dz, ds = cones_scaled(linear, w, eta, of_z, True), -rest * r_s - of_rows
+    of_s = cones_scaled(linear, w, eta, ds, True)
+    dkappa = -(d_kappa + kappa * dtau) / tau
+    steepest = max(cones_steepest(linear, lam, of_s), cones_steepest(linear, lam, of_z))
+    inverse = max(steepest, -dtau / tau, -dkappa / kappa)
+    return dw, dp, dz, ds, cones_product(linear, of_s, of_z), (dtau, dkappa, inverse)
+
+
+@inlined
+def path_step(data: PathData, point: Point, residuals: Residuals, numbers: Array, width: int) -> float:
+    """Move the point by predictor and corrector; return the length of the step."""
+    (w, p, z, s), tau, kappa = point, numbers[TAU], numbers[KAPPA]
+    of_scaling, eta = cones_scale(data.linear, s, z)
+    scaling = of_scaling, eta, cones_scaled(data.linear, of_scaling, eta, z, False)
+    factors = path_factored(data, edges_weighted(data.G, data.linear, of_scaling, eta), width)
+    constant = path_solved(data, factors, -data.cost, data.b)
+    r_tau = kappa + tau * (numbers[COST] - numbers[BOUND])
+    sigma, centre, d_kappa, second, a = 0.0, 0.0, kappa * tau, np.zeros(s.shape), 0.0
+    for phase in range(2):
+        given = sigma, centre, r_tau, tau, kappa, d_kappa
+        dw, dp, dz, ds, second, found = path_directed(data, factors, scaling, residuals, constant, second, given)
+        if phase == 0:
+            sigma = (1 - min(1 / max(found[2], FRACTION), 1.0)) ** 3
+            centre = sigma * numbers[MU]
+            d_kappa += found[1] * found[0] - centre
+        else:
+            a = FRACTION / max(found[2], FRACTION)
+            w += a * dw
+            p += a * dp
+            z += a * dz
+            s += a * ds
+            numbers[TAU], numbers[KAPPA] = tau + a * found[0], kappa + a * found[1]
+    return a
+
+
+@jit
+def move_within(linear: int, v: Array) -> None:
+    """Move v well inside the cone if it is not."""
+    least, size = cones_margin(linear, v), max(1.0, largest(v.ravel()))
+    if least < INTERIOR * size:
+        v[: linear + 1] += max(1.0, MOVED * size) - least
+
+
+@inlined
+def path_begin(data: PathData, point: Point, width: int) -> None:
+    """Write the first point, from the solution at W = 1."""
+    (w, p, z, s), linear = point, data.linear
+    unit = np.zeros(s.shape)
+    unit[: linear + 1] = 1.0
+    factors = path_factored(data, edges_weighted(data.G, linear, unit, np.ones(s.shape[1])), width)
+    first = path_solved(data, factors, -data.cost, data.b)
+    w[:], p[:], z[:] = first[0], first[1], 0.0
+    add_cone_rows(data.G, w, z)
+    s[:] = -z
+    move_within(linear, s)
+    move_within(linear, z)
+
+
+@jit
+def path_run(
+    rows: Array,
+    places: Indices,
+    times: Indices,
+    coupled: Array,
+    b: Array,
+    cost: Array,
+    G: Array,
+    linear: int,
+    shares: Array,
+    leaves: Indices,
+    enters: Indices,
+    images: int,
+    w: Array,
+    p: Array,
+    z: Array,
+    s: Array,
+    numbers: Array,
+    tolerance: float,
+    proven: float,
+    cutoff: float,
+    clear: float,
+) -> int:
+    """Run from the first point until it ends; return how. ``PathData``, ``Point``, and ``ended``.
+
+    Arguments are flat, as it takes numba long to look into tuples.
+    """
+    data = PathData(rows, places, times, coupled, b, cost, G, linear, shares, leaves, enters, images)
+    point, width = (w, p, z, s), band_width(places)
+    residuals = np.empty(cost.shape), np.empty(len(b)), np.empty(s.shape)
+    numbers[TAU], numbers[KAPPA], numbers[STEPS], numbers[PROVEN] = 1.0, 1.0, 0.0, -np.inf
+    path_begin(data, point, width)
+    while numbers[STEPS] <= MOST_STEPS:
+        path_measure(data, point, residuals, numbers)
+        if numbers[STEPS] >= BOUNDED_FROM:
+            numbers[PROVEN] = path_proven(data, w, p, z, numbers[TAU])
+        end = ended(numbers, (tolerance, proven), cutoff, clear)
+        if end >= 0:
+            return end
+        if not (path_step(data, point, residuals, numbers, width) > SHORTEST and numbers[TAU] > 0.0):
+            return STALLED
+        numbers[STEPS] += 1
+    return STALLED
+
+
+_ONE, _TWO, _THREE = WRITTEN[1:]
+_PLACES, _REAL = types.Array(types.intp, 2, "C"), types.float64
+_DATA = (_THREE, _PLACES, WRITTEN_INDICES, _THREE, _ONE, _TWO, _THREE, types.intp)
+_DATA += _TWO, WRITTEN_INDICES, WRITTEN_INDICES, types.intp
+_POINT = _TWO, _ONE, _TWO, _TWO, _ONE
+KERNELS = Kernels(
+    (__file__, path_factors.__file__, path_cones.__file__, path_lengths.__file__, kernels.__file__, embedding.__file__),
+    (path_run, (*_DATA, *_POINT, _REAL, _REAL, _REAL, _REAL)),
+)

@@ -1,0 +1,200 @@
+"""What searches over modes share: limits, progress, outcome, and the solve of one node's relaxation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Indices, Mask
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.methods.hybrid.search.node import Decision, Relaxed, multipliers_of, relaxed_path
+from lin_freq_ocp.methods.progress import Progress
+from lin_freq_ocp.problem.hybrid.mode_reach import Reach
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.program.backends.base import Claim, Solution
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import Duals, Member, ModeRelaxation
+
+GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
+SEARCH_SHARE = 0.6  # of the time: in the rest the leaves are checked, each about as long as a node takes
+# Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance,
+# whose bound is weaker but checked all the same
+TOLERANCES = (1e-8, 1e-6)
+FINE = (1e-11, 1e-9)  # for leaves whose proof turned out too weak
+# Violation, in natural units, up to which the point of a single sequence is feasible: ten times the looser tolerance.
+# A row that a program or its solver has lost is violated by far more.
+FEASIBLE = 1e-5
+
+
+@dataclass(frozen=True)
+class SearchLimits:
+    """When to stop: relative gap, seconds in all, and relaxations solved."""
+
+    gap: float = GAP
+    seconds: float = np.inf
+    nodes: int = 10**9
+
+    @property
+    def search_seconds(self) -> float:
+        """Return the time for solving relaxations; the rest is for the proof."""
+        return SEARCH_SHARE * self.seconds
+
+    def reached(self, seconds: float, nodes: int) -> str:
+        """Return which limit of time or nodes is reached, or an empty string."""
+        if seconds > self.search_seconds:
+            return f"time limit of {self.seconds:g} s"
+        return f"limit of {self.nodes} nodes" if nodes >= self.nodes else ""
+
+
+@dataclass(frozen=True)
+class SearchProgress(Progress):
+    """How far a search over modes is.
+
+    Attributes
+    ----------
+    nodes, open : int
+        Relaxations solved, and nodes still to be split.
+    seconds : float
+    """
+
+    nodes: int
+    open: int
+    seconds: float
+
+    def __str__(self) -> str:
+        best = f"cost {self.cost:.6g}" if np.isfinite(self.cost) else "no trajectory yet"
+        return f"{best}, bound {self.lower_bound:.6g}, {self.nodes} nodes, {self.open} open"
+
+
+@dataclass(frozen=True, eq=False)
+class SearchOutcome:
+    """The best sequence (T,) with its relaxed cost (inf: none was found), the tree, and why the search stopped early.
+
+    ``nodes`` relaxations were solved, after ``setup`` seconds.
+    """
+
+    sequence: Indices | None
+    cost: float
+    tree: ModeTree
+    message: str
+    interrupted: bool
+    nodes: int
+    setup: float = 0.0
+
+
+def relaxed(
+    relaxation: ModeRelaxation,
+    reach: Reach,
+    tolerances: Sequence[float] = TOLERANCES,
+    end: float = np.inf,
+    cutoff: float | None = None,
+    compiled: bool = False,
+) -> Relaxed:
+    """Solve the relaxation of a reach to the first tolerance that the solver reaches until ``end``.
+
+    With a cutoff, only as far as it takes to see on which side of it the node is; the relaxation of a single sequence
+    below it is solved. Its trajectory is None unless it is feasible: then only its bound holds. ``compiled`` allows
+    compiled code. Raises KeyboardInterrupt where the solver was interrupted.
+    """
+    if now() > end:
+        return Relaxed(reach, -np.inf)
+    if isinstance(relaxation, PathRelaxation):
+        answer = relaxed_path(relaxation, reach, tolerances, end, cutoff, compiled)
+        checked = None if answer is None else _checked(relaxation, answer)
+        if checked is not None and (checked is answer or (cutoff is not None and checked.bound >= cutoff)):
+            return checked
+    return _checked(relaxation, _relaxed_by_shares(relaxation, reach, tolerances, end, cutoff))
+
+
+def _checked(relaxation: ModeRelaxation, answer: Relaxed) -> Relaxed:
+    """Return an answer, without its trajectory if that is one of a single sequence and not feasible."""
+    sequence, trajectory = answer.sequence, answer.trajectory
+    if sequence is None or trajectory is None or relaxation.violation(trajectory, sequence) <= FEASIBLE:
+        return answer
+    return replace(answer, trajectory=None)
+
+
+def _relaxed_by_shares(
+    relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float], end: float, cutoff: float | None
+) -> Relaxed:
+    """Solve the relaxation of a reach by shares of modes, as ``relaxed``."""
+    from lin_freq_ocp.program.backends.clarabel_ import solve_form  # slow to import
+
+    member, several = relaxation.member(reach), bool((reach.allowed.sum(axis=1) > 1).any())
+    attempts: list[tuple[float, Decision | None]] = [(tolerance, None) for tolerance in tolerances]
+    if cutoff is not None and relaxation.proves:
+        attempts.insert(0, (tolerances[0], Decision(relaxation.objective(cutoff), several)))
+    for tolerance, enough in attempts:
+        left = end - now()
+        if left <= 0:
+            break
+        solution = solve_form(member.form, tolerance, None if left == np.inf else left, enough)
+        z, y = solution.z, solution.y
+        if solution.claim is Claim.INTERRUPTED:
+            raise KeyboardInterrupt
+        if enough is not None:
+            answer = _decided(relaxation, member, solution, enough)
+            if answer is not None:
+                return answer
+            continue
+        if solution.claim is Claim.INFEASIBLE:
+            return Relaxed(reach, -np.inf) if y is None else Relaxed(reach, np.inf, member.duals(y, 0.0))
+        if solution.claim is Claim.SOLVED:
+            if z is None or y is None:
+                break
+            bound = relaxation.cost(member.form.dual_objective(z, y))
+            return Relaxed(reach, bound, member.duals(y, 1.0), *relaxation.point(member, z))
+    return Relaxed(reach, -np.inf)
+
+
+def _decided(relaxation: ModeRelaxation, member: Member, solution: Solution, enough: Decision) -> Relaxed | None:
+    """Return the relaxation of a node that a rough solution decides: closed by its duals, or to be split."""
+    z, y = solution.z, solution.y
+    if solution.claim not in (Claim.STOPPED, Claim.SOLVED) or z is None or y is None:
+        return None
+    duals = member.duals(y, 1.0)
+    bound = relaxation.proven(member.reach, duals)
+    split = enough.several and solution.claim is Claim.STOPPED
+    if not split and relaxation.objective(bound) <= enough.cutoff:
+        return None
+    return Relaxed(member.reach, bound, duals, *relaxation.point(member, z))
+
+
+def proven_tree(
+    relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | PathDuals | None]
+) -> ModeTree:
+    """Return the tree with the multipliers of every node that has duals."""
+    pairs = zip(nodes, duals, strict=True)
+    return ModeTree(
+        tuple(node if own is None else replace(node, proof=multipliers_of(relaxation, own)) for node, own in pairs)
+    )
+
+
+def refined(
+    problem: OptimalControlProblem,
+    tree: ModeTree,
+    leaves: Indices,
+    end: float = np.inf,
+    kind: Callable[[OptimalControlProblem], ModeRelaxation] = PathRelaxation,
+) -> ModeTree:
+    """Return the tree with new proofs of some leaves, from relaxations solved to the finest tolerance until ``end``."""
+    relaxation, nodes = kind(problem), list(tree.nodes)
+    for index in leaves:
+        reach = relaxation.reach.from_start(nodes[index].allowed)
+        answer = None if reach is None else relaxed(relaxation, reach, FINE, end)
+        if answer is not None and answer.duals is not None:
+            nodes[index] = replace(nodes[index], bound=answer.bound, proof=multipliers_of(relaxation, answer.duals))
+    return ModeTree(tuple(nodes))
+
+
+def one_mode_each(allowed: Mask, t: int) -> list[Mask]:
+    """Return masks (T, modes), each with one of the modes that are allowed at time t."""
+    masks: list[Mask] = []
+    for i in np.flatnonzero(allowed[t]):
+        mask = allowed.copy()
+        mask[t] = np.arange(mask.shape[1]) == i
+        masks.append(mask)
+    return masks

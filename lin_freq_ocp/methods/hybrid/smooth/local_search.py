@@ -1,0 +1,361 @@
+"""Local optima of several mode sequences, each improved by changing one mode at a time.
+
+For one or two states, dynamic programming on a grid of states and controls gives trajectories to start from. Values
+between grid points are interpolated linearly, so the result is near an optimum and proves nothing. Frequency
+constraints couple all times; their multipliers, as functions of time, are in the stage costs instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.formulas.jets import values_of
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, is_smooth, smooth_optimum
+from lin_freq_ocp.methods.hybrid.smooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
+from lin_freq_ocp.methods.progress import Progress
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.sizes import search_scale, stated_sizes
+from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.problem.starts import Start
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RegularGridInterpolator
+
+
+# Grid points of each state and of each control, by the numbers of states and controls: some 10^5 pairs
+POINTS = {(1, 1): (301, 401), (1, 2): (201, 25), (2, 1): (61, 51), (2, 2): (41, 11)}
+FINER = 4  # times as many control points in the forward pass
+SAMPLES = 64  # random control sequences, for the range of states without bounds
+# Of the distance to the terminal set, relative to the spread of stage costs over the range of a state: no control of
+# the grid reaches the set exactly; a high price favours the distance, a low one the cost
+END_PRICES = (2.0, 10.0, 50.0)
+
+
+def grid_trajectories(
+    problem: OptimalControlProblem, multipliers: Multipliers | None = None, deadline: float = np.inf
+) -> Iterator[Trajectory]:
+    """Yield trajectories of the grid's values until ``deadline``; none with more than two states, or without bounds.
+
+    The frequency multipliers are in the cost.
+    """
+    from scipy.interpolate import RegularGridInterpolator  # slow to import
+
+    n, m = problem.state_dim, problem.control_dim
+    tube = problem.control_tube
+    if (n, m) not in POINTS or not np.isfinite([tube.lower, tube.upper]).all():
+        return
+    of_states, of_controls = POINTS[n, m]
+    lower, upper = _state_range(problem)
+    axes = [np.linspace(low, high, of_states) for low, high in zip(lower, upper, strict=True)]
+    states = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    controls = _controls(problem, of_controls)
+    pairs = np.hstack(
+        [np.repeat(states.reshape(-1, n), len(controls), axis=0), np.tile(controls, (states[..., 0].size, 1))]
+    )
+    after, costs = _successors(problem, pairs), _StageCosts(problem, multipliers)
+    spread = float(np.ptp(costs.at(0, pairs)))
+    far = 10 * (1 + spread) * problem.horizon
+    end = problem.ends[1]
+    distance = np.maximum(np.maximum(end.lower - states, states - end.upper), 0.0) / np.maximum(upper - lower, 1e-300)
+    last, missed = costs.last(states.reshape(-1, n)).reshape(states.shape[:-1]), spread * distance.sum(axis=-1)
+    for price in END_PRICES if missed.any() else END_PRICES[:1]:
+        value = last + price * missed
+        following: list[RegularGridInterpolator] = []
+        for t in range(problem.horizon - 1, -1, -1):
+            if now() > deadline:
+                return
+            following.append(RegularGridInterpolator(axes, value, bounds_error=False, fill_value=far))
+            total = costs.at(t, pairs) + np.nan_to_num(following[-1](after), nan=far)
+            value = np.minimum(total.reshape(-1, len(controls)).min(axis=1), far).reshape(value.shape)
+        found = _followed(problem, costs, following[::-1], far)
+        if found is not None:
+            yield found
+
+
+def _followed(
+    problem: OptimalControlProblem, costs: _StageCosts, following: list[RegularGridInterpolator], far: float
+) -> Trajectory | None:
+    controls = _controls(problem, FINER * POINTS[problem.state_dim, problem.control_dim][1])
+    box = problem.ends[0]
+    x = [np.clip(np.zeros(problem.state_dim), box.lower, box.upper)]
+    u: list[Array] = []
+    for t in range(problem.horizon):
+        pairs = np.hstack([np.tile(x[-1], (len(controls), 1)), controls])
+        after = _successors(problem, pairs)
+        total = costs.at(t, pairs) + np.nan_to_num(following[t](after), nan=far)
+        total = np.where(np.isfinite(after).all(axis=1), total, np.inf)
+        best = int(np.argmin(total))
+        if not np.isfinite(total[best]):
+            return None
+        u.append(controls[best])
+        x.append(after[best])
+    return Trajectory(np.array(x), np.array(u))
+
+
+class _StageCosts:
+    """The quadratic costs of pairs (points, n + m), with the signals of frequency multipliers."""
+
+    def __init__(self, problem: OptimalControlProblem, multipliers: Multipliers | None):
+        T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+        self._cost, self._n = problem.quadratic, n
+        self._hessians = np.broadcast_to(self._cost.stage_hessians(), (T, n + m, n + m))
+        x_ref, u_ref = np.broadcast_to(self._cost.x_ref, (T + 1, n)), np.broadcast_to(self._cost.u_ref, (T, m))
+        self._references, self._last = np.hstack([x_ref[:-1], u_ref]), x_ref[-1]
+        linear = np.hstack([np.broadcast_to(self._cost.q, (T, n)), np.broadcast_to(self._cost.r, (T, m))])
+        self._linear, self._end = linear, np.asarray(self._cost.p)
+        if multipliers is not None:
+            of_x, of_u = problem.in_time(multipliers.rho_x), time_signal(multipliers.rho_u, T)
+            self._linear = linear + np.hstack([of_x[:-1], of_u])
+            self._end = self._end + of_x[-1]
+
+    def at(self, t: int, pairs: Array) -> Array:
+        """Return the costs at a time, (points,)."""
+        y = pairs - self._references[t]
+        return 0.5 * np.einsum("pi,ij,pj->p", y, self._hessians[t], y) + y @ self._linear[t]
+
+    def last(self, states: Array) -> Array:
+        """Return the costs of the last state, (points,)."""
+        a = states - self._last
+        return 0.5 * np.einsum("pi,ij,pj->p", a, self._cost.P, a) + a @ self._end
+
+
+def _successors(problem: OptimalControlProblem, pairs: Array) -> Array:
+    """Return the successors of pairs in the first mode that holds, (points, n); NaN where none does."""
+    dynamics = piecewise_smooth(problem)
+    found = np.full((len(pairs), problem.state_dim), np.nan)
+    missing = np.ones(len(pairs), dtype=bool)
+    for mode in dynamics.modes:
+        values, region, domain = (values_of(part, pairs) for part in (mode.f, mode.region, mode.domain))
+        here = missing & (region <= 0).all(axis=1) & (domain > 0).all(axis=1) & np.isfinite(values).all(axis=1)
+        found[here] = values[here]
+        missing &= ~here
+    return found
+
+
+def _controls(problem: OptimalControlProblem, points: int) -> Array:
+    """Return a grid over the bounds of the controls, (points, m)."""
+    tube = problem.control_tube
+    lower, upper = tube.lower.min(axis=0), tube.upper.max(axis=0)
+    axes = [np.linspace(low, high, points) for low, high in zip(lower, upper, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """Return bounds of the states, (n,) and (n,): as stated, else by simulation with random controls."""
+    tube, rng = problem.state_tube, np.random.default_rng(0)
+    lower, upper = tube.lower.min(axis=0), tube.upper.max(axis=0)
+    if np.isfinite(lower).all() and np.isfinite(upper).all():
+        return lower, upper
+    start = np.clip(np.zeros(problem.state_dim), problem.ends[0].lower, problem.ends[0].upper)
+    low, high = problem.control_tube.lower, problem.control_tube.upper
+    reached = [start[None]]
+    for i in range(SAMPLES):
+        share = rng.random(low.shape) if i % 2 else np.full(low.shape, rng.random())
+        try:
+            reached.append(simulate(problem, low + share * (high - low), start).x)
+        except NumericalError:
+            continue
+    states = np.vstack(reached)
+    margin = 0.05 * np.ptp(states, axis=0) + 1e-3
+    return (
+        np.where(np.isfinite(lower), lower, states.min(axis=0) - margin),
+        np.where(np.isfinite(upper), upper, states.max(axis=0) + margin),
+    )
+
+
+SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
+SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
+LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
+DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
+
+
+@dataclass(frozen=True)
+class SmoothProgress(Progress):
+    """How far the search over piecewise-smooth dynamics is.
+
+    Attributes
+    ----------
+    tried : int
+        Starts of local searches.
+    level : int
+        Of the lattices of the bound; 0 before.
+    share : float
+        How much of the level is done, from 0 to 1.
+    """
+
+    tried: int
+    level: int = 0
+    share: float = 0.0
+
+    def __str__(self) -> str:
+        message = [f"cost {self.cost:.6g}" if np.isfinite(self.cost) else "no trajectory yet", f"{self.tried} starts"]
+        if self.level:
+            message.append(f"bound {self.lower_bound:.6g}, {self.share:.0%} of level {self.level}")
+        return ", ".join(message)
+
+
+@dataclass
+class LocalSearch:
+    """One search; ``run`` it once, then ``look_near`` other starts.
+
+    ``best`` is the cheapest trajectory, else the point of least violation; ``tried`` counts starts; ``words`` say why
+    the search stopped early; ``progress`` is called after every start, the first being ``start``.
+    """
+
+    problem: OptimalControlProblem
+    seconds: float = np.inf
+    progress: Callable[[SmoothProgress], None] | None = None
+    start: Start | None = None
+    best: LocalOptimum | None = None
+    tried: int = 0
+    message: str = ""
+    interrupted: bool = False
+
+    def __post_init__(self):
+        self._end = now() + self.seconds
+        self._known: set[tuple[bytes, bytes]] = set()
+        self._units = stated_sizes(self.problem)[1]
+        self._smooth = is_smooth(self.problem)
+
+    def run(self) -> LocalSearch:
+        """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
+        try:
+            if self.start is not None:
+                self._try(self.start.trajectory or self._held(SHARES[0]), self.start.sequence, warm=True)
+                if self._smooth and self.best is not None and self.best.feasible:
+                    return self
+            self._on_grid(None)
+            for trajectory, sequence in self._starts():
+                found = self.best is not None and self.best.feasible
+                if self._late() or (self._smooth and found and self.tried >= SMOOTH_STARTS):
+                    break
+                self._try(trajectory, sequence)
+            if self._smooth and self.best is not None and not self.best.feasible:
+                self._try(self.best.trajectory, self.best.sequence, warm=True)
+            while not self._late() and (self._on_grid(self.best) or self._improved()):
+                pass
+        except KeyboardInterrupt:
+            self.interrupted, self.message = True, "interrupted"
+        return self
+
+    def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
+        """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
+        before = self.best
+        self._try(trajectory, sequence, PRICES[:1])
+        while self.best is not before and self._improved():
+            pass
+        return self.best is not before and self.best is not None and self.best.feasible
+
+    def _on_grid(self, local: LocalOptimum | None) -> bool:
+        """Try the trajectory of a grid, with the frequency multipliers of a local optimum; return if it is better."""
+        before = self.best
+        constrained = self.problem.control_stop.any() or self.problem.state_stop.any()
+        if self._smooth or (local is not None and (not constrained or not local.feasible)):
+            return False
+        multipliers = None if local is None else local.multipliers
+        for trajectory in grid_trajectories(self.problem, multipliers, self._end):
+            self._try(trajectory, piecewise_smooth(self.problem).sequence_of(trajectory.x, trajectory.u))
+        return self.best is not before
+
+    def _improved(self) -> bool:
+        """Try the neighbours of the best sequence; return whether one of them is better."""
+        before = self.best
+        if before is None:
+            return False
+        for sequence in flipped(self.problem, before):
+            if self._late():
+                return False
+            self._try(before.trajectory, sequence, PRICES[:1])
+            if self.best is not before:
+                return True
+        return False
+
+    def _try(self, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES, warm: bool = False) -> None:
+        key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes()
+        if self._late() or key in self._known:
+            return
+        self._known.add(key)
+        self.tried += 1
+        found = self._optimum(start, sequence, prices, warm)
+        if found is not None and (self.best is None or _better(self.problem, found, self.best)):
+            self.best = found
+        if self.progress is not None:
+            known = self.best is not None and self.best.feasible
+            self.progress(SmoothProgress(self.best.cost if known and self.best else np.inf, -np.inf, self.tried))
+
+    def _optimum(
+        self, start: Trajectory, sequence: Indices, prices: Sequence[float], warm: bool
+    ) -> LocalOptimum | None:
+        if self._smooth:
+            try:
+                found, ended = smooth_optimum(self.problem, start, self._end, warm)
+            except UnsupportedError:  # too large for the structured method
+                self._smooth = False
+            else:
+                self.interrupted = ended is End.INTERRUPTED
+                return found
+        return local_optimum(self.problem, start, sequence, prices, self._end)
+
+    def _late(self) -> bool:
+        if self.interrupted:
+            self.message = "interrupted"
+            return True
+        if now() <= self._end:
+            return False
+        self.message = f"time limit of {self.seconds:g} s"
+        return True
+
+    def _starts(self) -> Iterator[tuple[Trajectory, Indices]]:
+        """Yield trajectories of constant controls with their mode sequences, then with each mode alone."""
+        dynamics = piecewise_smooth(self.problem)
+        for share in SHARES:
+            trajectory = self._held(share)
+            alone = np.zeros(self.problem.horizon, dtype=np.intp)
+            yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
+        for mode in range(len(dynamics.modes)):
+            yield self._held(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
+
+    def _held(self, share: float) -> Trajectory:
+        """Return the trajectory of controls at a share between their bounds.
+
+        Where there is none, the state is constant. Of one smooth map, whose replay may take long, it then goes straight
+        from one end to the other.
+        """
+        tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
+        u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)
+        if not self._smooth or self.problem.horizon <= LONGEST_REPLAY:
+            with suppress(NumericalError):
+                return simulate(self.problem, u, start)
+        box = self.problem.ends[1]
+        bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
+        end = np.where(bounded & self._smooth, _middle(box, middle), start)
+        part = np.linspace(0.0, 1.0, self.problem.horizon + 1)[:, None]
+        return Trajectory((1 - part) * start + part * end, u)
+
+
+def _middle(box: Box, share: Array) -> Array:
+    """Return a point of a box at a share between its bounds; at its only bound, or at zero, if it has not two."""
+    lower, upper = np.asarray(box.lower), np.asarray(box.upper)
+    low = np.where(np.isfinite(lower), lower, np.minimum(np.where(np.isfinite(upper), upper, 0.0), 0.0))
+    high = np.where(np.isfinite(upper), upper, np.maximum(low, 0.0))
+    return low + share * (high - low)
+
+
+def _better(problem: OptimalControlProblem, one: LocalOptimum, other: LocalOptimum) -> bool:
+    if one.feasible != other.feasible:
+        return one.feasible
+    if not one.feasible:
+        return one.violation < other.violation
+    return one.cost < other.cost - DECREASE * search_scale(problem, other.trajectory)

@@ -1,0 +1,115 @@
+"""A problem with one smooth map over stages: all but the dynamics is that of the structured method, in its units.
+
+With y_t = (x_t, w_t), the dynamics are x_{t+1} = c_t(y_t); c_t is the map f in deviations from an origin and in units.
+What the end is fixed to has a weight in the cost, too, which changes no answer: without it, a reduced Hessian that is
+positive definite only because of the fixed end would be none for the recursion, which does not know of the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.formulas.jets import jets, values_of
+from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
+from lin_freq_ocp.methods.structured.kkt.system import Values
+from lin_freq_ocp.methods.structured.stages import Stages
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+TERMINAL_WEIGHT = 1e2  # of the distance from a fixed end, relative to the largest curvature of the cost
+LEAST_CURVATURE = 1e-3  # of order 1 are the units
+
+
+class Derivatives(NamedTuple):
+    """The map at a point: successors c (T, n), slopes (T, n, n+m), curvatures (T, n, n+m, n+m), in units of stages."""
+
+    successors: Array
+    slopes: Array
+    curvatures: Array
+
+    @property
+    def finite(self) -> bool:
+        """Whether all are numbers."""
+        return all(bool(np.isfinite(part).all()) for part in self)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothModel:
+    """The stages of a problem with one smooth map, linearised at some trajectory, and the map itself."""
+
+    problem: OptimalControlProblem
+    assembly: Assembly
+
+    @classmethod
+    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
+        """Return the model with units that follow from the linearisation at a trajectory."""
+        assembly = stages_of(replace(problem, dynamics=problem.dynamics_along(trajectory)))
+        return cls(problem, replace(assembly, stages=_with_terminal_weight(assembly.stages)))
+
+    @property
+    def stages(self) -> Stages:
+        """Return the stages, of which A, B and d are those of the first trajectory."""
+        return self.assembly.stages
+
+    def trajectory(self, y: Array) -> Trajectory:
+        """Return the trajectory of a point."""
+        return self.assembly.recovery.trajectory(y)
+
+    def multipliers(self, y: Array, z: Values) -> Multipliers:
+        """Return the multipliers of duals at a point."""
+        recovery, trajectory = self.assembly.recovery, self.trajectory(y)
+        linear = replace(recovery.problem, dynamics=self.problem.dynamics_along(trajectory))
+        return replace(recovery, problem=linear).multipliers(z, 1.0, y)
+
+    def defects(self, y: Array) -> Array:
+        """Return x_{t+1} - c_t at a point, (T, n); not a number where the map is not defined."""
+        mode, signals = piecewise_smooth(self.problem).modes[0], self._signals(y)
+        values = values_of(mode.f, signals)
+        values[~(values_of(mode.domain, signals) > 0).all(axis=1)] = np.nan
+        return y[1:, : self.problem.state_dim] - self._deviations(values)
+
+    def derivatives(self, y: Array) -> Derivatives:
+        """Return c with its derivatives at a point; those by controls that are held are zero."""
+        found, units = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y)), self._units[:-1] * self._free
+        after = self._units[1:, : self.problem.state_dim]
+        slopes = found.slopes * units[:, None, :] / after[:, :, None]
+        curvatures = found.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]
+        return Derivatives(self._deviations(found.values), slopes, curvatures)
+
+    def linearised(self, y: Array, found: Derivatives) -> Stages:
+        """Return the stages linearised at a point, with a copy of the Hessian of the cost."""
+        stages, n, count = self.stages, self.problem.state_dim, found.slopes.shape[2]
+        A, B, d = np.zeros_like(stages.A), np.zeros_like(stages.B), np.zeros_like(stages.d)
+        A[:-1], B[:-1, :, : count - n] = found.slopes[:, :, :n], found.slopes[:, :, n:]
+        d[:-1] = found.successors - np.einsum("tij,tj->ti", found.slopes, y[:-1, :count])
+        return replace(stages, A=A, B=B, d=d, H=stages.H.copy())
+
+    @property
+    def _units(self) -> Array:
+        return self.assembly.recovery.units.columns[:, : self.problem.state_dim + self.problem.control_dim]
+
+    @property
+    def _free(self) -> Mask:
+        return ~self.assembly.recovery.origin.held[:-1]
+
+    def _signals(self, y: Array) -> Array:
+        units = self._units
+        return (self.assembly.recovery.origin.values + y[:, : units.shape[1]] * units)[:-1]
+
+    def _deviations(self, values: Array) -> Array:
+        return (values - self.assembly.recovery.origin.x[1:]) / self._units[1:, : self.problem.state_dim]
+
+
+def _with_terminal_weight(stages: Stages) -> Stages:
+    """Return the stages with the weight of the distance from what x_T is fixed to."""
+    H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
+    largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
+    weight = TERMINAL_WEIGHT * max(LEAST_CURVATURE, largest)
+    H[-1, terminal, terminal] += weight
+    h[-1, terminal] -= weight * end
+    return replace(stages, H=H, h=h, constant=stages.constant + 0.5 * weight * float(end @ end))

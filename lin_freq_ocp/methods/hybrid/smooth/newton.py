@@ -1,0 +1,418 @@
+"""A semismooth Newton method on the conditions of the maximum principle for piecewise-smooth dynamics.
+
+Steps solve the linearised equations, with the term of Levenberg and Marquardt where these are singular, and are
+shortened until |Phi|^2 falls.
+
+The conditions are equations in as many unknowns. Unknowns are x, u, eta, the frequency multipliers, and a selection for
+every kink, shared by x and u: where two modes touch, the weight alpha in [0, 1] of the second; at the zero of a norm,
+the vector xi. For every component v with bounds l <= v <= h, the conditions F >= 0 at l, F <= 0 at h, and F = 0 between
+are, with the function of Fischer and Burmeister, nested as by Billups,
+
+    phi(v - l, phi(h - v, -F)) = 0,    phi(a, b) = |(a, b)| - a - b,    where F is
+
+    of x_t, u_t     the derivative of the Lagrangian without mu, nu, which then are -F
+    of alpha_t      -s(x_t, u_t), the switching function of the first mode
+    of eta_t        x_{t+1} - f_t(x_t, u_t); of frequency multipliers, the rows of the DFT
+    of xi_t         xi - P(xi + q), the projection P onto the unit ball, q the arguments of the norm
+
+Everything is in natural units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import ModeJets
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.real_rows import rows_per_component, spectrum_multipliers, spectrum_rows
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import natural_scaling
+
+
+@dataclass(frozen=True, eq=False)
+class SystemValue:
+    """Phi, an element of its generalised derivative, and F, all in natural units."""
+
+    phi: Array
+    slopes: Array
+    F: Array
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """The equations near a trajectory, and the numbers of their unknowns.
+
+    ``switches`` are (time, second mode, region row of the first), one for each alpha; ``norms`` are (norm, time), one
+    for each xi. Unknowns are divided by ``units``, equations multiplied by ``scales``.
+    """
+
+    problem: OptimalControlProblem
+    sequence: Indices
+    x: Indices
+    u: Indices
+    eta: Indices
+    rho_x: Indices
+    rho_u: Indices
+    switches: list[tuple[int, int, int]]
+    alpha: Indices
+    norms: list[tuple[Formula, int]]
+    xi: list[Indices]
+    units: Array
+    scales: Array
+    lower: Array
+    upper: Array
+    rows_x: Array
+    rows_u: Array
+
+    @classmethod
+    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float) -> System:
+        """Return the system near a trajectory."""
+        T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+        scaling = natural_scaling(LinearTranscription(problem.affine_at(trajectory).with_modes(sequence)))
+        in_x, in_u = scaling.columns[:n], scaling.columns[(T + 1) * n : (T + 1) * n + m]
+        rows_x = spectrum_rows(problem.state_stop, problem.state_samples, (T + 1) * n, 0).toarray()
+        rows_u = spectrum_rows(problem.control_stop, T, T * m, 0).toarray()
+        of_x = np.repeat(in_x, rows_per_component(problem.state_stop, problem.state_samples))
+        of_u = np.repeat(in_u, rows_per_component(problem.control_stop, T))
+        switches = _switches(problem, trajectory, sequence, np.append(in_x, in_u), near)
+        norms = _norms(problem, trajectory, near)
+        sizes = [(T + 1) * n, T * m, T * n, len(rows_x), len(rows_u), len(switches)]
+        sizes += [len(norm.arguments) for norm, _ in norms]
+        ends = np.cumsum(sizes)
+        numbers = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        x, u, eta, rho_x, rho_u, alpha = numbers[:6]
+        units = np.ones(ends[-1])
+        units[x], units[u], units[eta] = np.tile(in_x, T + 1), np.tile(in_u, T), np.tile(1 / (scaling.cost * in_x), T)
+        units[rho_x], units[rho_u] = 1 / (scaling.cost * of_x), 1 / (scaling.cost * of_u)
+        scales = np.ones(ends[-1])
+        signals = np.concatenate([x, u])
+        scales[signals] = scaling.cost * units[signals]
+        scales[eta], scales[rho_x], scales[rho_u] = np.tile(1 / in_x, T), 1 / of_x, 1 / of_u
+        slopes = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+        for k, (t, _, row) in enumerate(switches):
+            slope = slopes.regions[sequence[t]].slopes[t, row] * np.append(in_x, in_u)
+            scales[alpha[k]] = 1 / max(float(np.linalg.norm(slope)), 1e-300)
+        lower, upper = np.full(ends[-1], -np.inf), np.full(ends[-1], np.inf)
+        for signal, box in ((x, problem.state_tube), (u, problem.control_tube)):
+            lower[signal], upper[signal] = box.lower.ravel(), box.upper.ravel()
+        lower[alpha], upper[alpha] = 0.0, 1.0
+        shaped = x.reshape(T + 1, n), u.reshape(T, m), eta.reshape(T, n)
+        parts = *shaped, rho_x, rho_u, switches, alpha, norms, numbers[6:]
+        return cls(problem, sequence, *parts, units, scales, lower / units, upper / units, rows_x, rows_u)
+
+    def at(self, v: Array) -> SystemValue:
+        """Return Phi and an element of its generalised derivative."""
+        F, derivative = self.equations(v * self.units)
+        F, J = F * self.scales, derivative * self.scales[:, None] * self.units
+        free, fixed = np.isinf(self.lower) & np.isinf(self.upper), self.lower == self.upper
+        phi, by_v, by_F = _bounded(v, F, self.lower, self.upper)
+        phi, by_v, by_F = np.where(free, F, phi), np.where(free, 0.0, by_v), np.where(free, 1.0, by_F)
+        phi = np.where(fixed, v - np.where(fixed, self.lower, 0.0), phi)
+        by_v, by_F = np.where(fixed, 1.0, by_v), np.where(fixed, 0.0, by_F)
+        return SystemValue(phi, np.diag(by_v) + by_F[:, None] * J, F)
+
+    def equations(self, v: Array) -> tuple[Array, Array]:
+        """Return F and its derivative, in the problem's units."""
+        problem, T = self.problem, self.problem.horizon
+        x, u, eta, alpha = v[self.x], v[self.u], v[self.eta], v[self.alpha]
+        y, at = np.hstack([x[:-1], u]), np.hstack([self.x[:-1], self.u])
+        found = piecewise_smooth(problem).jets_at(y, self._selections(v))
+        times = np.arange(T)
+        values, slopes, curvatures = jets_of(found, times, self.sequence)
+        active = slopes.copy()
+        F, J = np.zeros(len(v)), np.zeros((len(v), len(v)))
+        for k, (t, second, row) in enumerate(self.switches):
+            other = jets_of(found, np.array([t]), np.array([second]))
+            region = found.regions[self.sequence[t]]
+            switch, gradient = region.values[t, row], region.slopes[t, row]
+            kink = other[1][0] - slopes[t]
+            F[self.alpha[k]] = -switch
+            J[self.alpha[k], at[t]] = -gradient
+            J[at[t], self.alpha[k]] -= kink.T @ eta[t]
+            if switch > 0:
+                values[t], active[t] = other[0][0], other[1][0]
+            slopes[t] = slopes[t] + alpha[k] * kink
+            curvatures[t] = curvatures[t] + alpha[k] * (other[2][0] - curvatures[t])
+        cost_x, cost_u = problem.quadratic.gradient(x, u)
+        F[self.x], F[self.u] = cost_x, cost_u
+        F[self.x[1:]] += eta
+        F[at] -= np.einsum("tij,ti->tj", slopes, eta)
+        F[self.eta] = x[1:] - values
+        hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, at.shape[1], at.shape[1]))
+        curved = hessians - np.einsum("ti,tijk->tjk", eta, curvatures)
+        for t in range(T):
+            J[np.ix_(at[t], at[t])] += curved[t]
+            J[np.ix_(at[t], self.eta[t])] -= slopes[t].T
+            J[np.ix_(self.eta[t], at[t])] -= active[t]
+            J[self.eta[t], self.x[t + 1]] += 1.0
+            J[self.x[t + 1], self.eta[t]] += 1.0
+        J[np.ix_(self.x[T], self.x[T])] += problem.quadratic.P
+        for rho, rows, signals in (
+            (self.rho_x, self.rows_x, self.x.ravel()),
+            (self.rho_u, self.rows_u, self.u.ravel()),
+        ):
+            F[signals] += rows.T @ v[rho]
+            F[rho] = rows @ v[signals]
+            J[np.ix_(signals, rho)] += rows.T
+            J[np.ix_(rho, signals)] += rows
+        self._add_norms(v, F, J, y, at, eta)
+        return F, J
+
+    def _selections(self, v: Array) -> Mapping[Formula, Array]:
+        selections: dict[Formula, Array] = {}
+        for (norm, t), xi in zip(self.norms, self.xi, strict=True):
+            rows = selections.setdefault(norm, np.full((self.problem.horizon, len(norm.arguments)), np.nan))
+            rows[t] = v[xi]
+        return selections
+
+    def _add_norms(self, v: Array, F: Array, J: Array, y: Array, at: Indices, eta: Array) -> None:
+        """Add the equations of the selections of norms, and their terms in the others."""
+        dynamics = piecewise_smooth(self.problem)
+        for (norm, t), own in zip(self.norms, self.xi, strict=True):
+            inner = jets(norm.arguments, y[t : t + 1])
+            q, slopes, xi = inner.values[0], inner.slopes[0], v[own]
+            reached = xi + q
+            length = float(np.linalg.norm(reached))
+            projection, onto = reached, np.eye(len(q))
+            if length > 1:
+                projection = reached / length
+                onto = (np.eye(len(q)) - np.outer(projection, projection)) / length
+            F[own] = xi - projection
+            J[np.ix_(own, own)] = np.eye(len(q)) - onto
+            J[np.ix_(own, at[t])] = -onto @ slopes
+            pull = dynamics.pull_of_norm(norm, y[t], int(self.sequence[t]), eta[t])
+            J[np.ix_(at[t], own)] -= pull * slopes.T
+
+
+def jets_of(found: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
+    """Return values, slopes and curvatures of the maps of some modes at some times."""
+    values, slopes, curvatures = (
+        np.stack([getattr(jet, part) for jet in found.f], axis=1)[times, modes]
+        for part in ("values", "slopes", "curvatures")
+    )
+    return values, slopes, curvatures
+
+
+def _bounded(v: Array, F: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+    """Return phi(v - l, phi(h - v, -F)) with its derivatives by v and by F."""
+    with np.errstate(invalid="ignore"):
+        inner, by_a, by_b = _fischer_burmeister(upper - v, -F)
+    inner, by_v, by_F = (
+        np.where(np.isfinite(upper), part, whole) for part, whole in ((inner, F), (-by_a, 0.0), (-by_b, 1.0))
+    )
+    with np.errstate(invalid="ignore"):
+        outer, by_a, by_b = _fischer_burmeister(v - lower, inner)
+    below = np.isfinite(lower)
+    return (
+        np.where(below, outer, inner),
+        np.where(below, by_a + by_b * by_v, by_v),
+        np.where(below, by_b * by_F, by_F),
+    )
+
+
+def _fischer_burmeister(a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """Return |(a, b)| - a - b, with an element of its generalised derivative."""
+    length = np.hypot(a, b)
+    zero = length == 0
+    safe = np.where(zero, 1.0, length)
+    diagonal = np.sqrt(0.5)
+    return length - a - b, np.where(zero, diagonal, a / safe) - 1, np.where(zero, diagonal, b / safe) - 1
+
+
+def _switches(
+    problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, units: Array, near: float
+) -> list[tuple[int, int, int]]:
+    """Return (time, second mode, row) where a row of the first mode's region is nearly zero and the second holds."""
+    T = problem.horizon
+    found = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+    defined = found.defined()
+
+    def distances(mode: int, t: int) -> Array:
+        region = found.regions[mode]
+        sizes = np.linalg.norm(region.slopes[t] * units, axis=-1)
+        return region.values[t] / np.where(sizes > 0, sizes, 1.0)
+
+    switches: list[tuple[int, int, int]] = []
+    for t in range(T):
+        own = distances(int(sequence[t]), t)
+        others = [
+            mode
+            for mode in np.flatnonzero(defined[t])
+            if mode != sequence[t] and distances(int(mode), t).max(initial=-np.inf) <= near
+        ]
+        zero = np.flatnonzero(np.abs(own) <= near)
+        if len(others) and len(zero):
+            switches.append((t, int(others[0]), int(zero[0])))
+    return switches
+
+
+def _norms(problem: OptimalControlProblem, trajectory: Trajectory, near: float) -> list[tuple[Formula, int]]:
+    T = problem.horizon
+    y = np.hstack([trajectory.x[:T], trajectory.u])
+    found: list[tuple[Formula, int]] = []
+    for norm in piecewise_smooth(problem).norms:
+        size = np.linalg.norm(jets(norm.arguments, y).values, axis=1)
+        found += [(norm, int(t)) for t in np.flatnonzero(size <= near * max(1.0, float(size.max())))]
+    return found
+
+
+NEAR_KINK = 1e-3  # distance in natural units at which a switching surface or zero of a norm gets a selection
+CONVERGED = 1e-12  # |Phi| of equations of order 1 at which nothing is left to gain
+SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14  # Armijo's constant, and the shortest step
+SMALL_NORMALS = 1e-2  # weight of multipliers of bounds in the fit of multipliers: the others come first
+SINGULAR = 1e-13  # reciprocal condition number of the linearised equations below which a step is damped
+# Relative to |J|^2 |Phi|, until a step is found: they vanish with the residual, so that convergence stays fast
+DAMPINGS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
+MOST_STEPS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonRun:
+    """The end of Newton's method; ``residuals`` are |Phi| before the first step and after each."""
+
+    trajectory: Trajectory
+    multipliers: Multipliers
+    residuals: tuple[float, ...]
+    converged: bool
+
+
+def newton(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers | None,
+    sequence: Indices,
+    near: float = NEAR_KINK,
+    most_steps: int = MOST_STEPS,
+) -> NewtonRun:
+    """Solve the conditions of the maximum principle from a point near to a solution, in a mode sequence (T,).
+
+    Kinks nearer than ``near``, in natural units, get a selection. Of the multipliers, eta, rho and weights are used;
+    None: the best fit, with normals to the bounds nearer than ``near``. Raises UnsupportedError if the problem has more
+    than bounds, stop bands and a quadratic cost.
+    """
+    if problem.terms:
+        raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
+    system = System.of(problem, trajectory, sequence, near)
+    runs: list[NewtonRun] = []
+    for weights in ("of the side", "one half"):
+        start = starting_point(system, trajectory, multipliers, near, weights == "one half")
+        runs.append(_run(system, start, most_steps))
+        if runs[-1].converged or multipliers is not None or not system.switches:
+            break
+    return min(runs, key=lambda run: run.residuals[-1])
+
+
+def _run(system: System, v: Array, most_steps: int) -> NewtonRun:
+    value = system.at(v)
+    residuals = [float(np.linalg.norm(value.phi))]
+    while residuals[-1] > CONVERGED and len(residuals) <= most_steps:
+        stepped = _stepped(system, v, value)
+        if stepped is None:
+            break
+        v, value = stepped
+        residuals.append(float(np.linalg.norm(value.phi)))
+    found, multipliers = _answer(system, v, value)
+    return NewtonRun(found, multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
+
+
+def _stepped(system: System, v: Array, value: SystemValue) -> tuple[Array, SystemValue] | None:
+    """Return the point after a step that decreases |Phi|^2, damped as little as possible, or None."""
+    U, sizes, V = np.linalg.svd(value.slopes)
+    gradient, along = value.slopes.T @ value.phi, U.T @ value.phi
+    for damping in DAMPINGS:
+        if not damping and sizes[-1] <= SINGULAR * sizes[0]:
+            continue
+        weight = damping * sizes[0] ** 2 * min(1.0, float(np.linalg.norm(value.phi)))
+        step = -V.T @ (sizes / (sizes**2 + weight) * along)
+        slope, length = float(gradient @ step), 1.0
+        while length >= SHORTEST:
+            after = system.at(v + length * step)
+            if after.phi @ after.phi <= value.phi @ value.phi + 2 * SLOPE_SHARE * length * slope:
+                return v + length * step, after
+            length /= 2
+    return None
+
+
+def starting_point(
+    system: System, trajectory: Trajectory, multipliers: Multipliers | None, near: float, halved: bool
+) -> Array:
+    """Return the unknowns at a trajectory, in natural units; see ``newton`` for the multipliers.
+
+    Where there are none, weights are one half if ``halved``, else those of the trajectory's side.
+    """
+    v = np.zeros(len(system.units))
+    v[system.x], v[system.u] = trajectory.x, trajectory.u
+    if multipliers is None:
+        v[system.alpha] = 0.5 if halved else _sides(system, trajectory)
+        return _fitted(system, v / system.units, near)
+    v[system.eta] = multipliers.eta
+    for block, rows, signal in (
+        (system.rho_x, system.rows_x, system.problem.in_time(multipliers.rho_x)),
+        (system.rho_u, system.rows_u, time_signal(multipliers.rho_u, len(trajectory.u))),
+    ):
+        if len(block):
+            v[block] = np.linalg.lstsq(rows.T, signal.ravel(), rcond=None)[0]
+    for k, (t, second, _) in enumerate(system.switches):
+        v[system.alpha[k]] = 0.5 if multipliers.weights is None else np.clip(multipliers.weights[t, second], 0, 1)
+    return v / system.units
+
+
+def _sides(system: System, trajectory: Trajectory) -> Array:
+    """Return 1 where a switching surface is crossed, else 0."""
+    T = system.problem.horizon
+    found = piecewise_smooth(system.problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+    crossed = [found.regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.switches]
+    return np.array(crossed, dtype=float)
+
+
+def _fitted(system: System, v: Array, near: float) -> Array:
+    """Return the unknowns with the multipliers of least squares."""
+    from scipy.optimize import lsq_linear  # slow to import
+
+    F, J = system.equations(v * system.units)
+    signals = np.concatenate([system.x.ravel(), system.u.ravel()])
+    signals = signals[system.lower[signals] < system.upper[signals]]
+    at_lower, at_upper = v[signals] <= system.lower[signals] + near, v[signals] >= system.upper[signals] - near
+    held = np.flatnonzero(at_lower | at_upper)
+    found = np.concatenate([system.eta.ravel(), system.rho_x, system.rho_u])
+    slopes = system.scales[signals, None] * J[np.ix_(signals, found)] * system.units[found]
+    normals = np.zeros((len(signals), len(held)))
+    normals[held, np.arange(len(held))] = 1.0
+    small = np.hstack([np.zeros((len(held), len(found))), SMALL_NORMALS * np.eye(len(held))])
+    right = np.concatenate([-system.scales[signals] * F[signals], np.zeros(len(held))])
+    free = np.full(len(found), np.inf)
+    above = np.where(at_upper[held], np.inf, 0.0)
+    below = np.where(at_lower[held], -np.inf, 0.0)
+    bounds = np.append(-free, below), np.append(free, above)
+    v[found] = lsq_linear(np.vstack([np.hstack([slopes, normals]), small]), right, bounds).x[: len(found)]
+    return v
+
+
+def _answer(system: System, v: Array, value: SystemValue) -> tuple[Trajectory, Multipliers]:
+    """Return the trajectory and the multipliers of unknowns in natural units."""
+    problem, values, F = system.problem, v * system.units, value.F / system.scales
+    T = problem.horizon
+    weights = np.zeros((T, len(piecewise_smooth(problem).modes)))
+    weights[np.arange(T), system.sequence] = 1.0
+    for k, (t, second, _) in enumerate(system.switches):
+        share = float(np.clip(values[system.alpha[k]], 0.0, 1.0))
+        weights[t, system.sequence[t]], weights[t, second] = 1 - share, share
+    x = np.clip(values[system.x], problem.state_tube.lower, problem.state_tube.upper)
+    u = np.clip(values[system.u], problem.control_tube.lower, problem.control_tube.upper)
+    mu, nu = (
+        np.where(np.isfinite(box.lower) | np.isfinite(box.upper), -F[block], 0.0)
+        for block, box in ((system.x, problem.state_tube), (system.u, problem.control_tube))
+    )
+    rho_u = spectrum_multipliers(problem.control_stop, T, values[system.rho_u])
+    rho_x = spectrum_multipliers(problem.state_stop, problem.state_samples, values[system.rho_x])
+    return Trajectory(x, u), Multipliers(1.0, values[system.eta], mu, nu, rho_u, rho_x, None, weights)

@@ -1,1 +1,0 @@
-"""Piecewise-smooth dynamics: sequential quadratic programs, a semismooth Newton method, cells for a global bound."""

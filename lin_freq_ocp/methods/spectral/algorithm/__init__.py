@@ -1,1 +1,0 @@
-"""The active-set iterations of the Fourier-domain method, and what is read from their end."""

@@ -1,0 +1,542 @@
+"""The exchange: a small QP over the working rows, signals by FFT, new rows, until none is violated.
+
+docs/spectral.md, 7, 8 and 11. Every round corrects the defects of the true signals (section 6): its fixed point has
+true slacks in spite of errors of the small QP. On short horizons, rounds on the tabulated values of all rows come
+first. On long ones, the first working set comes from a cheaper problem: a shorter horizon, or a coarser control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.model import Lti
+from lin_freq_ocp.methods.spectral.qp import BorderedQp, bounded_qp
+from lin_freq_ocp.methods.spectral.rows import (
+    LOCAL_ROWS,
+    ActiveSetDuals,
+    Rows,
+    Violations,
+    WholeHorizon,
+    WorkingSet,
+    bounded_rows,
+    neighbourhood_of,
+)
+from lin_freq_ocp.methods.spectral.structure import (
+    Data,
+    EndsModel,
+    Ray,
+    Signals,
+    Structure,
+    UnconstrainedPoint,
+    data_of,
+    equation_ray,
+    equation_residual,
+    regularised_ray,
+    row_ray,
+    signals,
+)
+
+MODEL_ROUNDS = 12  # after which the true signals are evaluated
+INFEASIBLE = "no trajectory satisfies all constraints"
+MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual
+QP_SECONDS = 1e-10  # of a small QP, measured, over the cube of its rows ...
+LARGE_QP = 1000  # ... of which this many take 0.1 s: it is not begun if less time is left
+LOCAL_ROUNDS = 6  # small QPs with further rows nearby, before all signals are evaluated
+KEEP_ALL_AFTER = 30  # rounds after which no row is dropped: the exchange is then finite
+STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above tol.FINE_VIOLATION, add a row: no improvement
+RAY_ROUNDS = 8  # every so many rounds, and where the small QP is not accurate, a Farkas ray is computed
+LONGER_STEPS = 0.03  # factor on the proximal weight for longer steps
+GUESSED_HORIZON = 600  # from which a first guess costs less than the rounds it saves
+HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
+SPREAD = 2  # further samples on each side of an active coarse control
+DECAY_EXPONENT = 40.0  # the ends do not affect each other where the slowest mode decays by exp(-DECAY_EXPONENT)
+ON_CIRCLE = 1e-6  # |log |lambda|| of a mode that does not decay, and is not counted
+LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR where samples may be held instead
+HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
+LARGEST_SHORTENING = 10  # largest ratio of the horizons
+
+
+class Stop(Protocol):
+    """What asks for the time limit and for Ctrl-C."""
+
+    def __call__(self, needed: float = 0.0) -> str | None:
+        """Return why to stop, or None, if so many more seconds are needed."""
+        ...
+
+
+def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
+    """Return a function that says why to stop, or None."""
+    end = np.inf if seconds is None else now() + seconds
+
+    def stop(needed: float = 0.0) -> str | None:
+        if interrupted():
+            return "interrupted"
+        return "time limit" if now() + needed > end else None
+
+    return stop
+
+
+@dataclass(eq=False)
+class ExchangeOutcome:
+    """How an exchange ended: the last point, and the multipliers of equations and rows that it comes from."""
+
+    status: str  # of a Candidate
+    message: str
+    signals: Signals
+    multipliers: Array
+    working: WorkingSet
+    rounds: int  # small QPs that were solved
+    violation: float  # worst, relative
+    cost: float
+    ray: Ray | None  # if infeasible
+
+
+class Exchange:
+    """One solve: the point, its working rows, and the rules of a round."""
+
+    def __init__(
+        self,
+        structure: Structure,
+        data: Data,
+        first: Rows | None,
+        tolerance: float,
+        stop: Stop,
+        violations: Violations | None = None,
+        first_point: UnconstrainedPoint | None = None,
+    ):
+        self.structure, self.data, self.kkt = structure, data, structure.kkt
+        self.working = WorkingSet(self.kkt)
+        self.violations = violations or Violations(data.lti)
+        self.whole = structure.whole_horizon(self.violations.rows)
+        self.first_point = None if self.whole is None else first_point
+        self.first = None if first is None else bounded_rows(first, data.lti)
+        if self.first is not None and self.whole is None:
+            self.working.add(self.first.t, self.first.f, self.first.sign)
+            if self.first.weights is not None:
+                prices = self.working.prices(data.lti)
+                self.working.weights = self.first.weights if prices is None else np.minimum(self.first.weights, prices)
+        self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
+        self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
+        self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
+        self.unconstrained, self.soft = structure.unconstrained, self.kkt.soft
+        self.ray: Ray | None = None
+        self._known_cost: float | None = None
+        self.tolerance, self.stop, self.rounds = tolerance, stop, 0
+        if self.first_point is None:
+            self._evaluate()
+
+    def run(self) -> ExchangeOutcome:
+        """Exchange until optimal, evaluating all signals MOST_ROUNDS times at most."""
+        added = len(self.working)
+        for count in range(1, MOST_ROUNDS + 1):
+            rows = len(self.working)
+            reason = self.stop(QP_SECONDS * rows**3) if rows > LARGE_QP else None
+            if reason is not None:
+                return self._outcome("limit", reason)
+            self.rounds += 1
+            diverging = self.working.weights.max(initial=0.0) > tol.DIVERGING_WEIGHT * self.data.lti.cost_level
+            self._step(ask=diverging or count % RAY_ROUNDS == 0)
+            if self.ray is not None:
+                return self._outcome("infeasible", INFEASIBLE)
+            if self._optimal(added):
+                return self._outcome("optimal")
+            if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > tol.UNBOUNDED_SIZE:
+                return self._outcome("unbounded", "the cost has no lower bound")
+            reason = self.stop()
+            if reason is not None:
+                return self._outcome("limit", reason)
+            added = self._exchange_rows(count)
+        if self._accurate():
+            return self._outcome("optimal")
+        return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
+
+    def _step(self, ask: bool) -> None:
+        """Correct the defects of the present point, with the best weights of the working rows."""
+        working, kkt = self.working, self.kkt
+        whole = None if ask or self.whole is None else self._whole_step(self.whole)
+        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self._defects(), ask)
+        self.ray = ray
+        if ray is not None:
+            return
+        working.weights = new
+        self.theta = self.theta + step[: kkt.size]
+        self.multipliers = self.multipliers + step[kkt.size :]
+        self._evaluate()
+        if self._relative_residual() > tol.EQUATION_CONFLICT:
+            self.ray = equation_ray(self.structure, self.data, self.residual)
+
+    def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
+        """Return the bordering step and weights from rounds on all values; None if a small QP was inaccurate."""
+        working, known = self.working, self.first_point is not None
+        (step, base), self.first_point = self.first_point or self._without_rows(whole), None
+        start, self.first = whole.duals(self.first or working.rows()), None
+        found = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
+        rows = Rows(whole.t[found.indices], whole.f[found.indices], found.sign, found.weights)
+        self.rounds += max(0, found.rounds - 1)
+        if not found.accurate:
+            if known:
+                self._evaluate()
+            working.add(rows.t, rows.f, rows.sign)
+            self.values = working.values(self.signals.y, self.signals.last)
+            return None
+        working.replace(rows, whole.coupling[:, found.indices] * found.sign)
+        return step - whole.through[:, found.indices] @ (found.sign * found.weights), found.weights, None
+
+    def _without_rows(self, whole: WholeHorizon) -> UnconstrainedPoint:
+        """Return the step to the point without working rows, and its values."""
+        working, step = self.working, self.kkt.inverse @ self._defects()
+        base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
+        if len(working):
+            indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
+            base += whole.response(indices, mu)
+            step += whole.through[:, indices] @ mu
+        return UnconstrainedPoint(step, base)
+
+    def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the bordering step, weights and perhaps a ray, with the bordering unknowns eliminated.
+
+        Rows near the working rows that the step violates enter at once, and the step is computed again.
+        """
+        near, working, guess = None, self.working, self.working.weights
+        for _ in range(LOCAL_ROUNDS):
+            step, new, ray = self._eliminated_step(right, guess, ask)
+            converged = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
+            if converged or not 0 < len(working) <= LOCAL_ROWS:
+                break
+            near = near or neighbourhood_of(self.kkt, self.violations, working)
+            if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
+                break
+            self.values = working.values(self.signals.y, self.signals.last)
+            guess = np.append(new, np.zeros(len(working) - len(new)))
+        else:
+            step, new, ray = self._eliminated_step(right, guess, ask)
+        return step, new, ray
+
+    def _eliminated_step(self, right: Array, guess: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the same for the present working rows; with ``ask``, or if the QP is inaccurate, a ray is computed."""
+        working, inverse = self.working, self.kkt.inverse
+        step = inverse @ right
+        if not len(working):
+            return step, working.weights, None
+        Z, S = working.eliminated(inverse)
+        d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
+        unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
+        prices = working.prices(self.data.lti)
+        response = None if prices is None else working.free_response()
+        new, accurate = bounded_qp(S, d, guess, unconstrained, self.stop, prices, response)
+        asked = (ask or not accurate) and self.stop() is None
+        ray = row_ray(self.structure, self.data, working, S, d, Z, asked, self.stop)
+        if ray is None and asked:
+            ray = regularised_ray(self.structure, self.data, working, self.stop)
+        return step - Z @ (new - working.weights), new, ray
+
+    def _soft_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the same for bordering unknowns of little curvature: kept in the small QP, with a proximal term."""
+        working, kkt = self.working, self.kkt
+        if not len(working):
+            return kkt.inverse_with(self.proximal) @ right, working.weights, None
+        K = kkt.proximal_matrix(self.proximal)
+        slack = working.limits(self.data.lti) - self.values
+        prices = working.prices(self.data.lti)
+        upper = np.full(len(working), np.inf) if prices is None else prices
+        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, slack, working.weights, upper)
+        step, new, accurate = qp.solve(self.stop)
+        if not (ask or not accurate) or self.stop():
+            return step, new, None
+        return step, new, regularised_ray(self.structure, self.data, working, self.stop)
+
+    def _defects(self) -> Array:
+        """Return the right-hand side of the bordered system: what the slope and the equations lack."""
+        return np.concatenate([-self.slope, self.residual])
+
+    def _evaluate(self) -> None:
+        """Compute the signals of this point by FFT, their violations, and the defects in the equations and in theta."""
+        self.__dict__.pop("signals", None)  # large: given back before the next are made
+        self.__dict__.pop("spectrum", None)
+        point = self.theta, self.multipliers, self.working
+        self.signals, self.spectrum = signals(self.structure, self.data, *point)
+        self._known_cost = None
+        self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
+        saturated = self.working.saturated(self.data.lti)
+        self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
+        self.violations.measure(self.signals.y, self.signals.last)
+        self.values = self.working.values(self.signals.y, self.signals.last)
+        on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
+        self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.multipliers + on_rows
+
+    def _exchange_rows(self, count: int) -> int:
+        """Drop rows without multiplier, add violated ones; return how many are new."""
+        entering = self.violations.entering(self.tolerance)
+        if count <= KEEP_ALL_AFTER:
+            self.working.keep(self.working.weights > 0)
+        added = self.working.add(*entering)
+        self.values = self.working.values(self.signals.y, self.signals.last)
+        return added
+
+    def _optimal(self, added: int) -> bool:
+        """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
+        worst, slope = self.violations.worst, self._relative_slope()
+        level = worst < tol.NEARLY_FEASIBLE and slope < self.slope_tolerance and self._flat()
+        far = float(np.abs(self.theta).max(initial=0.0))
+        moving = self.soft and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
+        if self.soft and worst < tol.NEARLY_FEASIBLE and not level:
+            self.proximal = max(self.proximal * LONGER_STEPS, self.kkt.least_proximal)
+        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moving
+        self.stalled = 0 if improving else self.stalled + 1
+        self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
+        self.farthest = max(self.farthest, far)
+        if self.stalled >= STALLED_ROUNDS:
+            return self._accurate()
+        return worst < self.tolerance and level and self._complementary(tol.SLACK_TOLERANCE)
+
+    def _accurate(self) -> bool:
+        """Whether a point that no longer improves is accepted."""
+        flat = self._relative_slope() < tol.ACCEPTED_SLOPE or self._cannot_decrease()
+        return self.violations.worst < tol.ACCEPTED_VIOLATION and flat and self._complementary(tol.ACCEPTED_SLACK)
+
+    def _complementary(self, allowed: float) -> bool:
+        """Whether the equations hold, and all rows with a multiplier hold with equality."""
+        if self._relative_residual() >= tol.EQUATION_TOLERANCE:
+            return False
+        slack = self.working.weights @ np.maximum(0.0, self.working.limits(self.data.lti) - self.values)
+        return bool(slack <= allowed * self._cost_size())
+
+    def _flat(self) -> bool:
+        """Whether the cost hardly decreases along the bordering unknowns, without working rows or by such moves."""
+        slope, kkt = self.slope, self.kkt
+        if not kkt.size:
+            return True
+        gain = abs(float(slope @ kkt.inverse[: kkt.size, : kkt.size] @ slope))
+        return gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
+
+    def _cannot_decrease(self) -> bool:
+        """Whether moves of the bordering unknowns as large as the point, and as 1, hardly decrease the cost."""
+        decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
+        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self._cost()), tol.SMALL_COST * self.data.lti.cost_level)
+
+    def _relative_residual(self) -> float:
+        return float(np.abs(self.residual).max(initial=0.0)) / max(1.0, float(np.abs(self.signals.y).max()))
+
+    def _relative_slope(self) -> float:
+        """Return the largest derivative in theta, relative to the terms that it is the sum of."""
+        if not self.kkt.size:
+            return 0.0
+        kkt, working = self.kkt, self.working
+        terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
+        terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.multipliers)
+        least = tol.LEAST_SIZE * self.data.lti.curvature_unit
+        return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
+
+    def _cost(self) -> float:
+        if self._known_cost is None:
+            lti, at = self.data.lti, self.signals
+            last = 0.5 * at.last @ lti.P @ at.last + lti.p @ at.last
+            linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))
+            stages = 0.5 * np.einsum("it,it->", lti.M @ at.y, at.y)
+            self._known_cost = float(stages + linear + last) + lti.constant
+        return self._known_cost
+
+    def _cost_size(self) -> float:
+        """Return what differences in cost are relative to."""
+        return max(self.data.lti.cost_level, abs(self._cost()))
+
+    def _outcome(self, status: str, message: str = "") -> ExchangeOutcome:
+        self.violations.violation = np.zeros((0, 0))  # large, and measured again before it is used
+        point, cost = (self.signals, self.multipliers, self.working), self._cost()
+        return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
+
+    def infeasible_by(self, ray: Ray) -> ExchangeOutcome:
+        """Return the outcome for a known ray."""
+        self.ray = ray
+        self._evaluate()
+        return self._outcome("infeasible", INFEASIBLE)
+
+
+def exchange_values(
+    whole: WholeHorizon,
+    violations: Violations,
+    start: ActiveSetDuals,
+    base: Array,
+    tolerance: float,
+    unconstrained: Array | None,
+    stop: Callable[[], str | None],
+) -> ActiveSetDuals:
+    """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
+
+    ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
+    """
+    index, sign, weights = start.indices, start.sign, start.weights
+    found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
+    none = np.zeros(0, dtype=np.intp)
+    (lower, upper), prices = violations.flat_bounds(), violations.flat_prices()
+    for count in range(1, MODEL_ROUNDS + 1):
+        values = base
+        violations.set_saturated(none, none)
+        if len(index):
+            d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
+            free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
+            most = None if prices is None else np.where(sign > 0, prices[1][index], prices[0][index])
+            response = None if prices is None else whole.free_response(index)
+            gram = whole.gram(index) * sign * sign[:, None]
+            weights, accurate = bounded_qp(gram, d, weights, free, stop, most, response)
+            found = ActiveSetDuals(index, sign, weights, count, accurate)
+            if not accurate:
+                break
+            values = base - whole.response(index, sign * weights)
+            if most is not None:
+                saturated = index[weights >= most]
+                violations.set_saturated(whole.t[saturated], whole.f[saturated])
+        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
+            break
+        kept = weights > 0
+        index, sign, weights = index[kept], sign[kept], weights[kept]
+        inside[:] = False
+        inside[index] = True
+        entering, side = violations.chosen(tolerance)
+        new = ~inside[entering]
+        added = np.count_nonzero(new)
+        if not added or len(index) + added > LOCAL_ROWS:
+            break
+        index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
+        weights = np.concatenate([weights, np.zeros(added)])
+    return found
+
+
+def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
+    """Return a guess of the active rows, or None; ``structures`` keeps those of the cheaper problems by horizon."""
+    if lti.horizon < GUESSED_HORIZON or lti.response is not None:
+        return None
+    shorter = _shortened_horizon(lti)
+    hold = shorter * HOLD_FACTOR > lti.horizon and _may_be_held(lti)
+    if not hold and shorter * LEAST_SHORTENING > lti.horizon:
+        return None
+    coarse, tolerance = (
+        (_hold_samples(lti), tol.HOLD_TOLERANCE) if hold else (_shorten(lti, shorter), tol.SHORT_TOLERANCE)
+    )
+    try:
+        if coarse.horizon not in structures:
+            structures[coarse.horizon] = Structure(coarse)
+        structure = structures[coarse.horizon]
+        guess = first_working_set(coarse, stop, structures)
+        outcome = Exchange(structure, data_of(structure, coarse), guess, tolerance, stop).run()
+    except (UnsupportedError, np.linalg.LinAlgError):
+        return None
+    if outcome.status != "optimal":
+        return None
+    t, f, sign, _ = outcome.working.active_rows()
+    if hold:
+        return _refine_rows(lti, t, f, sign)
+    return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
+
+
+def _may_be_held(lti: Lti) -> bool:
+    """Whether the dynamics hardly grow while a control is held."""
+    return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HOLD_FACTOR <= HOLD_GROWTH
+
+
+def _shortened_horizon(lti: Lti) -> int:
+    """Return the horizon at which the ends do not affect each other; the given horizon if there is none."""
+    rate = np.abs(np.log(np.abs(np.linalg.eigvals(lti.A)) + 1e-300))
+    rate = rate[rate > ON_CIRCLE]
+    decay_time = int(DECAY_EXPONENT / rate.min()) if len(rate) else lti.horizon
+    return max(2 * decay_time, lti.horizon // LARGEST_SHORTENING)
+
+
+def _shorten(lti: Lti, T: int) -> Lti:
+    """Return the problem without its middle; bands keep their frequencies."""
+    head, tail = slice(0, T // 2), slice(lti.horizon - (T - T // 2), lti.horizon)
+
+    def without_middle(signal: Array) -> Array:
+        return np.hstack([signal[:, head], signal[:, tail]])
+
+    bins = np.round(np.arange(T // 2 + 1) * (lti.horizon / T)).astype(int).clip(0, lti.horizon // 2)
+    return _without_equations(lti, T, lti.passed[:, bins], without_middle)
+
+
+def _hold_samples(lti: Lti) -> Lti:
+    """Return the problem in which HOLD_FACTOR samples of the control are equal."""
+    T, n = lti.horizon // HOLD_FACTOR, lti.state_dim
+    A, B = np.eye(n), np.zeros_like(lti.B)
+    offset = None if lti.offset is None else np.zeros((n, T))
+    for j in range(HOLD_FACTOR):
+        A, B = lti.A @ A, lti.A @ B + lti.B
+        if offset is not None and lti.offset is not None:
+            offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
+    coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
+    linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
+    prices = None if coarse.prices is None else coarse.prices.times(HOLD_FACTOR)
+    return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
+
+
+def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array], Array]) -> Lti:
+    """Return the problem at another horizon, without state bands and without values that bounds fix."""
+    lower, upper = sample(lti.lower), sample(lti.upper)
+    fixed = lower == upper
+    return replace(
+        lti,
+        horizon=T,
+        passed=passed,
+        state_stop=np.zeros(((T + 1) // 2 + 1, lti.state_dim), dtype=bool),
+        lower=np.where(fixed, -np.inf, lower),
+        upper=np.where(fixed, np.inf, upper),
+        linear=None if lti.linear is None else sample(lti.linear),
+        offset=None if lti.offset is None else sample(lti.offset),
+        prices=None if lti.prices is None else lti.prices.at(sample),
+    )
+
+
+def _refine_rows(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
+    """Return rows of the coarse problem as rows of the given: controls with their neighbours, states once, and x_T."""
+    n, T = lti.state_dim, lti.horizon
+    last = t == T // HOLD_FACTOR
+    states = ~last & ~lti.F[f, n:].any(1)
+    controls = ~last & ~states
+    around = np.arange(-SPREAD, HOLD_FACTOR + SPREAD)
+    many = (t[controls, None] * HOLD_FACTOR + around).clip(0, T - 1).ravel()
+    times = np.concatenate([np.full(int(last.sum()), T), t[states] * HOLD_FACTOR, many])
+    rows = np.concatenate([f[last], f[states], np.repeat(f[controls], len(around))])
+    signs = np.concatenate([sign[last], sign[states], np.repeat(sign[controls], len(around))])
+    _, unique = np.unique((times * len(lti.F) + rows) * 2 + (signs > 0), return_index=True)
+    return Rows(times[unique], rows[unique], signs[unique])
+
+
+def batch_working_sets(
+    structure: Structure,
+    model: EndsModel,
+    values: Array,
+    first: Rows | None,
+    tolerance: float,
+    stop: Callable[[], str | None],
+    solve_alone: Callable[[int], None],
+) -> tuple[Array, Mask, Rows | None]:
+    """Return the multipliers of all values with signs, (N, values), where they were found, and the last rows.
+
+    ``values`` (N, values) are those of the unconstrained points of a batch; each exchange begins with the working rows
+    of the one before. A problem without a working set here is solved alone.
+    """
+    whole, violations = model.whole, model.violations
+    weights, found, rows = np.zeros(values.shape), np.zeros(len(values), dtype=bool), first
+    none = np.zeros(0, dtype=np.intp)
+    for i, base in enumerate(values):
+        if stop():
+            break
+        if model.may_have_known_ray(base):
+            continue
+        start = ActiveSetDuals(none, np.zeros(0), np.zeros(0)) if rows is None else whole.duals(rows)
+        duals = exchange_values(whole, violations, start, base, tolerance, structure.unconstrained, stop)
+        if duals.accurate and violations.worst < tol.FINE_VIOLATION:
+            weights[i, duals.indices], found[i] = duals.sign * duals.weights, True
+            active = duals.weights > 0
+            index = duals.indices[active]
+            rows = Rows(whole.t[index], whole.f[index], duals.sign[active], duals.weights[active])
+        else:
+            solve_alone(i)
+    return weights, found, rows

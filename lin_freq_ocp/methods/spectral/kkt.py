@@ -1,0 +1,287 @@
+"""The bordered KKT system: the few unknowns and equations that belong to no single bin (docs/spectral.md, 4).
+
+Bordering unknowns theta: the free components of x_0 and x_T, then real coordinates of the bordering directions, each
+with a signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that
+bounds fix, compatibility at singular bins, state bands. Together:
+
+    K_b = [[H, E'], [E, -G_EE]].
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.model import Lti
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
+from lin_freq_ocp.program.real_rows import real_rows
+
+EQUILIBRATIONS = 3  # passes of row scaling
+LARGEST_BORDER = 3000  # rows of the matrix beyond which its dense decomposition takes longer than the sparse program
+
+
+class BorderedSystem:
+    """Bordering unknowns, equations, and the pseudo-inverse of K_b.
+
+    theta holds the components free_start of x_0 and free_end of x_T (at at_start and at_end), with ends = dw/dtheta
+    (n, free ends), w = x_0 - x_T, then coordinates of vectors (n+m, q) at bins (q,). The equations' points F_f y_t are
+    at (point_t, point_f); the first n are x(0). With periodic ends there is neither: w = 0.
+    """
+
+    def __init__(self, lti: Lti, spaces: BinSpaces, kernels: CirculantKernels):
+        self.lti, self.spaces, self.kernels = lti, spaces, kernels
+        self._set_variables()
+        self._require_size()
+        self._set_hessian()
+        self._set_points()
+        self._set_singular_rows()
+        self._set_band_rows()
+        self.E = np.vstack([self.point_rows, self.singular_rows, self.band_rows])
+        self._decompose()
+
+    def _set_variables(self) -> None:
+        """Free components of x_0 and x_T with their responses, then real coordinates of the bordering directions."""
+        lti, T, n = self.lti, self.lti.horizon, self.lti.state_dim
+        free = (~np.array([lti.periodic]) & np.isnan(part) for part in (lti.start, lti.end))
+        self.free_start, self.free_end = map(np.flatnonzero, free)
+        ends = len(self.free_start) + len(self.free_end)
+        self.at_start, self.at_end = np.arange(len(self.free_start)), np.arange(len(self.free_start), ends)
+        self.ends = np.hstack([np.eye(n)[:, self.free_start], -np.eye(n)[:, self.free_end]])
+        self.end_responses = np.zeros((len(lti.M), 0, len(self.spaces.z)), dtype=np.complex128)
+        self.end_signals = np.zeros((len(lti.M), 0, T))
+        if ends:
+            self.end_responses = self.spaces.particular(self.spaces.z * self.ends[:, :, None].astype(np.complex128))
+            self.end_signals = fft.irfft(self.end_responses, T)
+        # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
+        k, v = self.spaces.border_bin, self.spaces.border_vector
+        twice = np.flatnonzero(self.spaces.weight[k] == 2)
+        order = np.argsort(np.concatenate([np.arange(len(k)), twice]), kind="stable")
+        self.bins = np.concatenate([k, k[twice]])[order]
+        self.vectors = np.hstack([v, 1j * v[:, twice]])[:, order]
+        self.first = ends + np.searchsorted(np.sort(np.concatenate([np.arange(len(k)), twice])), np.arange(len(k)))
+        self.ends_count, self.size = ends, ends + len(self.bins)
+        self.amplitude = T / self.spaces.weight[self.bins]  # of a spectrum whose signal has unit amplitude
+
+    def _require_size(self) -> None:
+        """Raise UnsupportedError before any matrix of the system's size is made, if it is too large."""
+        lti, fixed = self.lti, len(self.lti.fixed_points[0])
+        singular = int(sum(self.spaces.weight[equation.k] for equation in self.spaces.singular))
+        equations = lti.state_dim + fixed + singular + 2 * int(lti.state_stop.sum())
+        if self.size + equations > LARGEST_BORDER:
+            raise UnsupportedError(
+                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points ({fixed} by "
+                f"bounds) or bins of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
+            )
+
+    def _set_hessian(self) -> None:
+        """H_ab = 1/T sum_k weight_k Re(Y_a^* M Y_b) over the responses Y of theta, and P for the free end."""
+        lti, e, w = self.lti, self.ends_count, self.spaces.weight
+        W, v = self.end_responses, self.vectors
+        self.H = np.zeros((self.size, self.size))
+        if e:
+            weighted = np.tensordot(lti.M, W, 1)
+            self.H[:e, :e] = np.einsum("iak,ibk->ab", W.conj() * w, weighted, optimize=True).real / lti.horizon
+            self.H[e:, :e] = np.einsum("iq,iaq->qa", v.conj(), weighted[:, :, self.bins]).real
+            self.H[:e, e:] = self.H[e:, :e].T
+        same = self.bins[:, None] == self.bins
+        self.H[e:, e:] = np.where(same, (v.conj().T @ lti.M @ v).real * self.amplitude, 0.0)
+        self.H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
+
+    def _set_points(self) -> None:
+        """x(0) = x_0, with its free components on the left side, and values that bounds fix."""
+        n = self.lti.start_points
+        t, f = self.lti.fixed_points
+        self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
+        self.point_rows = self.values(self.point_t, self.point_f)
+        self.point_rows[self.free_start, self.at_start] -= 1.0
+
+    def _set_singular_rows(self) -> None:
+        """Rows (T/weight) sigma (theta_re + i theta_im) - L^* z W theta_e, real and imaginary part, scaled to 1."""
+        spaces, rows = self.spaces, list[Array]()
+        self.singular_scale = np.ones(len(spaces.singular))
+        for j, singular in enumerate(spaces.singular):
+            row = np.zeros(self.size, dtype=np.complex128)
+            row[: self.ends_count] = -spaces.z[singular.k] * (singular.left.conj() @ self.ends)
+            column, amplitude = self.first[singular.direction], self.lti.horizon / spaces.weight[singular.k]
+            row[column] = singular.sigma * amplitude
+            if spaces.weight[singular.k] == 2:
+                row[column + 1] = 1j * singular.sigma * amplitude
+            self.singular_scale[j] = 1 / max(1.0, float(np.abs(row).max()))
+            rows.append(self.singular_scale[j] * self._parts(singular.k, row))
+        self.singular_rows = np.vstack([*rows, np.zeros((0, self.size))])
+
+    def _parts(self, k: int, values: ComplexArray) -> Array:
+        """Return the real and imaginary part of a complex equation at bin k; only the real one at real bins."""
+        return values.real[None] if self.spaces.weight[k] == 1 else np.stack([values.real, values.imag])
+
+    def _set_band_rows(self) -> None:
+        """State bands: rows of the DFT of length T+1, whose last entry acts on x_T; of T with periodic ends."""
+        stop, T = self.lti.state_stop, self.lti.horizon
+        samples = self.lti.state_samples
+        padding = (0, 0), (0, T + 1 - samples)
+        chosen = np.flatnonzero(stop.any(0))
+        parts = [(int(i), np.pad(real_rows(samples, stop[:, i]), padding)) for i in chosen]
+        self.band_component = np.concatenate([np.full(len(rows), i) for i, rows in parts] + [np.zeros(0, int)])
+        self.band_components = tuple(i for i, _ in parts)
+        self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])
+        count = len(self.bands)
+        self.band_hat = fft.rfft(self.bands[:, :T]) if count else np.zeros((0, len(self.spaces.z)), complex)
+        # what y_t loses by a unit force on each band row, (n+m, rows, T)
+        self.band_responses, self.band_rows = np.zeros((len(self.lti.M), 0, T)), np.zeros((count, self.size))
+        if count:
+            force = np.zeros((len(self.lti.M), count, len(self.spaces.z)), dtype=np.complex128)
+            force[self.band_component, np.arange(count)] = self.band_hat
+            self.band_responses = fft.irfft(self.spaces.project(force), T)
+            signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
+            for i, rows in parts:
+                self.band_rows[self.band_component == i] = rows[:, :T] @ signals[i].T
+            at_free = self.free_end[:, None] == self.band_component
+            self.band_rows[:, self.at_end] += (at_free * self.bands[:, -1]).T
+
+    def _direction_signals(self) -> Array:
+        """Return the signals of unit coordinates of the bordering directions, (n+m, directions, T)."""
+        T = self.lti.horizon
+        phase = np.exp((2j * np.pi / T) * (np.outer(self.bins, np.arange(T)) % T))
+        return (self.vectors[:, :, None] * phase).real
+
+    def _decompose(self) -> None:
+        """Set K_b and its inverse; where bordering unknowns are soft, with the least proximal weight."""
+        points, first_band = len(self.point_t), len(self.point_t) + len(self.singular_rows)
+        G = np.zeros((len(self.E), len(self.E)))
+        G[:, :points] = self.responses(self.point_t, self.point_f)
+        G[:points, first_band:] = G[first_band:, :points].T
+        for i in self.band_components:
+            mine = first_band + np.flatnonzero(self.band_component == i)
+            G[first_band:, mine] = self.band_responses[i] @ self.bands[self.band_component == i, :-1].T
+        self.matrix = np.empty((self.size + len(G), self.size + len(G)))
+        self.matrix[: self.size, : self.size], self.matrix[: self.size, self.size :] = self.H, self.E.T
+        self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(G + G.T) / 2
+        self.dependent = _null_space(self.E.T, G)
+        unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
+        self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
+        try:
+            self.inverse = self.inverse_with(0.0)
+            # soft: an unknown responds so much to a force that the digits of other responses are lost
+            response = np.abs(self.inverse.diagonal()[: self.size])
+            of_ends, inside = response[: self.ends_count].max(initial=0.0), response[self.ends_count :].max(initial=0.0)
+            stiff_ends = of_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal)
+            self.soft = not (stiff_ends and inside <= tol.SOFT_RESPONSE / unit)
+        except np.linalg.LinAlgError:
+            self.soft = True
+        if self.soft:
+            self.inverse = self.inverse_with(self.least_proximal)
+
+    def proximal_matrix(self, proximal: float) -> Array:
+        """Return K_b with a proximal weight on theta."""
+        matrix, diagonal = self.matrix.copy(), np.arange(self.size)
+        matrix[diagonal, diagonal] += proximal
+        return matrix
+
+    def inverse_with(self, proximal: float) -> Array:
+        """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
+        return self._inverse_of(self.proximal_matrix(proximal))
+
+    @cached_property
+    def regularised(self) -> Array:
+        """The inverse of K_b with a unit Hessian in place of H."""
+        matrix = self.matrix.copy()
+        matrix[: self.size, : self.size] = self.lti.curvature_unit * np.eye(self.size)
+        return self._inverse_of(matrix)
+
+    def _inverse_of(self, matrix: Array) -> Array:
+        n = self.size
+        if self.dependent.size:
+            onto = self.dependent @ self.dependent.T
+            matrix[n:, n:] -= onto / self.lti.curvature_unit
+            inverse = _equilibrated_inverse(matrix)
+            inverse[n:, n:] += self.lti.curvature_unit * onto
+        else:
+            inverse = _equilibrated_inverse(matrix)
+        return (inverse + inverse.T) / 2
+
+    def gradient(self, spectrum: ComplexArray) -> Array:
+        """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""
+        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.weight).real
+        at_bins = (self.vectors.conj() * spectrum[:, self.bins]).sum(0).real
+        return np.concatenate([over_bins / self.lti.horizon, at_bins])
+
+    def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
+        """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
+        spaces, n = self.spaces, lti.start_points
+        start = np.where(np.isnan(lti.start), 0.0, lti.start)
+        points = start[:n], lti.lower[self.point_f[n:], self.point_t[n:]]
+        singular = [
+            scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
+            for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)
+        ]
+        fixed_end = np.where(np.isnan(lti.end), 0.0, lti.end)
+        bands = -self.bands[:, -1] * fixed_end[self.band_component]
+        return np.concatenate([*points, *singular, bands])
+
+    def values(self, t: Indices, f: Indices) -> Array:
+        """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
+        rows, T = self.lti.F[f], self.lti.horizon
+        at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
+        phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
+        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
+
+    def values_at_all_times(self, rows: Indices) -> Array:
+        """Return how unknowns and equations move F_f y_t at all t < T: (size + equations, len(rows), T)."""
+        F = self.lti.F[rows]
+        signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
+        moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
+        if self.size:
+            moved[:, : self.size] = np.tensordot(F, signals, 1)
+        by_points = self.kernels.table[rows[:, None], self.point_f]  # unit forces at t = 0, (len(rows), points, T) ...
+        for i in np.flatnonzero(self.point_t):  # ... which act later at the other points
+            by_points[:, i] = np.roll(by_points[:, i], self.point_t[i], axis=-1)
+        moved[:, self.size : self.size + len(self.point_t)] = -by_points
+        if len(self.bands):
+            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
+        return moved.swapaxes(0, 1)
+
+    def responses(self, t: Indices, f: Indices) -> Array:
+        """Return what the equations' left sides lose by unit forces on F_f y_t, shape (equations, len(t)), t < T."""
+        at_points = self.kernels.gram(self.point_t, self.point_f, t, f)
+        at_bands = np.einsum("ri,idr->dr", self.lti.F[f], self.band_responses[:, :, t])
+        return np.vstack([at_points, np.zeros((len(self.singular_rows), len(t))), at_bands])
+
+    def add(self, theta: Array, spectrum: ComplexArray) -> None:
+        """Add the responses to theta to the spectrum (n+m, bins), in place."""
+        for a in range(self.ends_count):
+            spectrum += theta[a] * self.end_responses[:, a]
+        np.add.at(spectrum.T, self.bins, (self.vectors * (self.amplitude * theta[self.ends_count :])).T)
+
+
+def _null_space(rows: Array, gram: Array) -> Array:
+    """Return an orthonormal basis of the directions that neither the rows nor the positive semidefinite gram see."""
+    rounding = tol.EQUATION_ROUNDING * float(np.abs(gram).max(initial=0.0))
+    if not len(gram) or np.linalg.eigvalsh(gram)[0] > rounding:
+        return np.zeros((len(gram), 0))
+    _, singular, V = np.linalg.svd(rows)
+    rank = int((singular > tol.NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
+    unseen = V[rank:].T
+    eigenvalues, vectors = np.linalg.eigh(unseen.T @ gram @ unseen)
+    return unseen @ vectors[:, eigenvalues <= rounding]
+
+
+def equilibration(matrix: Array) -> Array:
+    """Return a scale s for rows and columns such that the largest entries of s_i s_j |matrix_ij| are near 1."""
+    scale = np.ones(len(matrix))
+    for _ in range(EQUILIBRATIONS):
+        largest = np.abs(matrix * scale[:, None] * scale).max(1, initial=0.0)
+        scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
+    return scale
+
+
+def _equilibrated_inverse(matrix: Array) -> Array:
+    scale = equilibration(matrix)
+    try:
+        return np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+    except np.linalg.LinAlgError:  # exactly singular: the exchange fails
+        return np.full_like(matrix, np.nan)

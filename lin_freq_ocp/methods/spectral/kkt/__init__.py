@@ -1,1 +1,0 @@
-"""Linear algebra of the Fourier-domain method: bordered KKT systems, working sets and small quadratic programs."""

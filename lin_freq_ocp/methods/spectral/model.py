@@ -1,0 +1,390 @@
+"""A linear time-invariant problem in units of order 1, with time as the last axis (docs/spectral.md, 1).
+
+    minimise    sum_{t<T} 1/2 y'M y + h_t'y  +  1/2 x_T'P x_T + p'x_T,    y_t = (x_t, u_t),  M = [[Q, S], [S', R]]
+    subject to  x_{t+1} = A x_t + B u_t + d_t,   lower_t <= F y_t <= upper_t,   F = [I; C D],
+                ends fixed, free or in a box, per component,   stopped bins of u (length T) and of x (length T+1)
+
+A bound with a finite price is soft: the price times its violation joins the cost, and limits its multiplier. Where
+there is no recursion, the dynamics are the response of x_{t+1} at every bin. Units are powers of two: changing to them
+and back rounds nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import matrix_balance
+from scipy.sparse.csgraph import connected_components
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set, soft_sets
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
+from lin_freq_ocp.problem.terms.term import TermKind
+
+STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the bordered system
+
+
+@dataclass(frozen=True, eq=False)
+class Lti:
+    """The problem; a new solve may change what follows ``horizon``."""
+
+    A: Array
+    B: Array
+    M: Array
+    P: Array
+    F: Array  # (rows, n+m): the identity, then the stage rows
+    passed: Mask  # (m, T//2 + 1): which bins each control may use
+    state_stop: Mask  # (state_samples//2 + 1, n): which bins are removed from each state
+    horizon: int
+    start: Array  # x_0, NaN where it is free
+    end: Array  # x_T, NaN where it is free
+    linear: Array | None  # h_t, (n+m, T)
+    p: Array
+    offset: Array | None  # d_t, (n, T)
+    lower: Array  # (rows, T)
+    upper: Array
+    last_lower: Array  # of x_T, (n,)
+    last_upper: Array
+    constant: float  # cost at x = 0, u = 0
+    prices: Bounds | None = None  # of a unit of violation, infinite for hard bounds; None if all are hard
+    response: ComplexArray | None = None  # of x_{t+1} at every bin, (n, m, T//2 + 1), instead of A, B
+    periodic: bool = False  # whether x_T = x_0: then the ends are free, and bounds on x_T are on x_0
+
+    @cached_property
+    def state_dim(self) -> int:
+        """Number of states n."""
+        return len(self.A)
+
+    @cached_property
+    def control_dim(self) -> int:
+        """Number of controls m."""
+        return self.B.shape[1]
+
+    @property
+    def state_samples(self) -> int:
+        """Number of samples in spectra of states: T+1, or T with periodic ends."""
+        return self.horizon + 1 - self.periodic
+
+    @property
+    def start_points(self) -> int:
+        """Number of equations x(0) = x_0: none if the ends are periodic."""
+        return 0 if self.periodic else self.state_dim
+
+    def between(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
+        """Return the problem between other ends, in units x (n,) of the states; None if x_0 has free components."""
+        start, end = (_fixed_values(box) / x for box in ends)
+        if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
+            return None
+        other = self.at_points(start, end)
+        if self.prices is None:  # else, the end is the same
+            assign(other, last_lower=ends[1].lower / x, last_upper=ends[1].upper / x)
+        return other
+
+    def at_points(self, start: Array, end: Array) -> Lti:
+        """Return the problem with other values of the fixed components of its ends."""
+        other = copy(self)
+        assign(other, start=start, end=end)
+        return other
+
+    @cached_property
+    def state_cost(self) -> bool:
+        """Whether Q or S is not zero."""
+        return bool(self.M[: self.state_dim].any())
+
+    @cached_property
+    def curvature_unit(self) -> float:
+        """Mean diagonal entry of R, of Q if R = 0: small Hessians are relative to it."""
+        n = self.state_dim
+        return float(np.trace(self.M[n:, n:])) / self.control_dim or float(np.trace(self.M[:n, :n])) / n
+
+    @cached_property
+    def cost_level(self) -> float:
+        """Cost of a stage or the end where states and controls are of order 1."""
+        return max(float(np.abs(self.M).max()), float(np.abs(self.P).max()))
+
+    @cached_property
+    def fixed_points(self) -> tuple[Indices, Indices]:
+        """(t, f) of the rows F_f y_t with equal bounds, without fixed ends: 0 <= t < T."""
+        f, t = np.nonzero(self.lower == self.upper)
+        elsewhere = (t > 0) | (f >= self.state_dim)
+        return t[elsewhere], f[elsewhere]
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """A number for each bound, such as its price: of F y_t at t < T, (rows, T), and of x_T, (n,)."""
+
+    lower: Array
+    upper: Array
+    last_lower: Array
+    last_upper: Array
+
+    def times(self, factor: float) -> Bounds:
+        """Return multiples of the numbers at t < T."""
+        return replace(self, lower=factor * self.lower, upper=factor * self.upper)
+
+    def at(self, cut: Callable[[Array], Array]) -> Bounds:
+        """Return those at the times that a function keeps of arrays (rows, T)."""
+        return replace(self, lower=cut(self.lower), upper=cut(self.upper))
+
+
+@dataclass(frozen=True, eq=False)
+class LtiUnits:
+    """What one unit of the Lti problem is in the user's: states (n,), controls (m,), stage rows, cost."""
+
+    x: Array
+    u: Array
+    rows: Array
+    cost: float
+
+
+def refusal(problem: OptimalControlProblem) -> str | None:
+    """Return why the Fourier-domain method cannot take the problem, or None."""
+    cost, response = problem.quadratic, problem.dynamics.response(problem.horizon)
+    if response is not None and not closes_on_the_circle(problem):
+        return "only a periodic frequency response, without terminal cost, fixed ends and soft sets"
+    taken = TermKind.STAGE_ROWS, TermKind.LINKED_ENDS
+    others = [term for term in problem.terms if term.kind not in taken and soft_set(problem, term) is None]
+    if others:
+        return f"{others[0].name}: only boxes, joint rows, stop bands and quadratic costs"
+    if any(term.kind == TermKind.LINKED_ENDS for term in problem.terms) and not closes_on_the_circle(problem):
+        return "the ends are linked otherwise than by x_T = x_0 alone, without terminal cost, fixed ends and soft sets"
+    if soft_sets(problem) is None:
+        return "two bounds on the same side of a component, of which one is soft"
+    if response is None and problem.linear.time_varying:
+        return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
+    if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
+        return "Q, R or S depends on time; the Fourier-domain method needs a constant stage Hessian"
+    if any(rows.time_varying for rows in problem.stage_rows):
+        return "C or D of a stage row depends on time; the Fourier-domain method needs them constant"
+    bins = 2 * int(problem.state_stop.sum())
+    if bins > STATE_BAND_ROWS:
+        return f"the state bands are about {bins} dense rows; the Fourier-domain method takes {STATE_BAND_ROWS}"
+    if not any(part.any() for part in (cost.Q, cost.R)):
+        other = "" if response is None else " (solve takes such a cost over a frequency response)"
+        return f"neither Q nor R is above zero; the Fourier-domain method needs a strictly convex cost{other}"
+    return None
+
+
+def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
+    """Whether x_T = x_0 is the only constraint on the ends, apart from bounds: the trajectory is then one period."""
+    links, cost = problem.links, problem.quadratic
+    return (
+        [(one.periodic, one.penalty.reach) for one in links] == [(True, 0.0)]
+        and not (cost.P.any() or cost.p.any() or problem.state_tube.fixed[[0, -1]].any())
+        and all(term.hard for term in problem.terms)
+    )
+
+
+def natural_units(problem: OptimalControlProblem) -> LtiUnits:
+    """Return units in which the data are of order 1; UnsupportedError if the cost is then no number above zero."""
+    given = given_sizes(problem)
+    states, controls = completed_sizes(problem, given)
+    known = given[: len(states)] > 0
+    recursion = problem.dynamics.response(problem.horizon) is None
+    balanced = recursion and not known.all()
+    x = _power_of_two(_state_sizes(problem.linear.A, states, known) if balanced else states)
+    u = _power_of_two(_control_sizes(problem.control_tube, controls))
+    cost = problem.quadratic
+    level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
+    if not 0 < level < np.inf:
+        raise UnsupportedError(f"method 'spectral': states and controls of their sizes cost {level:g}; change units.")
+    rows = np.abs(_scaled_rows(problem, x, u)).max(1)
+    return LtiUnits(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
+
+
+def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
+    """Return sizes of the states, (n,): as given, else such that A is balanced among states that act on each other.
+
+    The estimate |x| <= T |A| |x| of a state without a given size grows with T, once per state of a chain, even where
+    states oscillate against each other. In such units A would be nearly defective.
+    """
+    sizes = stated.copy()
+    count, group = connected_components(A != 0, connection="strong")
+    for mine in (np.flatnonzero(group == i) for i in range(count)):
+        coupling = A[np.ix_(mine, mine)] * ~np.eye(len(mine), dtype=bool)
+        balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
+        known, ratio = given[mine], sizes[mine] / balanced
+        level = ratio[known].max() if known.any() else np.exp(np.log(ratio).mean())
+        wrong = np.abs(np.log(ratio / level)) > np.log(tol.MUCH_LARGER)
+        sizes[mine] = np.where(wrong & ~known, level * balanced, sizes[mine])
+    return sizes
+
+
+def _control_sizes(tube: Box, stated: Array) -> Array:
+    """Return sizes of the controls, (m,): as stated, or their bounds where only a much smaller reference is stated."""
+    sides = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in tube.bounds]
+    if all((side <= tol.MUCH_LARGER * stated).all() for side in sides):
+        return stated
+    bounds = np.maximum(*(np.median(side, axis=0) for side in sides))
+    larger = (bounds > tol.MUCH_LARGER * stated) & (bounds <= FAR_BEYOND * stated)
+    return np.where(larger, bounds, stated)
+
+
+def revised_units(units: LtiUnits, y: Array) -> LtiUnits | None:
+    """Return units from a solution y (n+m, T) in the given units, or None if those were right.
+
+    With bounds such as 1e9 that stand for none, all signals may be rounding in the first units.
+    """
+    reached = np.abs(y).max(1)
+    wrong = (reached > tol.ROUNDED_COMPONENT) & (reached < tol.WRONG_UNIT)
+    if not wrong.any():
+        return None
+    factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
+    n = len(units.x)
+    smallest = float(factor[n:].max()) ** 2
+    return LtiUnits(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)
+
+
+def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
+    """Return the problem in the given units; it must not be one that ``refusal`` names."""
+    n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
+    x, u = units.x, units.u
+    found = problem.dynamics.response(T)
+    if found is None:
+        A, B, d, response = problem.linear.A, problem.linear.B, problem.linear.offset, None
+    else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion
+        lead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
+        A, B, d, response = np.zeros((n, n)), np.zeros((n, len(u))), found.base[1:], lead * np.moveaxis(found.G, 0, -1)
+    y = np.concatenate([x, u])
+    linear = _linear_terms(problem)
+    offset = d.T if d.ndim == 2 else d[:, None]
+    lower, upper = _bounds(problem, units)
+    last_lower, last_upper = (side / x for side in problem.ends[1].bounds)
+    prices = None
+    if not all(term.hard for term in problem.terms):
+        (lower, upper, last_lower, last_upper), prices = _soft_bounds(problem, units, lower, upper)
+    periodic = closes_on_the_circle(problem)
+    if periodic:
+        lower = _with_end_bound(np.maximum, lower, last_lower)
+        upper = _with_end_bound(np.minimum, upper, last_upper)
+        last_lower, last_upper = np.full(n, -np.inf), np.full(n, np.inf)
+    start, end = (_fixed_values(box) / x for box in problem.ends)
+    p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
+    referred = cost.x_ref.any() or cost.u_ref.any()
+    constant = cost.value(np.zeros((T + 1, n)), np.zeros((T, len(u)))) if referred else 0.0
+    return Lti(
+        A=A * x / x[:, None],
+        B=B * u / x[:, None],
+        M=cost.stage_hessians()[0] * y * y[:, None] / units.cost,
+        P=cost.P * x * x[:, None] / units.cost,
+        F=np.vstack([np.eye(len(y)), _scaled_rows(problem, x, u) / units.rows[:, None]]),
+        passed=~problem.control_stop.T,
+        state_stop=problem.state_stop,
+        horizon=T,
+        start=start,
+        end=end,
+        linear=None if linear is None else np.broadcast_to(linear * y[:, None] / units.cost, (len(y), T)),
+        p=p * x / units.cost,
+        offset=np.broadcast_to(offset / x[:, None], (n, T)) if offset.any() else None,
+        lower=lower,
+        upper=upper,
+        last_lower=last_lower,
+        last_upper=last_upper,
+        constant=constant / units.cost,
+        prices=prices,
+        periodic=periodic,
+        response=None if response is None else response * (u / x[:, None])[:, :, None],
+    )
+
+
+def _linear_terms(problem: OptimalControlProblem) -> Array | None:
+    """Return h, shape (n+m, T) or (n+m, 1): the gradient of the stage costs at x = 0, u = 0."""
+    cost, T = problem.quadratic, problem.horizon
+    x_ref = cost.x_ref[:T] if cost.x_ref.ndim == 2 else cost.x_ref[None]
+    u_ref = np.atleast_2d(cost.u_ref)
+    in_x = np.atleast_2d(cost.q) - x_ref @ cost.Q.T - u_ref @ cost.S.T
+    in_u = np.atleast_2d(cost.r) - u_ref @ cost.R.T - x_ref @ cost.S
+    if not (in_x.any() or in_u.any()):
+        return None
+    times = max(len(in_x), len(in_u))
+    return np.vstack([np.broadcast_to(part.T, (part.shape[1], times)) for part in (in_x, in_u)])
+
+
+def _bounds(problem: OptimalControlProblem, units: LtiUnits) -> tuple[Array, Array]:
+    """Return lower and upper, shape (rows, T); without memory where they do not depend on time."""
+    T, states, controls = problem.horizon, problem.state_tube, problem.control_tube
+    free = ~states.fixed[0]  # a fixed start is an equation, not a bound on x_0
+    joint = [np.atleast_2d(rows.e).T for rows in problem.stage_rows]
+
+    def side(state: Array, control: Array, joint: list[Array]) -> Array:
+        first = np.where(free, state[0], state[min(1, T - 1)])
+        columns = [_as_columns(state[:T], first), _as_columns(control, control[0]), *joint]
+        times = max(part.shape[1] for part in columns)
+        rows = np.vstack([np.broadcast_to(part, (len(part), times)) for part in columns])
+        rows /= np.concatenate([units.x, units.u, units.rows])[:, None]
+        return np.broadcast_to(rows, (len(rows), T))
+
+    absent = [np.full((len(e), 1), -np.inf) for e in joint]
+    return side(states.lower, controls.lower, absent), side(states.upper, controls.upper, joint)
+
+
+def _as_columns(bounds: Array, first: Array) -> Array:
+    """Return bounds (T, k) as columns (k, T), with ``first`` at t = 0; (k, 1) if they do not depend on time."""
+    if (bounds[1:] == first).all():
+        return first[:, None]
+    columns = np.array(bounds.T)
+    columns[:, 0] = first
+    return columns
+
+
+def _soft_bounds(
+    problem: OptimalControlProblem, units: LtiUnits, lower: Array, upper: Array
+) -> tuple[tuple[Array, Array, Array, Array], Bounds]:
+    """Return the bounds with those of soft sets in their places, and all prices; rows are soft on their upper side."""
+    n, T, y = problem.state_dim, problem.horizon, np.concatenate([units.x, units.u])
+    given = soft_sets(problem)
+    everything = None if given is None else priced_bounds(problem, given)
+    if everything is None:
+        raise UnsupportedError(
+            "method 'spectral': a soft set that bounds of components cannot say. Use method 'convex'."
+        )
+    per_row = [np.full(rows.rows, np.inf if rows.penalty is None else rows.penalty) for rows in problem.stage_rows]
+    joint = np.concatenate([*per_row, np.zeros(0)]) * units.rows / units.cost
+    of_lower, of_upper = (side.T * y[:, None] / units.cost for side in (everything.of_lower, everything.of_upper))
+    sides = list[Array]()
+    for side, own, price in ((lower, everything.lower, of_lower), (upper, everything.upper, of_upper)):
+        soft = np.isfinite(price[:, :T])
+        sides.append(np.vstack([np.where(soft, own[:T].T / y[:, None], side[: len(y)]), side[len(y) :]]))
+    last = (everything.lower[T, :n] / units.x, everything.upper[T, :n] / units.x)
+    rows = np.broadcast_to(joint[:, None], (len(joint), T))
+    prices = Bounds(
+        np.vstack([of_lower[:, :T], np.full(rows.shape, np.inf)]),
+        np.vstack([of_upper[:, :T], rows]),
+        of_lower[:n, T],
+        of_upper[:n, T],
+    )
+    return (sides[0], sides[1], *last), prices
+
+
+def _with_end_bound(tighter: np.ufunc, side: Array, last: Array) -> Array:
+    """Return bounds (rows, T) with those of x_T, (n,), on x_0, too."""
+    first = tighter(side[: len(last), 0], last)
+    if (first == side[: len(last), 0]).all():
+        return side
+    both = np.array(side)
+    both[: len(last), 0] = first
+    return both
+
+
+def _fixed_values(box: Box) -> Array:
+    """Return the values that a box fixes, NaN elsewhere."""
+    return np.where(box.fixed, box.lower, np.nan)
+
+
+def _scaled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Array:
+    """Return [C D] of all stage rows, for states and controls in the units x and u, (rows, n+m)."""
+    rows = [np.hstack([given.C * x, given.D * u]) for given in problem.stage_rows]
+    return np.concatenate([*rows, np.zeros((0, len(x) + len(u)))])
+
+
+def _power_of_two(size: Array) -> Array:
+    return np.exp2(np.round(np.log2(size)))

@@ -1,0 +1,485 @@
+"""The small QP over the working rows: min lam'S lam / 2 + d'lam over 0 <= lam <= u, S often singular.
+
+docs/spectral.md, 6, 7 and 12. u is the price of a soft row and infinite for a hard one; a row with lam = u > 0 is
+saturated: it is violated, and its slope S lam + d, which is its slack, is at most 0. S is positive semidefinite, and
+numerically singular where a state or a control stays at a bound.
+
+``bounded_qp`` tries block pivoting, then the interior point. ``BorderedQp`` keeps the bordering unknowns of little
+curvature, whose elimination would lose the digits of S. The exchange measures every answer by the signals that follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.blas import dsyrk
+from scipy.linalg.lapack import dgetrf, dgetrs, dposv, dpotrf, dpotrs, dpstrf
+
+from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.kkt import equilibration
+
+INTERIOR_STEPS = 60  # after which the best iterate is returned; 10 to 25 are usual
+LOW_RANK_ROWS = 200  # from which a factor of low rank saves time ...
+LARGEST_SHARE = 0.45  # ... and rank over rows up to which it does
+TO_BOUNDARY = 0.995  # fraction of the step to the boundary
+REFINED = 1e-8  # diagonal added to a thin factor below which solves are refined
+WARM = 1e-2  # least weight and slack of a warm start
+POLISHES = 3  # refinements of the polish: each squares the relative error of the factor
+DROPPINGS = 5  # passes that drop active rows of the wrong sign
+PIVOTING_ROWS = 300  # up to which block pivoting is tried first
+PIVOTING_STEPS = 12  # after which it has not converged
+WAITING_STEPS = 2  # its steps in a row without fewer wrong rows
+
+
+def bounded_qp(
+    S: Array,
+    d: Array,
+    start: Array,
+    unconstrained: Array | None = None,
+    stop: Callable[[], str | None] = lambda: None,
+    upper: Array | None = None,
+    response: Array | None = None,
+) -> tuple[Array, bool]:
+    """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
+
+    ``upper`` is u, None if all of it is infinite. A row with a price that equations decide is saturated if it is
+    violated: its entry of S is rounding of zero, relative to its ``response`` without equations.
+
+    ``unconstrained`` is a diagonal with diag - S >= 0 of low rank, 1/R for control rows and zero for others, if any.
+    """
+    if upper is not None and response is not None:
+        decided = np.isfinite(upper) & (np.diagonal(S) < tol.DECIDED_SOFT * response)
+        if decided.any():
+            return _with_decided(S, d, start, unconstrained, stop, upper, decided)
+    unit = 1 / np.sqrt(np.maximum(np.diagonal(S), tol.TINY))
+    size = max(float((np.abs(d) * unit).max()), tol.TINY)
+    A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
+    A *= unit
+    most = None if upper is None else upper / unit / size
+    lam = block_pivoting(A, b, warm, most) if len(d) <= PIVOTING_ROWS else None
+    if lam is not None:
+        return _in_units(lam, unit * size, most, upper), True
+    thin = None if unconstrained is None else unconstrained * unit**2
+    lam, accurate = interior_point(A, b, thin, stop, warm, most)
+    return _in_units(lam, unit * size, most, upper), accurate
+
+
+def _with_decided(
+    S: Array,
+    d: Array,
+    start: Array,
+    unconstrained: Array | None,
+    stop: Callable[[], str | None],
+    upper: Array,
+    decided: Mask,
+) -> tuple[Array, bool]:
+    """Return the answer with rows that equations decide, (count,), at a bound of their multipliers."""
+    lam, rest, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
+    if rest.any():
+        free = None if unconstrained is None else unconstrained[rest]
+        target = d[rest] + S[np.ix_(rest, decided)] @ lam[decided]
+        lam[rest], accurate = bounded_qp(S[np.ix_(rest, rest)], target, start[rest], free, stop, upper[rest])
+    return lam, accurate
+
+
+def _in_units(lam: Array, units: Array, most: Array | None, upper: Array | None) -> Array:
+    """Return lam in the units of the problem, exactly at its upper bounds where it is there."""
+    return lam * units if most is None or upper is None else np.where(lam >= most, upper, lam * units)
+
+
+def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None) -> Array | None:
+    """Exchange all wrong rows at once; None if that does not converge, or if the rows are nearly dependent."""
+    fewest, waiting, slope = len(b) + 1, WAITING_STEPS, A @ start + b
+    saturated = np.zeros(len(b), dtype=bool) if upper is None else start >= upper
+    active = ((start > 0) | (slope < 0)) & ~saturated
+    for _ in range(PIVOTING_STEPS):
+        lam, rows, target = np.zeros(len(b)), active.nonzero()[0], b
+        if upper is not None and saturated.any():
+            lam[saturated] = upper[saturated]
+            target = b + A[:, saturated] @ lam[saturated]
+        if len(rows):
+            factor, solution, failed = dposv(A.take(rows, 0).take(rows, 1), target[rows], lower=1)
+            if failed or factor.diagonal().min() < tol.PIVOTING_PIVOT:
+                return None
+            lam[rows] = -solution
+        slope = A @ lam + b
+        wrong = np.where(active, lam < 0, slope < -tol.WRONG_SLOPE)
+        if upper is not None:
+            above = active & (lam > upper)
+            leaving = saturated & (slope > tol.WRONG_SLOPE)
+            wrong = above | leaving | (wrong & ~saturated)
+            saturated = (saturated & ~leaving) | above
+        count = np.count_nonzero(wrong)
+        if count == 0:
+            return lam
+        waiting = WAITING_STEPS if count < fewest else waiting - 1
+        if waiting < 0:
+            return None
+        fewest = min(fewest, count)
+        active ^= wrong
+    return None
+
+
+def interior_point(
+    A: Array,
+    b: Array,
+    unconstrained: Array | None,
+    stop: Callable[[], str | None] = lambda: None,
+    start: Array | None = None,
+    upper: Array | None = None,
+) -> tuple[Array, bool]:
+    """Return (lam, whether it is accurate) by Mehrotra's predictor-corrector; what follows b is as in ``bounded_qp``.
+
+    A lam + b = z - y with lam >= 0, z >= 0, lam'z = 0, and, where u is finite, margin
+    w = u - lam >= 0, y >= 0, w'y = 0.
+
+    On saturated control arcs A has eigenvalues near 0 and 1, and multipliers are not unique: active-set methods cycle.
+    There A is of low rank, the width of the pass band times the length of the arcs, or diag(unconstrained) - A >= 0 is,
+    with the width of the stop band: each step is then a small system (docs/spectral.md, 6).
+
+    Mehrotra (1992), On the implementation of a primal-dual interior point method.
+    """
+    system, ridge, count = _thin_factor(A, unconstrained) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
+    lam, least = (np.ones(count), 1.0) if start is None or not start.any() else (start, WARM)
+    caps = Caps(np.full(count, np.inf) if upper is None else upper)
+    weights = caps.inside(lam, least)
+    z = caps.slacks(system.times(weights[:count]) + b, weights, least)
+    best = np.inf, weights, z
+    for _ in range(INTERIOR_STEPS):
+        lam = weights[:count]
+        defect, mu = caps.slope(z) - system.times(lam) - b, float(weights @ z) / len(weights)
+        error = max(float(np.abs(defect).max()), mu) / (1 + float(lam.max()))
+        if error < best[0]:
+            best = error, weights, z
+        if error < tol.INTERIOR_SOLVED or not error <= tol.DIVERGED_ERROR * best[0] or stop():
+            break
+        if not system.factor(caps.diagonal(weights, z) + ridge):
+            ridge *= 100
+            if ridge > tol.LARGEST_RIDGE:
+                break
+            continue
+        newton = partial(_newton_step, system, caps, weights, defect)
+        _, weights, z, length = predictor_corrector(newton, weights, z, mu, max(TO_BOUNDARY, 1 - mu))
+        if length < tol.INTERIOR_ACCURATE:
+            break
+    error, weights, z = best
+    return _polish(system, b, caps, weights, z), error < tol.INTERIOR_ACCURATE
+
+
+def _newton_step(
+    system: _Dense | _Thin, caps: Caps, weights: Array, defect: Array, target: Array
+) -> tuple[Array, Array]:
+    """Return the steps of no other unknowns and of (lam, w)."""
+    return np.zeros(0), caps.steps(system.solve(defect + caps.slope(target / weights)))
+
+
+def _polish(system: _Dense | _Thin, b: Array, caps: Caps, weights: Array, z: Array) -> Array:
+    """Return lam with zero slope on the active rows, and zeros or upper bounds elsewhere, if that keeps it between."""
+    active, lam = caps.split(weights, z)
+    if not active.any() or not system.factor(np.where(active, tol.INTERIOR_RIDGE, tol.HOLDING_DIAGONAL)):
+        return lam
+    polished = lam.copy()
+    for _ in range(POLISHES):
+        slope = np.where(active, system.times(polished) + b, 0.0)
+        polished = polished - np.where(active, system.solve(slope), 0.0)
+
+    def slope_left(v: Array) -> float:
+        return float(np.abs((system.times(v) + b)[active]).max())
+
+    better = np.clip(polished, 0.0, caps.upper)
+    return better if slope_left(better) < slope_left(lam) else lam
+
+
+class Caps:
+    """Upper bounds u of lam, (count,): pairs (weights, slacks) are (lam, z), then (w, y) of the finite bounds."""
+
+    def __init__(self, upper: Array):
+        self.upper, self.capped, self.count = upper, np.flatnonzero(np.isfinite(upper)), len(upper)
+
+    def inside(self, lam: Array, least: float) -> Array:
+        """Return (lam, w) from a lam >= 0, moved inside its bounds."""
+        lam = np.maximum(lam, least)
+        cap = self.upper[self.capped]
+        margin = np.minimum(least, cap / 4)
+        lam[self.capped] = np.clip(lam[self.capped], margin, cap - margin)
+        return np.concatenate([lam, cap - lam[self.capped]])
+
+    def slacks(self, slope: Array, weights: Array, least: float) -> Array:
+        """Return (z, y) for a slope z - y: z at least this large, y too, but smaller where the margin is wide."""
+        smallest = least / np.maximum(1.0, weights[self.count :])
+        return np.concatenate([np.maximum(slope, least), np.maximum(-slope[self.capped], smallest)])
+
+    def slope(self, z: Array) -> Array:
+        """Return z - y, (count,)."""
+        slope = z[: self.count].copy()
+        slope[self.capped] -= z[self.count :]
+        return slope
+
+    def diagonal(self, weights: Array, z: Array) -> Array:
+        """Return z / lam + y / w, (count,)."""
+        quotient = z / weights
+        diagonal = quotient[: self.count].copy()
+        diagonal[self.capped] += quotient[self.count :]
+        return diagonal
+
+    def steps(self, change: Array) -> Array:
+        """Return the steps of (lam, w) from that of lam."""
+        return np.concatenate([change, -change[self.capped]])
+
+    def split(self, weights: Array, z: Array) -> tuple[Mask, Array]:
+        """Return which rows are active, between their bounds, and lam with the others at the bounds."""
+        lam, saturated = weights[: self.count], np.zeros(self.count, dtype=bool)
+        saturated[self.capped] = weights[self.count :] < z[self.count :]
+        active = (lam > z[: self.count]) & ~saturated
+        return active, np.where(saturated, self.upper, np.where(active, lam, 0.0))
+
+
+def predictor_corrector(
+    newton: Callable[[Array], tuple[Array, Array]],
+    weights: Array,
+    z: Array,
+    mu: float,
+    to_boundary: float = TO_BOUNDARY,
+) -> InteriorStep:
+    """Return the step from weights l > 0 and slacks z > 0 with mu = l'z / count.
+
+    ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target. The
+    step length is 0 where the products l z have vanished: no step makes them smaller.
+    """
+    other, dw = newton(-weights * z)
+    if mu < tol.TINY:
+        return InteriorStep(np.zeros_like(other), weights, z, 0.0)
+    dz = (-weights * z - z * dw) / weights
+    length = min(1.0, _step_to_boundary(weights, dw, z, dz))
+    after = float((weights + length * dw) @ (z + length * dz)) / float(weights @ z)
+    target = after**3 * mu - weights * z - dw * dz
+    other, dw = newton(target)
+    dz = (target - z * dw) / weights
+    length = min(1.0, to_boundary * _step_to_boundary(weights, dw, z, dz))
+    return InteriorStep(length * other, weights + length * dw, z + length * dz, length)
+
+
+class InteriorStep(NamedTuple):
+    """The step of other unknowns, the new weights and slacks, and the step length."""
+
+    other: Array
+    weights: Array
+    z: Array
+    length: float
+
+
+def _step_to_boundary(weights: Array, dw: Array, z: Array, dz: Array) -> float:
+    """Return the step at which the first entry of weights + step dw or z + step dz becomes zero."""
+    return 1 / max(tol.TINY, float((-dw / weights).max()), float((-dz / z).max()))
+
+
+def _thin_factor(A: Array, unconstrained: Array | None) -> _Thin | None:
+    """Return A by a thin factor of itself or of diag(unconstrained) - A; None if neither is known to have a low rank.
+
+    The eigenvalues of A, relative to diag(unconstrained), are near 0 and 1: they add up to its rank.
+    """
+    if unconstrained is None or len(A) <= LOW_RANK_ROWS or not (unconstrained > 0).all():
+        return None
+    share = float((np.diagonal(A) / unconstrained).mean())
+    if min(share, 1 - share) > LARGEST_SHARE:
+        return None
+    base, sign = (np.zeros(len(A)), 1.0) if share < 1 - share else (unconstrained, -1.0)
+    factored = sign * A  # symmetric: its transpose is in the order that LAPACK overwrites
+    factored[np.diag_indices_from(A)] += base
+    factor, pivots, rank, _ = dpstrf(factored.T, tol=tol.RANK_TOLERANCE, lower=1, overwrite_a=1)
+    V = np.empty((len(A), rank), order="F")
+    V[pivots - 1] = np.tril(factor[:, :rank])
+    missed = base + sign * (V * V).sum(1) - np.diagonal(A)
+    return _Thin(base, sign, V) if np.abs(missed).max() < tol.LOW_RANK_ERROR else None
+
+
+class _Dense:
+    """A itself, and factors of A + diag(w)."""
+
+    def __init__(self, A: Array):
+        self.A = A
+
+    def times(self, v: Array) -> Array:
+        """Return A v."""
+        return self.A @ v
+
+    def factor(self, w: Array) -> bool:
+        """Factor A + diag(w); False if it is not positive definite."""
+        matrix = self.A.copy()
+        matrix[np.diag_indices_from(matrix)] += w
+        self._lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
+        return failed == 0
+
+    def solve(self, r: Array) -> Array:
+        """Return (A + diag(w))^{-1} r."""
+        return dpotrs(self._lower, r, lower=1)[0]
+
+
+class _Thin:
+    """A = diag(base) + sign V V' with a thin V, and factors of A + diag(w)."""
+
+    def __init__(self, base: Array, sign: float, V: Array):
+        self._base, self._sign, self._V, self._scaled = base, sign, V, np.empty_like(V)
+
+    def times(self, v: Array) -> Array:
+        """Return A v."""
+        return self._base * v + self._sign * (self._V @ (self._V.T @ v))
+
+    def factor(self, w: Array) -> bool:
+        """Factor A + diag(w); False if it is not positive definite."""
+        self._diagonal = self._base + w
+        np.divide(self._V, np.sqrt(self._diagonal)[:, None], out=self._scaled)
+        inner = dsyrk(self._sign, self._scaled, trans=1, lower=1)
+        inner[np.diag_indices_from(inner)] += 1.0
+        self._lower, failed = dpotrf(inner, lower=1, overwrite_a=1, clean=0)
+        return failed == 0
+
+    def solve(self, r: Array) -> Array:
+        """Return (A + diag(w))^{-1} r, refined once where the diagonal is tiny."""
+        x = self._solve_unrefined(r)
+        tiny = self._diagonal.min() < REFINED
+        return x + self._solve_unrefined(r - self.times(x) - (self._diagonal - self._base) * x) if tiny else x
+
+    def _solve_unrefined(self, r: Array) -> Array:
+        inner = dpotrs(self._lower, self._V.T @ (r / self._diagonal), lower=1)[0]
+        return (r - self._sign * (self._V @ inner)) / self._diagonal
+
+
+@dataclass(frozen=True, eq=False)
+class BorderedQp:
+    """The small QP with the bordering unknowns kept: free ends without cost, marginal modes.
+
+    Eliminating an unknown of curvature h leaves S with entries 1/h, and entries below 1e-16 of those are lost. Here
+    they are kept, with a proximal term: find the step p of (theta, y), weights l and slacks z with
+
+        K p + C (l - l_0) = r,   z - y = s_0 - C'p + S_W (l - l_0),   l >= 0,  z >= 0,  l'z = 0,
+
+    and y >= 0 with y'(u - l) = 0 at upper bounds l <= u, by Mehrotra's predictor-corrector on the symmetric indefinite
+    matrix [[K, C], [C', -(S_W + Z/L + Y/(U - L))]], then once more with the active rows as equations (docs/spectral.md,
+    7: soft unknowns). K is (b, b), C (b, count), S_W (count, count), r (b,), s_0, l_0, u (count,); theta comes first.
+    """
+
+    size: int
+    K: Array
+    C: Array
+    S: Array
+    r: Array
+    slack: Array
+    weights: Array
+    upper: Array
+
+    def solve(self, stop: Callable[[], str | None] = lambda: None) -> tuple[Array, Array, bool]:
+        """Return the step p, the weights l, and whether they are accurate; the best iterate when asked to stop.
+
+        First without upper bounds, which are often far above the weights: they cost digits.
+        """
+        if np.isfinite(self.upper).any():
+            step, weights, accurate = replace(self, upper=np.full(len(self.upper), np.inf)).solve(stop)
+            if accurate and (weights <= self.upper).all():
+                return step, weights, True
+        scaled, border, rows, size = self._in_unit_scale()
+        p, weights, z, accurate = _bordered_interior_point(scaled, stop)
+        active, held = Caps(scaled.upper).split(weights, z)
+        polished = None if stop() else _bordered_polish(scaled, active, held)
+        weights, z = weights[: len(held)], z[: len(held)]
+        if polished is None:
+            idle = tol.IDLE_WEIGHT * np.maximum(z, float(weights.max(initial=0.0)))
+            weights = np.where(weights < idle, 0.0, weights)
+        else:
+            p, weights = polished
+        found = np.where(weights >= scaled.upper, self.upper, weights * rows * size)
+        return p * border * size, found, accurate
+
+    def _in_unit_scale(self) -> tuple[BorderedQp, Array, Array, float]:
+        """Return the problem in units of order 1, with the units of p, of l, and of both."""
+        units = equilibration(np.block([[self.K, self.C], [self.C.T, self.S]]))
+        border, rows = np.split(units, [len(self.K)])
+        parts = self.r * border, self.slack * rows, self.weights / rows
+        size = max(1e-300, *(float(np.abs(part).max(initial=0.0)) for part in parts))
+        regular = np.where(np.arange(len(self.K)) < self.size, tol.QP_RIDGE, -tol.QP_RIDGE)
+        scaled = BorderedQp(
+            size=self.size,
+            K=self.K * border * border[:, None] + np.diag(regular),
+            C=self.C * border[:, None] * rows,
+            S=self.S * rows * rows[:, None],
+            r=parts[0] / size,
+            slack=parts[1] / size,
+            weights=parts[2] / size,
+            upper=self.upper / rows / size,
+        )
+        return scaled, border, rows, size
+
+
+def _bordered_interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Array, Array, Array, bool]:
+    b, count = qp.C.shape
+    caps, p = Caps(qp.upper), np.zeros(b)
+    weights = caps.inside(np.ones(count), 1.0)
+    z = caps.slacks(qp.slack + qp.S @ (weights[:count] - qp.weights), weights, 1.0)
+    best = np.inf, p, weights, z
+    matrix = np.empty((b + count, b + count), order="F")
+    matrix[:b, :b], matrix[:b, b:], matrix[b:, :b] = qp.K, qp.C, qp.C.T
+    diagonal = np.arange(b, b + count)
+    for _ in range(INTERIOR_STEPS):
+        change = weights[:count] - qp.weights
+        r1 = qp.r - qp.C @ change - qp.K @ p
+        r2 = caps.slope(z) - qp.slack + qp.C.T @ p - qp.S @ change
+        mu = float(weights @ z) / len(weights)
+        error = max(float(np.abs(r1).max()), float(np.abs(r2).max()), mu) / (1 + float(weights[:count].max()))
+        if error < best[0]:
+            best = error, p, weights, z
+        if (error < tol.BORDERED_SOLVED and mu < tol.BORDERED_COMPLEMENTARY) or not np.isfinite(error) or stop():
+            break
+        matrix[b:, b:] = -qp.S
+        matrix[diagonal, diagonal] -= caps.diagonal(weights, z) + tol.QP_RIDGE
+        factor, pivots, failed = dgetrf(matrix)
+        if failed:
+            break
+        newton = partial(_bordered_newton_step, (factor, pivots), r1, r2, caps, weights)
+        dp, weights, z, length = predictor_corrector(newton, weights, z, mu)
+        p = p + dp
+        if length < tol.SHORTEST_STEP:
+            break
+    error, p, weights, z = best
+    return p, weights, z, error < tol.BORDERED_ACCURATE
+
+
+def _bordered_newton_step(
+    factor: tuple[Array, Array], r1: Array, r2: Array, caps: Caps, weights: Array, target: Array
+) -> tuple[Array, Array]:
+    """Return the Newton steps of p and of (l, u - l)."""
+    step = dgetrs(*factor, np.concatenate([r1, -r2 - caps.slope(target / weights)]))[0]
+    return step[: len(r1)], caps.steps(step[len(r1) :])
+
+
+def _bordered_polish(qp: BorderedQp, active: Mask, held: Array) -> tuple[Array, Array] | None:
+    """Return the step and weights with the active rows as equations; None if signs or slacks are wrong.
+
+    The others keep their weights in ``held``, (count,): 0 or their upper bounds.
+    """
+    for _ in range(DROPPINGS):
+        rows = np.flatnonzero(active)
+        matrix = np.block([[qp.K, qp.C[:, rows]], [qp.C[:, rows].T, -qp.S[np.ix_(rows, rows)]]])
+        idle = np.where(active, 0.0, qp.weights - held)
+        right = np.concatenate([qp.r + qp.C @ idle, (qp.slack - qp.S @ idle)[rows]])
+        factor, pivots, failed = dgetrf(matrix)
+        if failed:
+            return None
+        step = dgetrs(factor, pivots, right)[0]
+        step += dgetrs(factor, pivots, right - matrix @ step)[0]
+        p, exact = step[: len(qp.r)], np.where(active, 0.0, held)
+        exact[rows] = qp.weights[rows] + step[len(qp.r) :]
+        if not np.isfinite(step).all():
+            return None
+        sign = tol.ACTIVE_SIGN * max(1.0, float(exact.max(initial=0.0)))
+        below, above = exact < -sign, exact > qp.upper + sign
+        if not (below | above).any():
+            slack = qp.slack - qp.C.T @ p + qp.S @ (exact - qp.weights)
+            wrong = np.where(exact >= qp.upper, slack > tol.POLISHED_SLACK, slack < -tol.POLISHED_SLACK)
+            return None if wrong.any() else (p, np.clip(exact, 0.0, qp.upper))
+        active, held = active & ~(below | above), np.where(above, qp.upper, held * ~active)
+    return None

@@ -1,0 +1,281 @@
+"""Reductions of constraints to those that the Fourier-domain method takes, and their multipliers.
+
+Polyhedral sets become joint rows (RowForm). Soft sets whose rows bound single components become soft bounds (SoftSet).
+Soft stop bands are removed like hard ones, and their multipliers are compared with their prices (SoftBins).
+docs/spectral.md, 12, derives soft bounds and soft bands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, sealed
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.bands import stop_band
+from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.problem.terms.penalty import HARD
+from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
+from lin_freq_ocp.problem.trajectory import Multipliers
+
+SETS = (TermKind.STATE_SET, TermKind.CONTROL_SET)
+PRICE_ROUNDING = 1e-9  # part of a price, and of other forces on the component in a ray, that may be rounding
+FIELDS = {TermKind.CONTROL_SPECTRUM: "control_spectrum", TermKind.STATE_SPECTRUM: "state_spectrum"}
+AT_THE_END = " at the end"  # suffix of the names of rows on x_T
+
+
+@dataclass(frozen=True, eq=False)
+class RowForm:
+    """A given problem, the problem with its polyhedral sets as joint rows, and the sets that became rows.
+
+    F x_t <= g for t < T is a row with D = 0, and F x_T <= g is one on the step before: F A x + F B u <= g - F d. There
+    the adjoint of the rows' problem is eta', that of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
+    """
+
+    given: OptimalControlProblem
+    problem: OptimalControlProblem
+    polyhedra: tuple[LinearRows, ...]
+
+    def multipliers(self, found: Multipliers) -> Multipliers:
+        """Return multipliers of the given problem from those of the problem in rows."""
+        if not self.polyhedra:
+            return found
+        eta, stage, T = found.eta.copy(), dict(found.stage), self.given.horizon
+        for rows in self.polyhedra:
+            weights, before = np.zeros(rows.e.shape), rows.times < T
+            if before.any():
+                weights[before] = stage.pop(rows.name)[rows.times[before]]
+            if not before.all():
+                weights[~before] = stage.pop(rows.name + AT_THE_END)[-1:]
+                eta[-1] -= rows.C[0, :, : eta.shape[1]].T @ weights[~before][0]
+            stage[rows.name] = weights
+        return Multipliers(found.eta_C, eta, found.mu, found.nu, found.rho_u, found.rho_x, stage)
+
+
+def row_form(problem: OptimalControlProblem) -> RowForm:
+    """Return the problem with its polyhedral sets as joint rows.
+
+    Unchanged if it has none, or other sets too, or if all are soft sets that bounds can say.
+    """
+    sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
+    found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
+    recursion = problem.dynamics.response(problem.horizon) is None
+    others = len(found) < len(sets) or soft_sets(problem) is not None
+    if others or not recursion or problem.linear.time_varying:
+        return RowForm(problem, problem, ())
+    polyhedra = tuple(rows for rows, _ in found)
+    try:
+        prices = [None if term.hard else float(np.max(term.penalty.weights)) for _, term in found]
+        rows = [
+            joint
+            for (given, _), price in zip(found, prices, strict=True)
+            for joint in _stage_rows(problem, given, price)
+        ]
+        changed = replace(
+            problem,
+            state_set=problem.state_boxes,
+            control_set=problem.control_tube,
+            initial_state=problem.initial_box,
+            terminal_state=problem.terminal_box,
+            stage_rows=[*problem.stage_rows, *rows],
+        )
+    except ProblemError:  # a row on x_T that no control and no state before it can change
+        return RowForm(problem, problem, ())
+    return RowForm(problem, changed, polyhedra)
+
+
+def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
+    """Return the rows of a polyhedral set that is the same at all its times, with one price; else None."""
+    if term.kind not in SETS or not term.penalty.polyhedral or len(np.unique(term.penalty.weights)) > 1:
+        return None
+    hard = term if term.hard else replace(term, penalty=term.penalty.softened(HARD))
+    rows = hard.polyhedron(problem.state_dim, problem.control_dim)
+    if rows is None or len(rows.C) > 1:
+        return None
+    return rows if len(set(rows.times)) == len(rows.times) else None
+
+
+def _stage_rows(problem: OptimalControlProblem, given: LinearRows, price: float | None) -> list[StageRows]:
+    """Return the joint rows of a polyhedral set, with the price of a unit of violation; None for a hard set."""
+    T, n, dynamics = problem.horizon, problem.state_dim, problem.linear
+    before, rows = given.times < T, list[StageRows]()
+    C, D = given.C[0, :, :n], given.C[0, :, n:]
+    if before.any():
+        e = np.full((T, given.e.shape[1]), np.inf)
+        e[given.times[before]] = given.e[before]
+        rows.append(StageRows(C, D, e, given.name, price))
+    if not before.all():
+        e = np.full((T, given.e.shape[1]), np.inf)
+        e[-1] = given.e[~before][0] - C @ dynamics.at(T - 1)[2]
+        rows.append(StageRows(C @ dynamics.A, C @ dynamics.B, e, given.name + AT_THE_END, price))
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class SoftSet:
+    """The rows of a soft set as bounds sign y_f <= limit of the components f of (x, u), in the user's units.
+
+    A row c y_f + d <= e with a price is a bound (e - d)/|c| on y_f with the price times |c|, upper where c > 0. It
+    takes the place of the hard bound of that component, side and time, which must be absent. Where an end fixes the
+    component, the violation is a constant, and its subgradient is the price or zero.
+    """
+
+    name: str
+    times: Indices  # (groups,)
+    f: Indices  # (dim,)
+    sign: Array  # (dim,), +1 for an upper bound
+    size: Array  # (dim,), |c|
+    limit: Array  # (groups, dim), inf where there is none
+    price: Array  # (groups, dim), per unit of y_f
+    constant: Mask  # (groups, dim): where an end fixes y_f
+    violation: Array  # (groups, dim), of constant rows
+
+    def multipliers(self, forces: Array, eta_C: float) -> Array:
+        """Return the multipliers of the rows from the forces on all components, (T+1, n+m), and subtract theirs there.
+
+        Where no end fixes the component, a force is that of this set alone.
+        """
+        own = np.maximum(self.sign * forces[self.times[:, None], self.f], 0.0)
+        paid = np.where(self.violation > 0, eta_C * self.price, 0.0)
+        found = np.where(self.constant, paid, np.where(np.isfinite(self.limit), own, 0.0))
+        np.subtract.at(forces, (self.times[:, None], self.f[None]), self.sign * found)
+        return sealed(found / self.size)
+
+
+def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
+    """Return a soft set as bounds; None if it is hard, or some row concerns several components."""
+    form = term.map.stage_form(problem.state_dim, problem.control_dim)
+    if form is None or term.kind not in SETS or not term.penalty.polyhedral or len(form[0]) > 1:
+        return None
+    (rows,), constant, shape = form[0], form[1], term.shape
+    weights = np.broadcast_to(term.penalty.weights, shape)
+    if np.isinf(weights).any() or (np.count_nonzero(rows, axis=1) != 1).any():
+        return None
+    f, times = np.argmax(rows != 0, axis=1), term.map.positions
+    coefficient = rows[np.arange(len(f)), f]
+    sign, size = np.sign(coefficient), np.abs(coefficient)
+    limit = (term.penalty.bounds(shape)[1] - constant) / size
+    fixed = np.zeros((len(times), len(f)), dtype=bool)
+    violation = np.zeros(fixed.shape)
+    if term.kind == TermKind.STATE_SET:
+        for t, end in zip((0, problem.horizon), problem.ends, strict=True):
+            here = times == t
+            fixed[here] = end.fixed[f]
+            violation[here] = sign * np.where(end.fixed, end.lower, 0.0)[f] - limit[here]
+    return SoftSet(term.name, times, f, sign, size, limit, weights * size, fixed, violation)
+
+
+def soft_sets(problem: OptimalControlProblem) -> tuple[SoftSet, ...] | None:
+    """Return all sets as soft sets; None if some is none, or needs the place of another bound."""
+    found = list[SoftSet]()
+    for term in problem.terms:
+        if term.kind not in (TermKind.STAGE_ROWS, TermKind.LINKED_ENDS):
+            one = soft_set(problem, term)
+            if one is None:
+                return None
+            found.append(one)
+    return tuple(found) if not found or priced_bounds(problem, found) is not None else None
+
+
+@dataclass(frozen=True, eq=False)
+class PricedBounds:
+    """Bounds lower, upper and their prices, (T+1, n+m), in the user's units; controls have none at T."""
+
+    lower: Array
+    upper: Array
+    of_lower: Array
+    of_upper: Array
+
+
+def priced_bounds(problem: OptimalControlProblem, sets: list[SoftSet] | tuple[SoftSet, ...]) -> PricedBounds | None:
+    """Return all bounds, hard and soft; None if two would need one place, or a soft one is not within the other."""
+    tubes, m = (problem.state_tube, problem.control_tube), problem.control_dim
+    sides = [
+        np.hstack([states, np.vstack([controls, np.full((1, m), absent)])])
+        for states, controls, absent in (
+            (tubes[0].lower, tubes[1].lower, -np.inf),
+            (tubes[0].upper, tubes[1].upper, np.inf),
+        )
+    ]
+    prices = [np.full(side.shape, np.inf) for side in sides]
+    for one in sets:
+        group, row = np.nonzero(np.isfinite(one.limit) & ~one.constant)
+        t, f, limit = one.times[group], one.f[row], one.limit[group, row]
+        for above, sign in ((False, -1.0), (True, 1.0)):
+            mine = one.sign[row] == sign
+            at, side = (t[mine], f[mine]), sides[above]
+            places = at[0] * side.shape[1] + at[1]
+            if np.isfinite(side[at]).any() or len(np.unique(places)) < len(places):
+                return None
+            side[at], prices[above][at] = sign * limit[mine], one.price[group[mine], row[mine]]
+    soft = np.isfinite(prices[0]) | np.isfinite(prices[1])
+    return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(*sides, *prices)
+
+
+@dataclass(frozen=True, eq=False)
+class SoftBins:
+    """A given problem, the same with its soft bins removed from the spectra, and the terms of these bins.
+
+    The penalty is exact: where the price of a bin exceeds its multiplier, the bin is zero. A bound of zero with a price
+    w costs w |uhat_k|, whose subgradients at uhat_k = 0 are all lambda with |lambda| <= w. With these bins removed,
+    rho_k is such a subgradient if |rho_k| <= w: then nothing is gained by opening them.
+    """
+
+    given: OptimalControlProblem
+    problem: OptimalControlProblem
+    terms: tuple[Term, ...]
+
+    def multipliers(self, found: Multipliers) -> Multipliers:
+        """Return multipliers of the given problem; UnsupportedError if one exceeds its price, which counts eta_C times.
+
+        Bins that are removed by a band of the given problem, too, keep theirs there.
+        """
+        through_u = self.given.equations.pull_back(found.eta)[1]
+        rho = {
+            TermKind.CONTROL_SPECTRUM: (found.rho_u.copy(), self.given.control_stop, through_u),
+            TermKind.STATE_SPECTRUM: (found.rho_x.copy(), self.given.state_stop, found.eta),
+        }
+        stage = dict(found.stage)
+        for term in self.terms:
+            bins, component, (forces, stopped, others) = term.map.nearest_bins, term.map.component, rho[term.kind]
+            own = np.where(stopped[bins, component], 0.0, forces[bins, component])
+            price = found.eta_C * np.broadcast_to(term.penalty.weights, (len(bins), 1))[:, 0]
+            rounding = 0.0 if found.eta_C else np.abs(others[:, component]).max()
+            if (np.abs(own) > price + PRICE_ROUNDING * (price + rounding)).any():
+                raise UnsupportedError(
+                    f"method 'spectral': {term.name}: a soft bin is not zero at its price; the Fourier-domain method "
+                    "takes soft bins whose price keeps them zero. Use method 'structured'."
+                )
+            forces[bins, component] -= own
+            paid = np.asarray(own if found.eta_C else np.zeros_like(own), dtype=np.complex128)
+            stage[term.name] = sealed(np.stack([paid.real, paid.imag], axis=1))
+        rho_u, rho_x = (sealed(forces) for forces, *_ in rho.values())
+        return Multipliers(found.eta_C, found.eta, found.mu, found.nu, rho_u, rho_x, stage)
+
+
+def soft_bins(problem: OptimalControlProblem) -> SoftBins:
+    """Return the problem with its soft bins removed; unchanged if it has none."""
+    terms = tuple(term for term in problem.terms if _is_soft_band(problem, term))
+    changes: dict[str, object] = {}
+    for kind, field in FIELDS.items():
+        mine = [term for term in terms if term.kind == kind]
+        if mine:
+            replaced = {term.source[1] for term in mine if term.source is not None}
+            kept = [one for i, one in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
+            bands = [stop_band(bins=term.map.nearest_bins, component=term.map.component) for term in mine]
+            changes[field] = [*kept, *bands]
+    return SoftBins(problem, replace(problem, **changes) if changes else problem, terms)
+
+
+def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
+    """Whether a term is the price of plain DFT bins of a single component, bin by bin."""
+    if term.kind not in FIELDS or term.hard:
+        return False
+    form = term.map.spectrum_form(problem.state_dim, problem.control_dim)
+    if form is None or term.shape != (len(form.bins), 2) or form.points != len(form.window):
+        return False
+    plain = (form.window == 1).all() and (form.row[form.row != 0] == 1).all()
+    return bool(plain) and not term.penalty.sizes().any()

@@ -1,0 +1,474 @@
+"""Pointwise rows: which a point violates, which hold with equality, and how they act on each other.
+
+docs/spectral.md, 5 and 7. Row f at time t is F_f y_t. A round measures all rows by FFTs (Violations) and keeps the few
+that hold with equality for now (WorkingSet). Two classes save FFTs between rounds: on long horizons, kernels give the
+values of rows near the working rows (Neighbourhood); on short ones, the responses of all bounded values are tabulated
+(WholeHorizon).
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.resources import require_memory
+from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
+from lin_freq_ocp.methods.spectral.model import Bounds, Lti
+
+STATE_PEAKS = 40  # violated local maxima of states that enter in one round: samples of a long arc are nearly dependent
+NEARLY_ACTIVE = 0.05  # relative distance inside a control's bound up to which samples enter: arcs grow faster
+SMALL_VIOLATION = 0.3  # largest relative violation with which nearly active samples are significant
+LARGEST_SCALE = 1e3  # largest size, in units of what they bound, that violations are relative to
+ABSENT = -1.0  # violation of a row that cannot be violated
+LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
+COPIES = 6  # dense matrices of the size of the working set that a small QP has at the same time
+NEIGHBOURHOOD_HORIZON = 10_000  # from which kernels cost less than FFTs
+NEIGHBOURHOOD_WINDOW = 24  # samples on each side of a working row
+MOST_NEIGHBOURS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
+MOST_VALUES = 10_000  # bounded values up to which the effect of bordering unknowns on all of them is computed at once
+
+
+class Rows(NamedTuple):
+    """Pointwise rows: times t, rows f of F, signs +1 (upper bound) or -1 (lower), and multipliers if known."""
+
+    t: Indices
+    f: Indices
+    sign: Array
+    weights: Array | None = None
+
+
+def bounded_rows(rows: Rows, lti: Lti) -> Rows:
+    """Return the rows that have a bound and are no equation."""
+    inner = rows.t < lti.horizon
+    lower, upper = np.full(len(rows.t), -np.inf), np.full(len(rows.t), np.inf)
+    t, f = rows.t[inner], rows.f[inner]
+    lower[inner], upper[inner] = lti.lower[f, t], lti.upper[f, t]
+    last = np.flatnonzero(~inner)
+    last = last[np.isnan(lti.end[rows.f[last]])]
+    lower[last], upper[last] = lti.last_lower[rows.f[last]], lti.last_upper[rows.f[last]]
+    kept = np.isfinite(np.where(rows.sign > 0, upper, lower)) & (lower < upper)
+    kept &= (rows.t > 0) | (rows.f >= lti.state_dim) | np.isnan(lti.start[rows.f % lti.state_dim])
+    weights = None if rows.weights is None else rows.weights[kept]
+    return Rows(rows.t[kept], rows.f[kept], rows.sign[kept], weights)
+
+
+class Violations:
+    """Violation of the bounds, relative to them, of every bounded row of F at every time; negative inside.
+
+    ``rows`` are the rows of F with a bound at some time, ``violation`` (bounded, T) is theirs at t < T, ``last`` (n,)
+    that of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations fix. Neither these nor
+    saturated rows, whose prices are paid, count as violated.
+    """
+
+    def __init__(self, lti: Lti):
+        self.lti, n = lti, lti.state_dim
+        self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
+        self.lower, self.upper = _select_bounds(lti.lower, self.rows), _select_bounds(lti.upper, self.rows)
+        self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
+        largest = np.zeros(len(lti.F))
+        largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
+        self.free_end = np.isnan(lti.end)
+        ends = np.where(self.free_end, [lti.last_lower, lti.last_upper], 0.0)
+        largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
+        self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
+        self._row_scale = self.scale[self.rows, None]
+        t, f = lti.fixed_points
+        f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
+        t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
+        index = np.full(len(lti.F), -1)
+        index[self.rows] = np.arange(len(self.rows))
+        bounded = index[f] >= 0
+        self.fixed = index[f[bounded]], t[bounded]
+        self.fixed_keys = f * lti.horizon + t
+        self.violation, self.last, self.worst = np.zeros((0, 0)), np.zeros(n), 0.0
+        self._index, none = index, np.zeros(0, dtype=np.intp)
+        self.set_saturated(none, none)
+
+    def set_saturated(self, t: Indices, f: Indices) -> None:
+        """Take the rows f of F at times t, at T of components of x_T, as saturated, and no others."""
+        inner = t < self.lti.horizon
+        self._saturated = self._index[f[inner]], t[inner]
+        self._saturated_last = f[~inner]
+
+    def measure(self, y: Array, last: Array) -> float:
+        """Measure a point, y (n+m, T) and last = x_T; return the worst violation."""
+        return self.measure_values(self.values(y), last)
+
+    def values(self, y: Array) -> Array:
+        """Return F y of the bounded rows, shape (bounded, T)."""
+        return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
+
+    def measure_values(self, values: Array, last: Array) -> float:
+        """Measure what ``values`` returned, and last = x_T; return the worst violation."""
+        lti, n = self.lti, self.lti.state_dim
+        below = self.lower - values
+        self.violation = np.subtract(values, self.upper, out=self.violation if self.violation.size else None)
+        self.above = self.violation >= below
+        np.maximum(self.violation, below, out=self.violation)
+        self.violation /= self._row_scale
+        self.violation[self.fixed] = ABSENT
+        self.violation[self._saturated] = ABSENT
+        over = np.maximum(last - lti.last_upper, lti.last_lower - last) / self.scale[:n]
+        over[self._saturated_last] = ABSENT
+        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > lti.last_upper
+        self.worst = max(float(self.violation.max(initial=ABSENT)), float(self.last.max()))
+        return self.worst
+
+    def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
+        """Return (t, f, sign) of the rows to add: peaks of states, every (nearly) active sample of the others."""
+        i, t = self._chosen_entries(tolerance)
+        ends = np.flatnonzero(self.last > tolerance / 2)
+        sign = np.concatenate([np.where(self.above[i, t], 1.0, -1.0), np.where(self.last_above[ends], 1.0, -1.0)])
+        times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
+        return times, np.concatenate([self.rows[i], ends]), sign
+
+    def chosen(self, tolerance: float) -> tuple[Indices, Array]:
+        """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
+        i, t = self._chosen_entries(tolerance)
+        index, above = i * self.lti.horizon + t, self.above[i, t]
+        if self.free_end.any():
+            ends = np.flatnonzero(self.last > tolerance / 2)
+            index = np.concatenate([index, self.violation.size + ends])
+            above = np.concatenate([above, self.last_above[ends]])
+        return index, np.where(above, 1.0, -1.0)
+
+    def _chosen_entries(self, tolerance: float) -> tuple[Indices, Indices]:
+        """Return (i, t) of the entries of ``violation`` that enter; states with saturated samples: not only peaks."""
+        threshold = np.where(self.state_rows, tolerance / 2, entering_violation(self.worst, tolerance))
+        i, t = np.nonzero(self.violation > threshold[:, None])
+        states = self.state_rows[i]
+        if len(self._saturated[0]):
+            states &= ~np.isin(i, self._saturated[0])
+        if not states.any():
+            return i, t
+        here, last = self.violation[i, t], self.lti.horizon - 1
+        neighbour = np.maximum(self.violation[i, np.maximum(t - 1, 0)], self.violation[i, np.minimum(t + 1, last)])
+        peaks = states & (here >= neighbour)
+        if np.count_nonzero(peaks) > STATE_PEAKS:
+            peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
+        kept = peaks | ~states
+        return i[kept], t[kept]
+
+    def flat_bounds(self) -> tuple[Array, Array]:
+        """Return lower and upper bounds over the same."""
+        lti = self.lti
+        return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
+
+    def flat_prices(self) -> tuple[Array, Array] | None:
+        """Return the prices of lower and upper bounds over the same; None if all are hard."""
+        prices = self.lti.prices
+        if prices is None:
+            return None
+        lower, upper = prices.lower[self.rows], prices.upper[self.rows]
+        return np.append(lower, prices.last_lower), np.append(upper, prices.last_upper)
+
+
+def entering_violation(worst: float, tolerance: float) -> float:
+    """Return the violation from which samples of controls and stage rows enter."""
+    return -min(2 * worst, NEARLY_ACTIVE) if worst < SMALL_VIOLATION else tolerance / 2
+
+
+def _select_bounds(bounds: Array, rows: Indices) -> Array:
+    """Return some rows of bounds (rows, T), without memory where they do not depend on time."""
+    if bounds.strides[1] == 0:
+        return np.broadcast_to(bounds[rows, :1], (len(rows), bounds.shape[1]))
+    return bounds[rows]
+
+
+def _largest_finite(bounds: Array) -> Array:
+    """Return the largest finite |bound| of every row, 0 where there is none; bounds (rows, T)."""
+    if bounds.size and bounds.strides[1] == 0:
+        bounds = bounds[:, :1]
+    return np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(1, initial=0.0)
+
+
+class WorkingSet:
+    """Rows sign F_f y_t <= limit with multipliers ``weights`` >= 0; at t = T, rows on the free components of x_T.
+
+    Multipliers of soft rows are at most their ``prices``; a saturated row, whose multiplier is its price, is violated.
+
+    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count).
+    """
+
+    def __init__(self, kkt: BorderedSystem):
+        self._kkt = kkt
+        self.t: Indices = np.zeros(0, dtype=np.intp)
+        self.f: Indices = np.zeros(0, dtype=np.intp)
+        self.sign: Array = np.zeros(0)
+        self.weights: Array = np.zeros(0)
+        self.coupling: Array = np.zeros((len(kkt.matrix), 0))
+        self._known_gram: Array | None = None
+        self._present = np.zeros((2, len(kkt.lti.F), kkt.lti.horizon + 1), dtype=bool)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def inner(self) -> Mask:
+        """Which rows act at t < T."""
+        return self.t < self._kkt.lti.horizon
+
+    def rows(self) -> Rows:
+        """Return the rows with their weights."""
+        return Rows(self.t, self.f, self.sign, self.weights)
+
+    def active_rows(self) -> Rows:
+        """Return the rows with a multiplier above zero."""
+        active = self.weights > 0
+        return Rows(self.t[active], self.f[active], self.sign[active], self.weights[active])
+
+    def weighted(self, weights: Array) -> WorkingSet:
+        """Return the same rows with other multipliers."""
+        other = copy(self)
+        other.weights = weights
+        return other
+
+    def add(self, t: Indices, f: Indices, sign: Array) -> int:
+        """Add the rows that are new, with weight 0; return how many."""
+        new = ~self._present[(sign > 0).astype(np.intp), f, t]
+        t, f, sign = t[new], f[new], sign[new]
+        if not len(t):
+            return 0
+        self._mark(t, f, sign, True)
+        self.coupling, self._known_gram = np.hstack([self.coupling, self._coupling_columns(t, f, sign)]), None
+        self.t, self.f = np.concatenate([self.t, t]), np.concatenate([self.f, f])
+        self.sign, self.weights = np.concatenate([self.sign, sign]), np.concatenate([self.weights, np.zeros(len(t))])
+        return len(t)
+
+    def _coupling_columns(self, t: Indices, f: Indices, sign: Array) -> Array:
+        kkt, inner = self._kkt, t < self._kkt.lti.horizon
+        result = np.zeros((len(self.coupling), len(t)))
+        result[: kkt.size, inner] = kkt.values(t[inner], f[inner]).T
+        result[kkt.size :, inner] = -kkt.responses(t[inner], f[inner])
+        free = np.flatnonzero(~inner)
+        result[kkt.at_end[np.searchsorted(kkt.free_end, f[free])], free] = 1.0
+        return result * sign
+
+    def keep(self, kept: Mask) -> None:
+        """Drop all rows but these."""
+        if not kept.all():
+            self._mark(self.t[~kept], self.f[~kept], self.sign[~kept], False)
+            self.t, self.f = self.t[kept], self.f[kept]
+            self.sign, self.weights = self.sign[kept], self.weights[kept]
+            self.coupling = self.coupling[:, kept]
+            self._known_gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
+
+    def replace(self, rows: Rows, coupling: Array) -> None:
+        """Take other rows, with their coupling."""
+        self._mark(self.t, self.f, self.sign, False)
+        self.t, self.f, self.sign = rows.t, rows.f, rows.sign
+        self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
+        self.coupling, self._known_gram = coupling, None
+        self._mark(self.t, self.f, self.sign, True)
+
+    def _mark(self, t: Indices, f: Indices, sign: Array, present: bool) -> None:
+        self._present[(sign > 0).astype(np.intp), f, t] = present
+
+    @property
+    def gram(self) -> Array:
+        """S_W without the part of the bordering unknowns, (count, count)."""
+        if self._known_gram is None:
+            require_memory(
+                f"method 'spectral' with {len(self)} working rows (samples at a bound)",
+                8.0 * COPIES * len(self) ** 2,
+                "Choose a coarser grid or a shorter horizon.",
+            )
+            inner = self.inner
+            t, f, sign = self.t[inner], self.f[inner], self.sign[inner]
+            gram = self._kkt.kernels.gram(t, f, t, f)
+            gram *= sign[:, None]
+            gram *= sign
+            if not inner.all():
+                gram, of_inner = np.zeros((len(self), len(self))), gram
+                gram[np.ix_(inner, inner)] = of_inner
+            self._known_gram = gram
+        return self._known_gram
+
+    def eliminated(self, inverse: Array) -> tuple[Array, Array]:
+        """Return K_b^{-1} C and S for an inverse of K_b; S is exactly symmetric: else the QP stalls at rounding."""
+        Z = inverse @ self.coupling
+        half = self.coupling.T @ (Z / 2)
+        S = half + half.T
+        S += self.gram
+        return Z, S
+
+    def limits(self, lti: Lti) -> Array:
+        """Return the right-hand sides of the rows, shape (count,)."""
+        return self.sign * self._of_bounds(Bounds(lti.lower, lti.upper, lti.last_lower, lti.last_upper))
+
+    def prices(self, lti: Lti) -> Array | None:
+        """Return the largest multipliers of the rows, (count,), infinite for hard rows; None if all are hard."""
+        return None if lti.prices is None else self._of_bounds(lti.prices)
+
+    def _of_bounds(self, bounds: Bounds) -> Array:
+        """Return the entries of the rows in arrays for all bounds, (count,)."""
+        inner, upper = self.inner, self.sign > 0
+        found, t, f = np.empty(len(self)), self.t[inner], self.f[inner]
+        found[inner] = np.where(upper[inner], bounds.upper[f, t], bounds.lower[f, t])
+        last = self.f[~inner]
+        found[~inner] = np.where(upper[~inner], bounds.last_upper[last], bounds.last_lower[last])
+        return found
+
+    def saturated(self, lti: Lti) -> Mask:
+        """Return which rows have their price as multiplier, (count,)."""
+        prices = self.prices(lti)
+        return np.zeros(len(self), dtype=bool) if prices is None else self.weights >= prices
+
+    def values(self, y: Array, last: Array) -> Array:
+        """Return sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
+        inner = self.inner
+        result = np.empty(len(self))
+        result[inner] = np.einsum("ri,ir->r", self._kkt.lti.F[self.f[inner]], y[:, self.t[inner]])
+        result[~inner] = last[self.f[~inner]]
+        return self.sign * result
+
+    def free_response(self) -> Array:
+        """Return how far a unit force moves each row without equations, (count,); x_T moves by itself."""
+        inner = self.inner
+        free = np.full(len(self), 1 / self._kkt.lti.curvature_unit)
+        free[inner] = self._kkt.kernels.free_response(self.f[inner])
+        return free
+
+
+def neighbourhood_of(kkt: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
+    """Return the samples around the working rows; None if there are none, many or soft, or the horizon is short."""
+    T, inner = violations.lti.horizon, working.inner
+    if T < NEIGHBOURHOOD_HORIZON or violations.lti.prices is not None:
+        return None
+    window = np.arange(-NEIGHBOURHOOD_WINDOW, NEIGHBOURHOOD_WINDOW + 1)
+    times = (working.t[inner, None] + window).clip(0, T - 1)
+    keys = np.unique((working.f[inner, None] * T + times).ravel())
+    return Neighbourhood(kkt, violations, keys % T, keys // T) if 0 < len(keys) <= MOST_NEIGHBOURS else None
+
+
+class Neighbourhood:
+    """Rows F_f y_t, t < T, with both their bounds, in the order of f, then t."""
+
+    def __init__(self, kkt: BorderedSystem, violations: Violations, t: Indices, f: Indices):
+        lti = violations.lti
+        bounded = np.isfinite(lti.lower[f, t]) | np.isfinite(lti.upper[f, t])
+        free = bounded & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
+        t, f = t[free], f[free]
+        self._kkt, self.t, self.f = kkt, t, f
+        self._lower, self._upper, self._scale = lti.lower[f, t], lti.upper[f, t], violations.scale[f]
+        self._is_state = ~lti.F[f, lti.state_dim :].any(1)
+        self._coupling = np.hstack([kkt.values(t, f), -kkt.responses(t, f).T])
+
+    def entering(
+        self, y: Array, working: WorkingSet, step: Array, weights: Array, tolerance: float
+    ) -> tuple[Indices, Indices, Array]:
+        """Return (t, f, sign) of the rows to add: those that a bordering step with new weights violates."""
+        kkt, inner = self._kkt, working.inner
+        values = np.einsum("ri,ir->r", kkt.lti.F[self.f], y[:, self.t]) + self._coupling @ step
+        change = working.sign * (weights - working.weights)
+        acting = np.flatnonzero(inner & (change != 0))
+        values -= kkt.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
+        above, below = values - self._upper, self._lower - values
+        violation = np.maximum(above, below) / self._scale
+        chosen = np.flatnonzero(self._select(violation, tolerance))
+        return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
+
+    def _select(self, violation: Array, tolerance: float) -> Mask:
+        """Return violated peaks of states, and violated or nearly active samples of the others."""
+        worst = float(violation.max(initial=0.0))
+        if worst <= tolerance:
+            return np.zeros(len(violation), dtype=bool)
+        chosen = violation > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
+        if self._is_state.any():
+            follows = np.append(False, (np.diff(self.t) == 1) & (np.diff(self.f) == 0))
+            rises = np.append(True, np.diff(violation) >= 0) | ~follows
+            falls = np.append(np.append(True, np.diff(violation) <= 0)[1:], True) | ~np.append(follows[1:], False)
+            chosen &= ~self._is_state | (rises & falls)
+        return chosen
+
+
+class ActiveSetDuals(NamedTuple):
+    """Values with multipliers: flat indices, signs as in Rows, weights >= 0 (undefined if not ``accurate``)."""
+
+    indices: Indices
+    sign: Array
+    weights: Array
+    rounds: int = 0
+    accurate: bool = True
+
+
+class WholeHorizon:
+    """The bounded ``rows`` of F at all t < T in turn, then the components of x_T (t = T): one flat index.
+
+    ``coupling`` (size + equations, values) is as in WorkingSet, ``through`` is K_b^{-1} times that.
+    """
+
+    def __init__(self, kkt: BorderedSystem, rows: Indices):
+        lti, T, n = kkt.lti, kkt.lti.horizon, kkt.lti.state_dim
+        self._kkt, self.rows, self._inner = kkt, rows, len(rows) * T
+        self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
+        self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
+        self._row_index = np.zeros(len(lti.F), dtype=np.intp)
+        self._row_index[rows] = np.arange(len(rows))
+        self.coupling = np.zeros((len(kkt.matrix), len(self.t)))
+        self.coupling[:, : self._inner] = kkt.values_at_all_times(rows).reshape(-1, self._inner)
+        self.coupling[kkt.at_end, self._inner + kkt.free_end] = 1.0
+        self.through = kkt.inverse @ self.coupling
+        self._spaces = kkt.kernels.of_rows(rows)
+        self.tabulated = False
+
+    def flat_indices(self, t: Indices, f: Indices) -> Indices:
+        """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
+        T = self._kkt.lti.horizon
+        return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
+
+    def duals(self, rows: Rows) -> ActiveSetDuals:
+        """Return the same rows by flat indices."""
+        indices, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
+        weights = np.zeros(len(indices)) if rows.weights is None else rows.weights[once]
+        return ActiveSetDuals(indices, rows.sign[once], weights)
+
+    @cached_property
+    def table(self) -> Array:
+        """S of all values, (values, values): for many solves, if they are few enough."""
+        T, kernels = self._kkt.lti.horizon, self._kkt.kernels.table
+        S = self.coupling.T @ self.through
+        lags = np.arange(T)[:, None] - np.arange(T)
+        for i, f in enumerate(self.rows):
+            for j, g in enumerate(self.rows):
+                S[i * T : (i + 1) * T, j * T : (j + 1) * T] += kernels[f, g][lags]
+        return (S + S.T) / 2
+
+    def gram(self, index: Indices) -> Array:
+        """Return S of some values."""
+        if self.tabulated:
+            return self.table.ravel().take(index[:, None] * len(self.t) + index)
+        t, f = self.t[index], self.f[index]
+        S = self.coupling[:, index].T @ self.through[:, index]
+        S = (S + S.T) / 2
+        inner = index < self._inner
+        if inner.all():
+            return S + self._kkt.kernels.gram(t, f, t, f)
+        S[np.ix_(inner, inner)] += self._kkt.kernels.gram(t[inner], f[inner], t[inner], f[inner])
+        return S
+
+    def free_response(self, index: Indices) -> Array:
+        """Return how far a unit force moves each of some values without equations; x_T moves by itself."""
+        free = np.full(len(index), 1 / self._kkt.lti.curvature_unit)
+        inner = index < self._inner
+        free[inner] = self._kkt.kernels.free_response(self.f[index[inner]])
+        return free
+
+    def response(self, index: Indices, mu: Array) -> Array:
+        """Return S mu of all values, for multipliers of some."""
+        if self.tabulated:
+            acting = mu.nonzero()[0]
+            return mu[acting] @ self.table[index[acting]]
+        pulses = np.zeros(len(self.t))
+        pulses[index] = mu
+        pulses = pulses[: self._inner].reshape(len(self.rows), -1)
+        acting = pulses.any(1)
+        answer = (self._spaces[acting].conj() * fft.rfft(pulses[acting])[:, None]).sum(0)
+        values = (self.through[:, index] @ mu) @ self.coupling
+        values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self._kkt.lti.horizon).ravel()
+        return values

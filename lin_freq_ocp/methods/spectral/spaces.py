@@ -1,0 +1,309 @@
+"""All y_k = (x_k, u_k) that the dynamics and the stop bands allow at each bin (docs/spectral.md, 2, 3 and 5).
+
+    F_k y_k = z w + d_k,  F_k = [zI - A, -B_allowed]   <=>   y_k = N_k v_k + (particular response to z w + d_k) + border
+
+N_k spans the regular part of the null space of F_k, with N_k^* M N_k = I. The particular response P_k is M-orthogonal
+to it. Far from eigenvalues of A, N = [(zI - A)^{-1} B; I]; near them both come from a singular value decomposition
+of F_k, and directions of small cost or of small singular values become bordering directions, one complex unknown each.
+The inverse transform of F_f N N^* F_g' is a circulant kernel: how a unit force on row g moves row f, by their distance
+in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+from scipy.linalg import schur
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.model import Lti
+
+MOST_BORDER = 128  # directions of small cost beyond which only the smallest become bordering unknowns: they are dense
+SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
+
+
+class Resolvent:
+    """(zI - A)^{-1} at all bins at once, by back substitution in a Schur form of A: no powers of A occur."""
+
+    def __init__(self, A: Array):
+        self.triangle, self.unitary = schur(A.astype(np.complex128), output="complex")
+        self.eigenvalues: ComplexArray = np.diagonal(self.triangle)
+        self._adjoint = self.unitary.conj().T
+
+    def apply(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
+        """Return (z_k I - A)^{-1} rhs_k, for z (bins,) and rhs (n, columns, bins); inf or NaN at eigenvalues."""
+        Y = _times(self._adjoint, rhs)
+        for i in range(len(Y) - 1, -1, -1):
+            for j in range(i + 1, len(Y)):
+                if self.triangle[i, j]:
+                    Y[i] += self.triangle[i, j] * Y[j]
+            Y[i] /= z - self.triangle[i, i]
+        return _times(self.unitary, Y)
+
+    def apply_adjoint(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
+        """Return (z_k I - A)^{-*} rhs_k, for rhs (n, bins)."""
+        Y = self._adjoint @ rhs
+        for i in range(len(Y)):
+            for j in range(i):
+                if self.triangle[j, i]:
+                    Y[i] += self.triangle[j, i].conj() * Y[j]
+            Y[i] /= (z - self.triangle[i, i]).conj()
+        return self.unitary @ Y
+
+    def size(self, z: ComplexArray) -> Array:
+        """Return the sum of the absolute values of the entries of (z_k I - A)^{-1}, shape (bins,)."""
+        n = len(self.triangle)
+        identity = np.broadcast_to(np.eye(n, dtype=np.complex128)[:, :, None], (n, n, len(z)))
+        return np.abs(self.apply(z, identity)).sum((0, 1))
+
+
+def _times(matrix: ComplexArray, X: ComplexArray) -> ComplexArray:
+    """Return the matrix applied along the first axis of X (n, columns, bins)."""
+    return (matrix @ X.reshape(len(X), -1)).reshape(X.shape)
+
+
+class NearBins:
+    """F_k = L diag(sigma) V^* at the near bins k (count,): left (count, n, n), sigma (count, n), right (count, n+m, n).
+
+    ``good`` (count, n) are the singular values that are divided by. ``null`` (count, n+m, m) are the null vectors of
+    F_k that diagonalise M, and ``cost`` (count, m) their costs: zero, and inf, for stopped controls.
+    """
+
+    def __init__(self, lti: Lti, k: Indices, z: ComplexArray, distance: Array):
+        """Decompose bins k of all z (bins,), at ``distance`` (bins,) from the nearest eigenvalue."""
+        self.k, n, m = k, lti.state_dim, lti.control_dim
+        self.left = np.empty((len(k), n, n), dtype=np.complex128)
+        self.sigma = np.empty((len(k), n))
+        self.right = np.zeros((len(k), n + m, n), dtype=np.complex128)
+        self.null = np.zeros((len(k), n + m, m), dtype=np.complex128)
+        self.cost = np.full((len(k), m), np.inf)
+        real = (k == 0) | (2 * k == lti.horizon)
+        # bins that share a mask of passed controls are decomposed at once, in real arithmetic where z is real
+        masks, mask_of = np.unique(np.vstack([lti.passed[:, k], real]), axis=1, return_inverse=True)
+        for i, (*passed, is_real) in enumerate(masks.T):
+            which = np.flatnonzero(mask_of.ravel() == i)
+            self._decompose(lti, which, np.array(passed), z[k[which]].real if is_real else z[k[which]])
+        largest = np.maximum(1.0, self.sigma[:, :1])
+        self.sigma[self.sigma < tol.ZERO_SINGULAR_VALUE * largest] = 0.0
+        resolved = lti.horizon * distance[k, None] > tol.RESOLVED_PHASE
+        self.good = self.sigma > np.where(resolved, tol.LEAST_DIVISOR, tol.SMALL_SINGULAR_VALUE) * largest
+        self._inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.good)
+
+    def _decompose(self, lti: Lti, which: Indices, passed: Mask, z: Array | ComplexArray) -> None:
+        """Fill in bins that share a mask of passed controls."""
+        n = lti.state_dim
+        allowed = np.concatenate([np.ones(n, dtype=bool), passed])
+        F = z[:, None, None] * np.eye(n, len(lti.M)) - np.hstack([lti.A, lti.B])
+        self.left[which], self.sigma[which], right = np.linalg.svd(F[:, :, allowed])
+        V = np.zeros((len(z), len(lti.M), right.shape[1]), dtype=z.dtype)
+        V[:, allowed] = right.conj().swapaxes(1, 2)
+        self.right[which], null = V[:, :, :n], V[:, :, n:]
+        columns, cost = null.shape[2], null.conj().swapaxes(1, 2) @ lti.M @ null
+        if columns == 1:
+            self.null[which, :, :1], self.cost[which, :1] = null, cost.real[:, 0]
+        else:
+            h, vectors = np.linalg.eigh(cost)
+            self.null[which, :, :columns], self.cost[which, :columns] = null @ vectors, h
+
+    def particular(self, rhs: ComplexArray) -> ComplexArray:
+        """Return the pseudo-inverse applied to rhs (n, columns, count), shape (n+m, columns, count)."""
+        projected = np.einsum("kij,ick->kjc", self.left.conj(), rhs) * self._inverse[:, :, None]
+        return np.einsum("kij,kjc->ick", self.right, projected)
+
+    def adjoint(self, rhs: ComplexArray) -> ComplexArray:
+        """Return L diag(1/sigma) V^* rhs over the good singular values, for rhs (n+m, count), shape (n, count)."""
+        projected = np.einsum("kij,ik->kj", self.right.conj(), rhs) * self._inverse
+        return np.einsum("kij,kj->ik", self.left, projected)
+
+
+@dataclass(frozen=True, eq=False)
+class Singular:
+    """A compatibility equation sigma xi = L^*(z w + d_k), xi the coefficient of bordering direction ``direction``."""
+
+    k: int
+    left: ComplexArray
+    sigma: float
+    direction: int
+
+
+class BinSpaces:
+    """The null spaces N (n+m, m, bins) and particular responses of all bins 0 .. T/2; spectra are (component, bin).
+
+    z = exp(2 pi i k / T); ``weight`` says how often a bin counts in sums over the full circle (1 or 2). The border
+    directions border_vector (n+m, directions) at border_bin (directions,) are M-orthogonal to N.
+    """
+
+    def __init__(self, lti: Lti):
+        self.lti = lti
+        bins = np.arange(lti.horizon // 2 + 1)
+        self.z = np.exp(2j * np.pi * bins / lti.horizon)
+        self.weight = np.where((bins == 0) | (2 * bins == lti.horizon), 1.0, 2.0)
+        self.resolvent = Resolvent(lti.A)
+        distance = np.full(len(self.z), np.inf)  # to the nearest eigenvalue
+        for eigenvalue in self.resolvent.eigenvalues:
+            np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
+        close = np.flatnonzero(distance < tol.NEAR_RADIUS)
+        with np.errstate(all="ignore"):
+            size = self.resolvent.size(self.z[close])
+        self.near = NearBins(lti, close[~(size < tol.NEAR_RESOLVENT)], self.z, distance)
+        self.N = self._far_null_spaces()
+        self.singular: list[Singular] = []
+        self._choose_bordering_directions()
+
+    def _far_null_spaces(self) -> ComplexArray:
+        """Return N normalised at far bins, zero at near ones."""
+        lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
+        passed = np.array(lti.passed)
+        passed[:, self.near.k] = False
+        N = np.zeros((n + m, m, len(self.z)), dtype=np.complex128)
+        with np.errstate(all="ignore"):
+            B = lti.B[:, :, None].astype(np.complex128) if lti.response is None else lti.response
+            N[:n] = self.resolvent.apply(self.z, np.broadcast_to(B, (n, m, len(self.z))))
+        N[:n, ~passed] = 0
+        N[n + np.arange(m), np.arange(m)] = passed
+        return np.einsum("iak,kba->ibk", N, self._inverse_factors(N, passed).conj())
+
+    def _inverse_factors(self, N: ComplexArray, passed: Mask) -> ComplexArray:
+        """Return L^{-1} with N^*MN = L L^* per bin, (bins, m, m); stopped controls have unit cost."""
+        lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
+        seen = slice(0 if lti.state_cost else n, None)
+        V, M = N[seen], lti.M[seen, seen]
+        H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), np.tensordot(M, V, 1)), dtype=np.complex128)
+        if m == 1:  # several are checked below
+            unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
+            if (H[:, 0, 0].real <= unseen)[passed[0]].any():
+                raise _flat_cost()
+        H[:, np.arange(m), np.arange(m)] += ~passed.T
+        sizes = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
+        if not (sizes > 0).all():
+            raise _flat_cost()
+        if m == 1:
+            return np.asarray(1 / sizes[:, :, None], dtype=np.complex128)
+        try:
+            factor = np.linalg.cholesky(H / (sizes[:, :, None] * sizes[:, None]))
+        except np.linalg.LinAlgError:
+            raise _flat_cost() from None
+        if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
+            raise _flat_cost()
+        return np.asarray(np.linalg.inv(factor) / sizes[:, None], dtype=np.complex128)
+
+    def _choose_bordering_directions(self) -> None:
+        """Choose the bordering directions among those of the near bins, and complete N by the others."""
+        near, unit = self.near, self.lti.curvature_unit
+        costs = near.cost[np.isfinite(near.cost)]
+        smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf
+        regular = near.cost > unit * max(tol.LEAST_HESSIAN, min(tol.SMALL_HESSIAN, smallest / unit))
+        scaled = near.null / np.sqrt(np.where(regular, near.cost, np.inf))[:, None, :]
+        self.N[:, :, near.k] = scaled.transpose(1, 2, 0)
+        small, column = np.nonzero(~regular)
+        bad, which = np.nonzero(~near.good)
+        for direction, (i, j) in enumerate(zip(bad, which, strict=True), start=len(small)):
+            self.singular.append(Singular(int(near.k[i]), near.left[i, :, j], float(near.sigma[i, j]), direction))
+        self.border_bin = near.k[np.concatenate([small, bad])]
+        border = np.vstack([near.null[small, :, column], near.right[bad, :, which]]).T
+        at = self.N[:, :, self.border_bin]
+        seen = np.einsum("iak,ik->ak", at.conj(), self.lti.M @ border)
+        self.border_vector: ComplexArray = border - np.einsum("iak,ak->ik", at, seen)
+
+    @cached_property
+    def adjoint_map(self) -> ComplexArray:
+        """The map from spectra of gradients to those of eta without singular directions, (n, n+m, bins)."""
+        n, total, bins = self.lti.state_dim, len(self.lti.M), len(self.z)
+        matrix = np.zeros((n, total, bins), dtype=np.complex128)
+        for j in range(total):
+            unit = np.zeros((total, bins), dtype=np.complex128)
+            unit[j] = 1.0
+            with np.errstate(all="ignore"):
+                matrix[:, j] = -self.resolvent.apply_adjoint(self.z, unit[:n])
+            matrix[:, j, self.near.k] = -self.near.adjoint(unit[:, self.near.k])
+        return matrix
+
+    def particular(self, rhs: ComplexArray) -> ComplexArray:
+        """Return (I - N N^* M) P rhs, shape (n+m, columns, bins), for rhs (n, columns, bins)."""
+        lti, n = self.lti, self.lti.state_dim
+        response = np.zeros((len(lti.M), *rhs.shape[1:]), dtype=np.complex128)
+        with np.errstate(all="ignore"):
+            response[:n] = self.resolvent.apply(self.z, rhs)
+        k = self.near.k
+        response[:, :, k] = self.near.particular(rhs[:, :, k])
+        if lti.state_cost:
+            response -= self.project(np.tensordot(lti.M, response, 1))
+        else:  # but at near bins the response has u = 0, and M sees u only
+            at_near = response[:, :, k]
+            weighted = (lti.M @ at_near.reshape(len(at_near), -1)).reshape(at_near.shape)
+            response[:, :, k] = at_near - self.project(weighted, k)
+        return response
+
+    def project(self, g: ComplexArray, bins: Indices | slice = slice(None)) -> ComplexArray:
+        """Return K g = N N^* g, for g (n+m, columns, bins)."""
+        N = self.N[:, :, bins]
+        return np.einsum("iak,ack->ick", N, np.einsum("iak,ick->ack", N.conj(), g))
+
+    def respond(self, force: ComplexArray, used: Mask, spectrum: ComplexArray) -> None:
+        """Subtract N N^* force from the spectrum (n+m, bins), in place; only the ``used`` components are not zero."""
+        components = np.flatnonzero(used)
+        for a in range(self.lti.control_dim):
+            v = sum((self.N[i, a].conj() * force[i] for i in components), start=np.zeros(len(self.z), complex))
+            for row, response in zip(spectrum, self.N[:, a], strict=True):
+                row -= response * v
+
+
+def _flat_cost() -> UnsupportedError:
+    return UnsupportedError(
+        "method 'spectral': the cost does not see some direction that the bands allow (R singular); "
+        "give every control a cost, or use method 'convex'."
+    )
+
+
+class CirculantKernels:
+    """K_fg(t) = irfft of F_f N N^* F_g': what F_f y_t loses by a unit force on F_g y_0.
+
+    ``table`` is (rows, rows, T). Where it is not ``complete``, pairs f <= g are computed on demand: the others are
+    undefined, and use no memory.
+    """
+
+    def __init__(self, lti: Lti, spaces: BinSpaces):
+        self.lti, self.spaces, rows = lti, spaces, len(lti.F)
+        self.known = np.zeros((rows, rows), dtype=bool)
+        self.complete = rows * rows * lti.horizon <= SMALL_TABLE
+        if self.complete:
+            NF = self.of_rows(np.arange(rows))
+            kernels = fft.irfft((NF[:, None] * NF[None].conj()).sum(2), lti.horizon)
+            self.table = (kernels + kernels[:, :, -np.arange(lti.horizon)].swapaxes(0, 1)) / 2
+        else:
+            self.table = np.empty((rows, rows, lti.horizon))
+
+    def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
+        """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
+        if not self.complete:
+            self._require([(int(a), int(b)) for a in np.unique(f) for b in np.unique(g)])
+        f, lag = f[:, None], t[:, None] - s  # a negative index counts from the end of the circle
+        if self.complete:
+            return self.table[f, g, lag]
+        return self.table[np.minimum(f, g), np.maximum(f, g), np.where(f <= g, lag, -lag)]
+
+    def free_response(self, f: Indices) -> Array:
+        """Return K_ff(0) of each row: how far a unit force moves its own row without equations."""
+        if not self.complete:
+            self._require([(int(a), int(a)) for a in np.unique(f)])
+        return self.table[f, f, 0]
+
+    def _require(self, pairs: list[tuple[int, int]]) -> None:
+        for f, g in map(sorted, pairs):
+            if not self.known[f, g]:
+                row, column = self.of_rows(np.array([f, g]))
+                self.table[f, g] = fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
+                if f == g:
+                    self.table[f, f] += np.roll(self.table[f, f, ::-1], 1)
+                    self.table[f, f] /= 2
+                self.known[f, g] = True
+
+    def of_rows(self, rows: Indices) -> ComplexArray:
+        """Return F_f N of some rows, shape (rows, m, bins)."""
+        dimension = len(self.lti.M)
+        return self.spaces.N[rows] if len(self.lti.F) == dimension else np.tensordot(self.lti.F[rows], self.spaces.N, 1)

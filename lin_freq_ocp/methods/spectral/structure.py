@@ -1,0 +1,371 @@
+"""What a solve needs: of the problem (Structure), and of its ends, linear terms, offsets and bounds (Data).
+
+From both follow the optimal point for given bordering unknowns and forces, its defect in the equations, rays that prove
+data infeasible, and the same data between other ends (docs/spectral.md, 1 to 5 and 10).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.resources import require_memory
+from lin_freq_ocp.methods.spectral import tolerances as tol
+from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
+from lin_freq_ocp.methods.spectral.model import Lti
+from lin_freq_ocp.methods.spectral.qp import bounded_qp
+from lin_freq_ocp.methods.spectral.rows import MOST_VALUES, Violations, WholeHorizon, WorkingSet
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
+
+TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
+MOST_TABULATED = 2500  # bounded values of which all responses are tabulated: 50 MB, in 0.1 s
+KEPT_RAYS = 8  # of infeasible problems between other ends
+
+
+class Structure:
+    """Null spaces, kernels and bordered KKT system of a problem.
+
+    They depend on A, B, M, F, the bands, and on which components of the ends are free.
+
+    ``unconstrained`` (rows of F,) is 1/R for control rows and 0 for others if diag(1/R) - S >= 0 (R diagonal, S = 0).
+    """
+
+    def __init__(self, lti: Lti):
+        _require_memory(lti)
+        self.spaces = BinSpaces(lti)
+        self.kernels = CirculantKernels(lti, self.spaces)
+        self.kkt = BorderedSystem(lti, self.spaces, self.kernels)
+        self.unconstrained = _unconstrained_response(lti)
+        self._whole: WholeHorizon | None = None
+
+    def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
+        """Return the responses of all values of the rows of F; None if many, or with soft unknowns or periodic ends."""
+        T, closed = self.kkt.lti.horizon, self.kkt.lti.periodic
+        if closed or self.kkt.soft or not self.kernels.complete or not len(rows) or len(rows) * T > MOST_VALUES:
+            return None
+        if self._whole is None or not np.array_equal(self._whole.rows, rows):
+            self._whole = WholeHorizon(self.kkt, rows)
+        return self._whole
+
+
+def _require_memory(lti: Lti) -> None:
+    """Raise UnsupportedError unless spectra, kernels and signals fit into memory (docs/spectral.md, Memory)."""
+    dimension, rows = len(lti.M), len(lti.F)
+    free = int(np.isnan(lti.start).sum() + np.isnan(lti.end).sum())
+    spectra = 8 * dimension * lti.control_dim + 12 + 48 * dimension + 16 * dimension * free
+    in_time = 4 * rows * (rows + 1) + 9 * rows + 2 * rows
+    require_memory(
+        f"method 'spectral' with horizon = {lti.horizon}, {lti.state_dim} states and {lti.control_dim} controls",
+        TEMPORARIES * (spectra + in_time) * lti.horizon,
+        "Choose a shorter horizon or a longer sampling time.",
+    )
+    bands = 2.0 * lti.state_stop.sum()
+    require_memory(
+        f"the state bands, {bands:.0f} dense rows with their responses,",
+        16 * (dimension + 2) * bands * lti.horizon,
+        "Stop bands of controls need no dense rows; else choose a shorter horizon.",
+    )
+
+
+def _unconstrained_response(lti: Lti) -> Array | None:
+    n = lti.state_dim
+    R = lti.M[n:, n:]
+    if lti.M[:n, n:].any() or not np.array_equal(R, np.diag(np.diagonal(R))) or not np.diagonal(R).all():
+        return None
+    response = np.zeros(len(lti.F))
+    response[n : n + lti.control_dim] = 1 / np.diagonal(R)
+    return response
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """What depends on ends, linear terms, offsets and bounds."""
+
+    lti: Lti
+    base: ComplexArray  # spectrum of y without forces and bordering unknowns, (n+m, bins)
+    linear: ComplexArray | None  # spectrum of h, (n+m, bins)
+    h: Array  # gradient in theta at 0, (size,)
+    e: Array  # right-hand sides of the equations, (equations,)
+
+
+def data_of(structure: Structure, lti: Lti) -> Data:
+    """Return the data of ``lti``, whose structure must be the given one."""
+    spaces, kkt = structure.spaces, structure.kkt
+    start, end = np.where(np.isnan(lti.start), 0.0, lti.start), np.where(np.isnan(lti.end), 0.0, lti.end)
+    jump = spaces.z * (start - end)[:, None]
+    if lti.offset is not None:
+        jump += fft.rfft(lti.offset)
+    linear = None if lti.linear is None else fft.rfft(lti.linear)
+    base = spaces.particular(jump[:, None])[:, 0]
+    h = kkt.gradient(lti.M @ base + (0 if linear is None else linear))
+    h[kkt.at_end] += (lti.P @ end + lti.p)[kkt.free_end]
+    if linear is not None:
+        base -= spaces.project(linear[:, None])[:, 0]
+    return Data(lti, base, linear, h, kkt.right_hand_side(lti, jump))
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """A point: it satisfies the dynamics and the control bands to rounding."""
+
+    y: Array  # (x_t, u_t), (n+m, T)
+    last: Array  # x_T
+
+
+def signals(
+    structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet
+) -> tuple[Signals, ComplexArray]:
+    """Return the optimum over all bins for given bordering unknowns and forces, and the spectrum of y, (n+m, bins).
+
+    docs/spectral.md, (3).
+    """
+    lti, spaces, kkt = data.lti, structure.spaces, structure.kkt
+    spectrum = data.base.copy()
+    if len(working) or multipliers.any():
+        spaces.respond(*forces(structure, lti, multipliers, working), spectrum)
+    kkt.add(theta, spectrum)
+    y, last = fft.irfft(spectrum, lti.horizon), lti.end.copy()
+    if lti.periodic:
+        last[:] = y[: lti.state_dim, 0]
+    last[kkt.free_end] = theta[kkt.at_end]
+    return Signals(y, last), spectrum
+
+
+def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
+    """Return the spectrum of G'l + E'y, and which components are not zero."""
+    kkt, dimension = structure.kkt, len(lti.M)
+    pulses = np.zeros((len(lti.F), lti.horizon))
+    inner = working.inner
+    np.add.at(pulses, (working.f[inner], working.t[inner]), (working.sign * working.weights)[inner])
+    np.add.at(pulses, (kkt.point_f, kkt.point_t), multipliers[: len(kkt.point_t)])
+    acting = np.zeros(len(lti.F), dtype=bool)
+    acting[working.f[inner]] = True
+    acting[kkt.point_f] |= bool(multipliers.any())
+    force = pulses[:dimension]
+    if acting[dimension:].any():
+        force += lti.F[dimension:].T @ pulses[dimension:]
+        acting[:dimension] |= lti.F[dimension:][acting[dimension:]].any(0)
+    used = acting[:dimension]
+    spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
+    if used.any():
+        spectrum[used] = fft.rfft(force if used.all() else force[used])
+    if len(kkt.bands):
+        on_bands = multipliers[-len(kkt.bands) :]
+        for i in kkt.band_components:
+            mine = kkt.band_component == i
+            spectrum[i] += on_bands[mine] @ kkt.band_hat[mine]
+            used[i] = True
+    return spectrum, used
+
+
+def equation_residual(structure: Structure, data: Data, theta: Array, at: Signals) -> Array:
+    """Return e - E(x, theta), measured on the signals where possible."""
+    kkt, points = structure.kkt, len(structure.kkt.point_t)
+    residual = data.e - kkt.E @ theta
+    residual[:points] = data.e[:points] - at.y[kkt.point_f, kkt.point_t]
+    residual[kkt.free_start] += theta[kkt.at_start]
+    if len(kkt.bands):
+        inside = np.einsum("dt,dt->d", kkt.bands[:, :-1], at.y[kkt.band_component])
+        residual[-len(kkt.bands) :] = -inside - kkt.bands[:, -1] * at.last[kkt.band_component]
+    return residual
+
+
+class UnconstrainedPoint(NamedTuple):
+    """The point without working rows: the step of theta and multipliers of the equations, and all bounded values."""
+
+    step: Array
+    values: Array
+
+
+def unconstrained_point(
+    structure: Structure, data: Data, violations: Violations, whole: WholeHorizon
+) -> UnconstrainedPoint:
+    """Return the point without working rows, to the accuracy of K_b."""
+    at, residual = _point_without_forces(structure, data)
+    step = structure.kkt.inverse @ np.concatenate([-data.h, residual])
+    return UnconstrainedPoint(step, np.append(violations.values(at.y), at.last) + step @ whole.coupling)
+
+
+def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Array]:
+    """Return the point c without forces, and the residual of the equations there."""
+    theta = np.zeros(structure.kkt.size)
+    c, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.kkt))
+    return c, equation_residual(structure, data, theta, c)
+
+
+@dataclass(frozen=True, eq=False)
+class Ray:
+    """A Farkas ray, verified within this method: weights l of the working rows, and multipliers y of the equations.
+
+    A ray (l >= 0, y), with l = 0 on soft rows, proves infeasibility if forces G'l + E'y move nothing (N^* ghat = 0, and
+    no slope in theta) and the constraints, weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at
+    any point c that satisfies the dynamics.
+    """
+
+    working: WorkingSet
+    multipliers: Array
+
+
+def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
+    """Return the ray if it proves that these data are infeasible."""
+    kkt, lti = structure.kkt, data.lti
+    force, _ = forces(structure, lti, y, working)
+    size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
+    moved = sum(np.conj(structure.spaces.N[i]) * force[i] for i in range(len(lti.M)))
+    stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size)
+    slope = np.abs(kkt.E.T @ y + working.coupling[: kkt.size] @ working.weights).max(initial=0.0)
+    stationarity = max(stationarity, float(slope) / size)
+    c, residual = _point_without_forces(structure, data)
+    limits = working.limits(lti)
+    value = float(working.weights @ (limits - working.values(c.y, c.last)) + y @ residual)
+    terms = float(working.weights @ np.abs(limits) + np.abs(y) @ np.abs(data.e)) + 1e-300
+    proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
+    return Ray(working, y) if proven else None
+
+
+def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | None:
+    """Return a ray of the dependent equations."""
+    dependent = structure.kkt.dependent
+    y = -dependent @ (dependent.T @ residual)
+    largest = float(np.abs(y).max(initial=0.0))
+    return None if largest == 0 else verified_ray(structure, data, WorkingSet(structure.kkt), y / largest)
+
+
+def row_ray(
+    structure: Structure,
+    data: Data,
+    working: WorkingSet,
+    S: Array,
+    d: Array,
+    Z: Array,
+    ask: bool,
+    stop: Callable[[], str | None] = lambda: None,
+) -> Ray | None:
+    """Return a ray of working rows: a row that the equations decide, or (``ask``) a combination of many.
+
+    The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is bounded; tau = 1 + rho d'l vanishes where rows conflict.
+    """
+    prices, free = working.prices(data.lti), working.free_response()
+    hard = np.ones(len(working), dtype=bool) if prices is None else np.isinf(prices)
+    decided = (np.diagonal(S) < tol.DECIDED_RESPONSE * free) & (
+        d < -tol.DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti)))
+    )
+    decided &= hard
+    weights = np.zeros(len(d))
+    if decided.any():
+        weights[np.argmin(np.where(decided, d, np.inf))] = 1.0
+    elif ask and hard.any():
+        S, b = S[np.ix_(hard, hard)], d[hard]
+        size = np.abs(b) / np.sqrt(np.maximum(np.diagonal(S), tol.TINY_SQUARED))
+        rho = max(float(size.max()), tol.TINY_SQUARED) ** -2
+        weights[hard], _ = bounded_qp(S + rho * np.outer(b, b), b, np.zeros(len(b)), stop=stop)
+        if not weights.any() or 1 + rho * float(d @ weights) >= tol.CONFLICT_TAU:
+            return None
+    else:
+        return None
+    weights /= weights.max()
+    return verified_ray(structure, data, working.weighted(weights), -(Z @ weights)[structure.kkt.size :])
+
+
+def regularised_ray(
+    structure: Structure, data: Data, working: WorkingSet, stop: Callable[[], str | None] = lambda: None
+) -> Ray | None:
+    """Return a ray of working rows from a unit Hessian of the bordering unknowns.
+
+    Feasibility does not depend on the cost.
+    """
+    kkt, (c, residual) = structure.kkt, _point_without_forces(structure, data)
+    step = kkt.regularised @ np.concatenate([np.zeros(kkt.size), residual])
+    Z, S = working.eliminated(kkt.regularised)
+    d = working.limits(data.lti) - working.values(c.y, c.last) - working.coupling.T @ step
+    return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
+
+
+def ends_model(structure: Structure, lti: Lti) -> EndsModel | None:
+    """Return the model, or None where x_0 has free components, or values are many."""
+    violations = Violations(lti)
+    if np.isnan(lti.start).any() or len(violations.rows) * lti.horizon > MOST_TABULATED:
+        return None
+    whole = structure.whole_horizon(violations.rows)
+    return None if whole is None else EndsModel(structure, lti, violations, whole)
+
+
+class EndsModel:
+    """Data and unconstrained points for any fixed ends of ``lti``; its bounds are measured by ``violations``.
+
+    With p = (x_0, x_T) where they are fixed, the spectrum without forces, the right-hand sides of the bordered system,
+    and all bounded values without multipliers are affine in p: (value at p = 0) + (one response per component) p. No
+    bin is solved again.
+    """
+
+    def __init__(self, structure: Structure, lti: Lti, violations: Violations, whole: WholeHorizon):
+        self.lti, self.violations, self.whole, self._structure = lti, violations, whole, structure
+        self._rays = deque[Ray](maxlen=KEPT_RAYS)
+        whole.tabulated = True
+        self._fixed = ~np.isnan(np.concatenate([lti.start, lti.end]))
+        count, n = int(self._fixed.sum()), lti.state_dim
+        data, values = list[Data](), list[UnconstrainedPoint]()
+        for p in np.vstack([np.zeros(count), np.eye(count)]):
+            ends = np.full(2 * n, np.nan)
+            ends[self._fixed] = p
+            data.append(data_of(structure, lti.at_points(*np.split(ends, [n]))))
+            values.append(unconstrained_point(structure, data[-1], violations, whole))
+        self.linear = data[0].linear
+        self._base = _affine([one.base.view(np.float64) for one in data])
+        self._h, self._e = _affine([one.h for one in data]), _affine([one.e for one in data])
+        self.step, self.values = _affine([one.step for one in values]), _affine([one.values for one in values])
+
+    def at(self, lti: Lti) -> tuple[Data, UnconstrainedPoint] | None:
+        """Return the data between other ends, and the unconstrained point; None if x_T has another set."""
+        free = np.isnan(lti.end)
+        if not all(
+            np.array_equal(mine[free], other[free])
+            for mine, other in ((self.lti.last_lower, lti.last_lower), (self.lti.last_upper, lti.last_upper))
+        ):
+            return None
+        p = np.append(1.0, np.concatenate([lti.start, lti.end])[self._fixed])
+        h, e, step, values = (p @ part for part in (self._h, self._e, self.step, self.values))
+        return Data(lti, self.spectra(p), self.linear, h, e), UnconstrainedPoint(step, values)
+
+    def parameters(self, starts: Array) -> Array:
+        """Return (1, p) of initial states (N, n) with the end of ``lti``, (N, 1 + count)."""
+        end = self.lti.end[~np.isnan(self.lti.end)]
+        return np.hstack([np.ones((len(starts), 1)), starts, np.tile(end, (len(starts), 1))])
+
+    def spectra(self, p: Array) -> ComplexArray:
+        """Return the spectrum of y without forces and bordering unknowns, (..., n+m, bins), for (1, p)."""
+        return np.tensordot(p, self._base, 1).view(np.complex128)
+
+    def keep_ray(self, ray: Ray) -> None:
+        """Keep a ray of working rows: whether it proves that a problem is infeasible depends on its ends alone."""
+        if len(ray.working):
+            self._rays.appendleft(ray)
+
+    def known_ray(self, data: Data, known: UnconstrainedPoint) -> Ray | None:
+        """Return a kept ray that proves that a problem is infeasible, with the rows' values without multipliers."""
+        for ray in self._rays:
+            if self._points_at(ray, known.values):
+                found = verified_ray(self._structure, data, ray.working, ray.multipliers)
+                if found is not None:
+                    return found
+        return None
+
+    def may_have_known_ray(self, values: Array) -> bool:
+        """Whether a kept ray probably proves that a problem with these values without multipliers is infeasible."""
+        return any(self._points_at(ray, values) for ray in self._rays)
+
+    def _points_at(self, ray: Ray, values: Array) -> bool:
+        rows = ray.working
+        index = self.whole.flat_indices(rows.t, rows.f)
+        return float(rows.weights @ (rows.limits(self.lti) - rows.sign * values[index])) < 0
+
+
+def _affine(values: Sequence[Array]) -> Array:
+    """Return the value at zero and the responses, (1 + count, ...), from the values at zero and at unit vectors."""
+    return np.stack([values[0], *(value - values[0] for value in values[1:])])

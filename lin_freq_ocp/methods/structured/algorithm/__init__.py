@@ -1,1 +1,0 @@
-"""The homogeneous self-dual embedding."""

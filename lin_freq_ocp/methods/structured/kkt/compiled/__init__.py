@@ -1,1 +1,0 @@
-"""The loops of the structured method, compiled by numba."""

@@ -1,1 +1,0 @@
-"""The side of the coefficients that frequency constraints keep."""

@@ -1,0 +1,329 @@
+"""The reduced system of the null-space solver, M v + E'nu = r, E v - C nu = e: dense, or by conjugate gradients.
+
+A matrix with very large weights would lose the digits of the others: the part of a weight beyond a clip is a row with
+the compliance 1/weight. All rows are B = (Y, E), where Y are these directions, with the compliance (D^-1, C).
+
+A weight on a direction a of y_t counts as a'S a, where S is the covariance of y_t under white noise in the stopped
+coefficients, relative to the weight of the control: a weight on a position hardly couples free and stopped
+coefficients, a weight on the control does. The white noise in all coefficients has a small part in S, so that rounding
+does not take the digits that a very large weight on a state leaves the others.
+
+On long horizons, projected conjugate gradients (Gould, Hribar and Nocedal, 2001; for C > 0 Dollar et al., 2006) need no
+matrix larger than the unknowns times the rows B. Their preconditioner is the same system with a regulator in the place
+of M, in which all coefficients are free and weights are clipped, Phi_c. The Hessian H of y'Phi_c y in all samples of u
+couples the free coefficients k with the stopped ones s only as far as weights vary over time, and M_c = H_kk, while
+the inverse of the regulator gives
+
+    N' H^-1 N = (H_kk - H_ks H_ss^-1 H_sk)^-1.
+
+If the weights are within a ratio q, both differ by 1 - ((q - 1)/(q + 1))^2 at most (Wielandt's inequality); hence the
+clip. Jumps of the state, with a price of rho, stand for the starts: (starts - ends)^2 rho is added to H.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg as la
+
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, OpenLoop
+from lin_freq_ocp.methods.structured.kkt.null_space import NullSpace, break_times
+from lin_freq_ocp.methods.structured.kkt.system import largest
+
+WEIGHT = 10.0  # of E'E, relative to the mean diagonal of M: of order 1, for both to keep their digits
+RAISED = (1.0, 1e2, 1e4)  # factors of the weight, for an M that is definite only on what the rows leave
+COLUMNS = 128  # of M at once
+CACHED_BYTES = 3e8  # of the signals of the coefficients, which are cached between steps
+PROJECTIONS = 2  # on the rows: the second leaves rounding, which large weights multiply
+CLIP = 5.0  # of a'S a: (4/6)^2, so the approximation is within a factor of 2; 2 to 100 cost the same
+LEAST_EXCESS = 0.5  # of a weight, relative to the clip, that is worth a direction
+MOST_DIRECTIONS = 300  # with weights beyond the clip; the largest are taken
+NOISES = 4  # signals for a covariance
+NOISE_GROWTH = 10.0  # of states between restarts: what grows further is slow, and left to the free coefficients
+SHARE = 1e-3  # of the noise in all coefficients: weights from CLIP/SHARE times those of the control on
+REDUCTION = 1e-9  # of the residual in one solution, so that seldom another is needed
+MOST_ITERATIONS = 100  # 5 to 15 are common
+PATIENCE = 10  # iterations in which the residual should fall: else rounding holds it
+JUMP_WEIGHT = 10.0  # rho relative to the weight of the control: of order 1, for both to keep their digits
+BLOCK_BYTES = 3e7  # of the signals of one block: they stay in the cache
+MOST_COLUMNS = 64
+
+
+class DenseReduced:
+    """Cholesky factors of M + rho E'E and of the Schur complement of the rows.
+
+    M comes from one sweep forward and one backward for each column. E'E is added to it for the rows with C = 0: that
+    leaves the solution alone, and makes it definite where only these rows determine the starts.
+    """
+
+    def __init__(self, space: NullSpace):
+        self._space, self._E, self._noise = space, space.rows(), Noise(space)
+        kept = space.coefficients.count
+        self._blocks = [slice(a, min(kept, a + COLUMNS)) for a in range(0, kept, COLUMNS)]
+        cached = 8 * (space.horizon + 1) * space.controls * kept <= CACHED_BYTES
+        self._signals = [self._signals_of(block) for block in self._blocks] if cached else None
+
+    def factor(self, Phi: Array, C: Array) -> bool:
+        """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
+        clipped, large = self._noise.clipped(Phi)
+        M, E = self._hessian(clipped), self._E
+        self._exact = ~C.any(axis=1)
+        exact = E[self._exact]
+        size = WEIGHT * float(np.abs(np.diag(M)).mean()) / (1 + float((exact * exact).sum(0).max(initial=0.0)))
+        for raised in RAISED:
+            self._weight = raised * size
+            self._M = Cholesky(M + self._weight * (exact.T @ exact))
+            if self._M.definite or not len(exact):
+                break
+        self._rows = _Projection(self._space, large, E, C, lambda rows: self._M.solve(rows.T).T)
+        return self._M.definite
+
+    def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
+        """Return v and nu."""
+        v = self._M.solve(r + self._weight * (self._E[self._exact].T @ e[self._exact]))
+        v, nu = self._rows.project(v, self._rows.right(e))
+        return v, nu[self._rows.directions :]
+
+    def _hessian(self, Phi: Array) -> Array:
+        space, kept = self._space, self._space.coefficients.count
+        M = np.empty((space.size, space.size))
+        sweeps = OpenLoop(space.A, space.B, Phi, space.breaks)
+        for i, block in enumerate(self._blocks):
+            W = self._signals[i] if self._signals is not None else self._signals_of(block)
+            starts = np.zeros((*space.zero.shape, W.shape[2]))
+            GW, of_starts, _, _ = sweeps.columns(starts, W)
+            M[block, :kept] = space.coefficients.analysis(GW)
+            M[block, kept : kept + space.continuity] = of_starts.reshape(-1, W.shape[2]).T
+        for i in range(kept, space.size):
+            M[i] = space.curvature(Phi, np.eye(1, space.size, i)[0])
+            M[:kept, i] = M[i, :kept]
+        return M
+
+    def _signals_of(self, block: slice) -> Array:
+        coefficients = self._space.coefficients
+        return coefficients.synthesis(np.eye(block.stop - block.start, coefficients.count, block.start))
+
+
+class LargeWeights(NamedTuple):
+    """Directions a of y_t and their weights."""
+
+    times: Indices
+    directions: Array  # (directions, nz)
+    weights: Array
+
+
+class _Projection:
+    """The rows B = (Y, E) on v, and the solutions that satisfy them."""
+
+    def __init__(self, space: NullSpace, large: LargeWeights, E: Array, C: Array, inverse: Callable[[Array], Array]):
+        """Factor their Schur complement; ``inverse`` gives M^-1 of rows (count, size), as rows."""
+        self.directions = len(large.times)
+        Y, of_y = np.empty((self.directions, space.size)), np.zeros((space.horizon + 1, space.states + space.controls))
+        for row, t, direction in zip(Y, large.times, large.directions, strict=True):
+            of_y[t] = direction
+            row[:] = space.gradient(of_y)
+            of_y[t] = 0.0
+        self._B, self._C = np.concatenate([Y, E]), la.block_diag(np.diag(1 / large.weights), C)
+        self._MB = inverse(self._B)
+        self._schur = Cholesky(self._B @ self._MB.T + self._C)
+
+    def right(self, e: Array) -> Array:
+        """Return the right-hand sides of all rows."""
+        return np.concatenate([np.zeros(self.directions), e])
+
+    def project(self, v: Array, right: Array) -> tuple[Array, Array]:
+        """Return v, nu of M v + B'nu = r, B v - C nu = right, from v = M^-1 r."""
+        nu = np.zeros(len(right))
+        for _ in range(PROJECTIONS if len(nu) else 0):
+            more = self._schur.solve(self._B @ v - self._C @ nu - right)
+            v, nu = v - more @ self._MB, nu + more
+        return v, nu
+
+
+class Noise:
+    """For every control, the mean covariance of y under unit white noise in its coefficients."""
+
+    def __init__(self, space: NullSpace):
+        """Simulate the noise, with restarts of its own."""
+        n, m, T = space.states, space.controls, space.horizon
+        random, still = np.random.default_rng(0), np.zeros((T + 1, n))
+        breaks = break_times(space.A, NOISE_GROWTH)
+        starts = np.zeros((len(breaks), n))
+        self._states, self._covariances = n, np.zeros((m, n + m, n + m))
+        for j, banded in enumerate(space.coefficients.banded):
+            noise = random.standard_normal((NOISES, T))
+            for share, signals in ((1.0, space.coefficients.stopped(j, noise)), (SHARE, noise)):
+                own = np.zeros((n + m, n + m))
+                for signal in signals:
+                    y = np.zeros((T + 1, n + m))
+                    y[:-1, n + j] = signal
+                    space.loops.forward(space.A, space.B, still, breaks, starts, y)
+                    own += y[:-1].T @ y[:-1] / (NOISES * T)
+                if not banded:  # weights on single unknowns take no digits
+                    own[n + j], own[:, n + j] = 0.0, 0.0
+                self._covariances[j] += share * own
+
+    def clipped(self, Phi: Array) -> tuple[Array, LargeWeights]:
+        """Return Phi (T+1, nz, nz) with clipped weights, and what they lack."""
+        return clip(Phi, np.einsum("j,jab->ab", 1 / control_weights(Phi, self._states), self._covariances))
+
+
+def control_weights(Phi: Array, n: int) -> Array:
+    """Return the median weight of every control, above zero."""
+    level = np.median(np.einsum("tii->ti", Phi[:-1, n:, n:]), axis=0)
+    return np.maximum(level, np.finfo(float).eps * max(float(level.max()), np.finfo(float).tiny))
+
+
+def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, LargeWeights]:
+    """Return Phi with clipped weights, and the rest of the largest ones with their directions, ``most`` at most.
+
+    Directions are columns of Cholesky factors, the noisiest diagonal entry first: large weights on single entries, such
+    as bounds, do not touch the digits of the others.
+    """
+    rest, noise, every = Phi[:-1].copy(), np.diag(S), np.arange(len(Phi) - 1)
+    times, directions, weights, limits = [every[:0]], [rest[:0, 0]], [rest[:0, 0, 0]], [rest[:0, 0, 0]]
+    for _ in noise:
+        diagonal = np.einsum("tii->ti", rest[every]) * noise
+        every, pivot = every[diagonal.max(1) > CLIP], diagonal.argmax(1)[diagonal.max(1) > CLIP]
+        columns = rest[every, :, pivot]
+        weight = columns[np.arange(len(every)), pivot]
+        columns = columns / weight[:, None]
+        rest[every] -= weight[:, None, None] * columns[:, :, None] * columns[:, None, :]
+        rest[every, pivot], rest[every, :, pivot] = 0.0, 0.0
+        times.append(every)
+        directions.append(columns)
+        weights.append(weight)
+        limits.append(np.minimum(weight, CLIP / np.einsum("ta,ab,tb->t", columns, S, columns)))
+    peeled = LargeWeights(np.concatenate(times), np.concatenate(directions), np.concatenate(weights))
+    limit = np.concatenate(limits)
+    chosen = np.argsort(limit / peeled.weights)[:most]
+    chosen = np.sort(chosen[peeled.weights[chosen] > limit[chosen] * (1 + LEAST_EXCESS)])
+    left = peeled.weights.copy()
+    left[chosen] = limit[chosen]
+    clipped = Phi.copy()
+    clipped[:-1] = rest
+    np.add.at(clipped, peeled.times, np.einsum("k,ka,kb->kab", left, peeled.directions, peeled.directions))
+    return clipped, LargeWeights(peeled.times[chosen], peeled.directions[chosen], (peeled.weights - left)[chosen])
+
+
+class TwoLevel:
+    """Projected conjugate gradients on the reduced system."""
+
+    def __init__(self, space: NullSpace):
+        self._space, self._E, self._noise = space, space.rows(), Noise(space)
+        ends = self._E[: space.continuity + len(space.terminal)]
+        self._second = SecondLevel(space, float((ends * ends).sum(0).max(initial=0.0)))
+        self.iterations: list[int] = []
+
+    def factor(self, Phi: Array, C: Array) -> bool:
+        """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
+        self._clipped, self._large = self._noise.clipped(Phi)
+        self._second.factor(self._clipped)
+        self._rows = _Projection(self._space, self._large, self._E, C, self._second.solve_many)
+        return False
+
+    def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
+        """Return v and nu."""
+        right = self._rows.right(e)
+        zero = np.zeros_like(right)
+        v, nu = self._rows.project(np.zeros_like(r), right) if e.any() else (np.zeros_like(r), zero.copy())
+        left = r - self._apply(v, nu) if nu.any() else r.copy()
+        target, direction, of_rows = REDUCTION * largest([r]), np.zeros_like(r), zero
+        slope, least, since, iterations = 1.0, np.inf, 0, 0
+        while (error := largest([left])) > target and iterations < MOST_ITERATIONS:
+            least, since = (error, iterations) if error < least else (least, since)
+            if iterations - since > PATIENCE:
+                break
+            step, prices = self._rows.project(self._second.solve(left), zero)
+            slope, before = float(left @ step), slope
+            beta = slope / before if iterations else 0.0
+            direction, of_rows = step + beta * direction, prices + beta * of_rows
+            bent = self._apply(direction, of_rows)
+            curvature = float(direction @ bent)
+            if not (slope > 0 and curvature > 0):
+                break
+            v += slope / curvature * direction
+            nu += slope / curvature * of_rows
+            left -= slope / curvature * bent
+            iterations += 1
+        self.iterations.append(iterations)
+        return v, nu[self._rows.directions :]
+
+    def _apply(self, v: Array, nu: Array) -> Array:
+        """Return M v, of clipped weights, plus nu times all rows."""
+        space, large = self._space, self._large
+        y, _ = space.simulated(v)
+        of_large, of_rows = np.split(nu, [len(large.times)])
+        of_y, prices = space.priced(of_rows)
+        of_y += space.loops.times(self._clipped, y)
+        np.add.at(of_y, large.times, of_large[:, None] * large.directions)
+        return space.gradient(of_y, prices)
+
+
+class SecondLevel:
+    """The clipped regulator of a space, restricted to v."""
+
+    def __init__(self, space: NullSpace, height: float):
+        self._space, n, m, T = space, space.states, space.controls, space.horizon
+        self._height = height  # largest squared column of the rows of starts and x_T
+        per = -(-n // m)  # stages for a jump, of m components each
+        jumps = np.zeros(T + 1, dtype=np.intp)
+        jumps[space.breaks] = per
+        self._at = np.arange(T + 1) + np.cumsum(jumps)
+        self._starts = self._at[space.breaks]
+        stages = T + 1 + per * len(space.breaks)
+        self._jumps = np.setdiff1d(np.arange(stages), self._at)
+        self._A, self._B = np.tile(np.eye(n), (stages, 1, 1)), np.zeros((stages, n, m))
+        self._A[self._at], self._B[self._at] = space.A, space.B
+        for i in range(n):
+            self._B[self._starts - per + i // m, i, i % m] = 1.0
+        self._still = np.zeros((stages, n))
+        self._entries = np.arange(n + m) if len(space.breaks) or len(space.free) else np.arange(n, n + m)
+        per_column = 8 * stages * len(self._entries)
+        self._block = int(np.clip(BLOCK_BYTES / per_column, 8, MOST_COLUMNS))
+
+    def factor(self, clipped: Array) -> None:
+        """Factor the regulator of clipped weights (T+1, nz, nz)."""
+        space, n, m = self._space, self._space.states, self._space.controls
+        clipped, level = clipped.copy(), float(control_weights(clipped, n).mean())
+        rho = JUMP_WEIGHT * level / (1 + self._height)
+        clipped[-1, space.terminal, space.terminal] += rho
+        expanded = np.zeros((len(self._A), n + m, n + m))
+        expanded[self._at] = clipped
+        expanded[self._jumps[:, None], np.arange(n, n + m), np.arange(n, n + m)] = rho
+        self._regulator = space.loops.factor(self._A, self._B, expanded, space.fixed)
+
+    def solve(self, r: Array) -> Array:
+        """Return the approximate M^-1 r."""
+        space, n, kept = self._space, self._space.states, self._space.coefficients.count
+        gradient = np.zeros((len(self._A), n + space.controls))
+        gradient[self._at, n:] = -space.coefficients.synthesis(r[None, :kept])[:, :, 0]
+        starts, first = np.split(-r[kept:], [space.continuity])
+        gradient[self._starts, :n] = starts.reshape(-1, n)
+        gradient[0, space.free] += first
+        y, _, _ = self._regulator.solve(gradient, self._still, self._still[0])
+        z = space.coefficients.analysis(y[self._at, n:, None])[0]
+        return np.concatenate([z, y[self._starts, :n].ravel(), y[0, space.free]])
+
+    def solve_many(self, rows: Array) -> Array:
+        """Return the approximate M^-1 of rows (count, size), as rows."""
+        space, n, kept = self._space, self._space.states, self._space.coefficients.count
+        found = np.empty_like(rows)
+        controls, states = slice(-space.controls, None), slice(0, n)
+        for a in range(0, len(rows), self._block):
+            part = rows[a : a + self._block]
+            R = np.zeros((len(self._A), len(self._entries), len(part)))
+            R[self._at, controls] = space.coefficients.synthesis(part[:, :kept])
+            if len(self._entries) > space.controls:
+                R[self._starts, states] = part[:, kept : kept + space.continuity].T.reshape(-1, n, len(part))
+                R[0, space.free] += part[:, kept + space.continuity :].T
+            Y, _ = self._regulator.responses(self._entries, R, np.zeros((n, len(part))))
+            own = found[a : a + self._block]
+            own[:, :kept] = -space.coefficients.analysis(Y[self._at, controls])
+            if len(self._entries) > space.controls:
+                own[:, kept : kept + space.continuity] = -Y[self._starts, states].reshape(-1, len(part)).T
+                own[:, kept + space.continuity :] = -Y[0, space.free].T
+        return found

@@ -1,1 +1,0 @@
-"""The data of the structured interior point: stages, and the rows that couple their times."""

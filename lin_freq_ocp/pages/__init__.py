@@ -1,0 +1,1 @@
+"""What shows: figures, the report, the explorer."""

@@ -1,0 +1,298 @@
+"""The live page as one HTML file, and its server for the browser on this machine alone.
+
+The page is live, asking its server, or has a solved sweep inside, and then works from disk.
+
+The server listens on the loopback address; every path begins with a random token, and the Host header must be its own,
+so that neither other users nor pages of other sites (by a name that resolves to 127.0.0.1) get an answer. Solves are
+made one after another; a request that a newer one of the same page has overtaken is not solved.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.metadata import version
+from itertools import product
+from socket import socket
+from typing import NoReturn
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.base.interrupts import interrupts_noted
+from lin_freq_ocp.pages.explorer.frequencies import CUTOFF
+from lin_freq_ocp.pages.explorer.movable import Slider
+from lin_freq_ocp.pages.explorer.session import FOLDED, GROUPS, Data, Session
+from lin_freq_ocp.problem.description import problem_facts
+
+# Points of a solved sweep along each slider, the own value among them: all pairs of two, the others alone.
+PAIRED, ALONE = 7, 5
+PAIR = "frequency", "bounds"  # groups of which the first sliders are moved together
+
+Connection = socket | tuple[bytes, socket]  # the second for datagrams, which this server does not get
+LOOPBACK = "127.0.0.1"
+MOST_BYTES = 1 << 16  # of a request: the values of a few sliders
+TOKEN_BYTES = 16
+IDLE_SECONDS = 30.0  # without a byte, a connection is closed; browsers open a new one when they need it
+MOST_CONNECTIONS = 32  # each has a thread; a browser opens six for a page
+BUSY = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+LENGTH = re.compile("[0-9]{1,9}")  # of a request, in ASCII
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+}
+
+
+def page(session: Session) -> str:
+    """Return the page that asks its server."""
+    return _render_page(session, None)
+
+
+def _render_page(session: Session, solved: list[Data] | None) -> str:
+    data: Data = {"sliders": [slider.data for slider in session.sliders], "points": solved}
+    return (
+        _environment()
+        .get_template("explore.html.jinja")
+        .render(
+            title=session.problem.name or "Optimal control problem",
+            facts=problem_facts(session.problem),
+            cutoff=any(slider.key == CUTOFF for slider in session.sliders),
+            live=solved is None,
+            groups=[(key, heading) for key, heading in GROUPS.items() if key not in FOLDED],
+            folded=[(key, GROUPS[key]) for key in FOLDED],
+            version=version("lin-freq-ocp"),
+            data=data,
+        )
+    )
+
+
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=PackageLoader("lin_freq_ocp.pages.explorer"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def static_page(session: Session, progress: Callable[[int, int], object] = lambda done, count: None) -> str:
+    """Return the page with a solved sweep inside; ``progress`` is told how many points are solved, and of how many."""
+    grid = points(session.sliders)
+    solved = list[Data]()
+    for values in grid:
+        solved.append({"values": values, "answer": session.answer(values), "beside": session.beside(values)})
+        progress(len(solved), len(grid))
+    return _render_page(session, solved)
+
+
+def points(sliders: tuple[Slider, ...]) -> list[dict[str, float]]:
+    """Return the values at the points of a sweep: of the sliders that are moved."""
+    firsts = [[one for one in sliders if one.group == group][:1] for group in PAIR]
+    paired = [one for first in firsts for one in first]
+    moved = [dict(pair) for pair in product(*([(one.key, v) for v in _points_along(one, PAIRED)] for one in paired))]
+    moved += [{one.key: value} for one in sliders if one not in paired for value in _points_along(one, ALONE)]
+    own = {one.key: one.value for one in sliders}
+    unique = {tuple({**own, **values}.items()): None for values in moved}
+    return [dict(values) for values in unique] or [own]
+
+
+def _points_along(slider: Slider, count: int) -> Iterator[float]:
+    """Yield values from end to end, on notches, the problem's own among them."""
+    first, last = (round((end - slider.value) / slider.step) for end in (slider.low, slider.high))
+    notches = {round(first + (last - first) * i / (count - 1)) for i in range(count)} | {0}
+    yield from (slider.notch(n) for n in sorted(notches))
+
+
+class Overtaken(Exception):  # noqa: N818  (no error: nobody waits for the answer any more)
+    """A newer request of the same page has come."""
+
+
+class ExploreServer(ThreadingHTTPServer):
+    """A live page; ``url`` is its address, token included."""
+
+    daemon_threads = True
+    block_on_close = False
+    allow_reuse_address = False
+    request_queue_size = MOST_CONNECTIONS
+
+    def __init__(self, session: Session, port: int = 0):
+        try:
+            super().__init__((LOOPBACK, port), Handler)
+        except OSError as error:
+            advice = "Without --port, a free one is taken."
+            raise ProblemError(
+                "--port", f"{port}, which cannot be used ({error.strerror})", "a free port", advice
+            ) from None
+        self.session, self.token = session, secrets.token_urlsafe(TOKEN_BYTES)
+        self.page = page(session).encode()
+        self._solving = threading.Lock()
+        self._newest = dict[str, int]()
+        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self._interrupted = threading.Event()
+
+    def serve_until_interrupted(self) -> NoReturn:
+        """Serve until Ctrl-C, which is noted wherever it arrives and raised between connections."""
+        with interrupts_noted() as self._interrupted:
+            self.serve_forever()
+        raise KeyboardInterrupt
+
+    def service_actions(self) -> None:
+        """End the server after Ctrl-C."""
+        if self._interrupted.is_set():
+            raise KeyboardInterrupt
+
+    def process_request(self, request: Connection, client_address: object) -> None:
+        """Give a connection a thread of its own; refuse it where there are too many."""
+        if not self._free.acquire(blocking=False):
+            with suppress(OSError):
+                if isinstance(request, socket):
+                    request.sendall(BUSY)
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:  # no thread was started
+            self._free.release()
+            raise
+
+    def process_request_thread(self, request: Connection, client_address: object) -> None:
+        """Serve a connection until it is closed."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Connection, client_address: object) -> None:
+        """Say nothing of connections that were reset or fell silent, and of other errors one line."""
+        error = sys.exception()
+        if isinstance(error, Exception) and not isinstance(error, (ConnectionError, TimeoutError)):
+            print(f"error: a fault of lin-freq-ocp explore: {first_line(error)}", file=sys.stderr)
+
+    @property
+    def hosts(self) -> tuple[str, str]:
+        """Return the Host headers of its own page."""
+        return f"{LOOPBACK}:{self.server_port}", f"localhost:{self.server_port}"
+
+    @property
+    def url(self) -> str:
+        """Return the address of the page."""
+        return f"http://{self.hosts[0]}/{self.token}/"
+
+    def answer(self, what: str, request: dict[str, object]) -> Data:
+        """Return the answer to a request; raise Overtaken if a newer one of its page has come."""
+        client, order = str(request.get("page")), request.get("order")
+        if not isinstance(order, int):
+            raise ProblemError("order", repr(order), "a whole number, larger with every move of a slider")
+        self._newest[client] = max(order, self._newest.get(client, order))
+
+        def wanted() -> bool:
+            return self._newest[client] == order
+
+        with self._solving:
+            if not wanted():
+                raise Overtaken
+            if what == "cure":
+                return self.session.cure(request.get("values"), request.get("slider"), wanted)
+            return {"answer": self.session.answer, "beside": self.session.beside}[what](request.get("values"))
+
+
+class Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+    timeout = IDLE_SECONDS
+    server_version, sys_version = "lin-freq-ocp", ""
+
+    @property
+    def _live(self) -> ExploreServer:
+        assert isinstance(self.server, ExploreServer)
+        return self.server
+
+    def do_GET(self) -> None:
+        """Answer with the page, and nothing else."""
+        path = self._own_path()
+        if path == "":
+            self._send(HTTPStatus.OK, "text/html; charset=utf-8", self._live.page)
+        elif path is not None:
+            self._refuse(HTTPStatus.NOT_FOUND, "There is only the page.")
+
+    def do_POST(self) -> None:
+        """Answer a question of the page."""
+        path = self._own_path()
+        if path is None:
+            return
+        if path not in ("answer", "beside", "cure"):
+            self._refuse(HTTPStatus.NOT_FOUND, "expected answer, beside or cure")
+            return
+        try:
+            self._send_json(HTTPStatus.OK, self._live.answer(path, self._request()))
+        except Overtaken:
+            self._send_json(HTTPStatus.OK, {"overtaken": True})
+        except LinFreqOCPError as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+        except (ConnectionError, TimeoutError):  # the page has been closed, or sends nothing any more
+            self.close_connection = True
+        except Exception as error:
+            self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"a fault of lin-freq-ocp: {type(error).__name__}: {error}")
+
+    def _own_path(self) -> str | None:
+        """Return what follows the token in the path; refuse, and return None, if host or token are wrong."""
+        token, slash, rest = self.path.removeprefix("/").partition("/")
+        origin = self.headers.get("Origin")
+        own = self.headers.get("Host") in self._live.hosts
+        if not own or origin not in (None, *(f"http://{host}" for host in self._live.hosts)):
+            self._refuse(HTTPStatus.FORBIDDEN, "not the page's own host")
+        elif not secrets.compare_digest(token.encode(), self._live.token.encode()) or not slash:
+            self._refuse(HTTPStatus.FORBIDDEN, "the address needs its token: open the one that lin-freq-ocp prints")
+        else:
+            return rest
+        return None
+
+    def _request(self) -> dict[str, object]:
+        """Return the object that was sent."""
+        length = self.headers.get("Content-Length", "")
+        if not LENGTH.fullmatch(length) or int(length) > MOST_BYTES:
+            self.close_connection = True  # what was sent is not read
+            raise ProblemError("Content-Length", repr(length), f"at most {MOST_BYTES} bytes")
+        content = self.rfile.read(int(length))
+        try:
+            request = json.loads(content)
+        except (ValueError, RecursionError) as error:
+            raise ProblemError("request", "no JSON", f"one JSON object ({error})") from None
+        if not isinstance(request, dict):
+            raise ProblemError("request", type(request).__name__, "one JSON object")
+        return request
+
+    def _refuse(self, status: HTTPStatus, why: str) -> None:
+        self.close_connection = True  # what was sent may not have been read
+        self._send_json(status, {"error": why})
+
+    def _send_json(self, status: HTTPStatus, answer: Data) -> None:
+        self._send(status, "application/json", json.dumps(answer, allow_nan=False, separators=(",", ":")).encode())
+
+    def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        for name, value in {**HEADERS, "Content-Type": kind, "Content-Length": str(len(content))}.items():
+            self.send_header(name, value)
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing of requests."""

@@ -1,0 +1,295 @@
+"""Figures of a result or a comparison; they need no display and change no global setting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from math import ceil
+from string import ascii_lowercase
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullFormatter
+
+from lin_freq_ocp.base.arrays import NO_BOUND, Array
+from lin_freq_ocp.base.errors import SolveError
+from lin_freq_ocp.base.phrases import number, short_name, split_unit
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
+from lin_freq_ocp.comparison.filters import has_frequency_constraint
+from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, Signal, measured_solution, solution_label
+from lin_freq_ocp.pages.figures.modes import mode_legend
+from lin_freq_ocp.pages.figures.panels import (
+    control_panel,
+    frequency_axis,
+    phase_panel,
+    shade_stop_band,
+    spectrum_panel,
+    state_panel,
+    states_panel,
+)
+from lin_freq_ocp.pages.figures.plot_data import (
+    BAND,
+    BOUND,
+    COMPONENTS,
+    INK,
+    LABEL_SIZE,
+    MARKERS,
+    MUTED,
+    PAPER,
+    REFERENCE,
+    REFERENCE_LINE,
+    ROW_HEIGHT,
+    SOFT,
+    STYLES,
+    PlotData,
+    Trace,
+    legend_above,
+    legend_rows,
+    new_figure,
+    style_axes,
+    thin_out,
+)
+from lin_freq_ocp.solving.outcome import Outcome
+
+LEGEND_HEIGHT = 0.5  # inches for the legend above the panels
+STATE_ROW_HEIGHT = 0.78 * ROW_HEIGHT
+
+MOST_PANELS = 6  # up to so many states have a panel each; of more, those of the same unit share one
+SMALLEST_SHOWN = 1e-6  # stage gaps below this fraction of the largest are rounding, and drawn at the lower edge
+ROUNDING = 1e-12  # fraction of the allowed gap that counts as the largest stage gap, if all of them are smaller
+
+
+def result_figure(result: Outcome) -> Figure:
+    """Return controls, their spectra, two phase portraits and all states in time of one solution."""
+    return four_panels(result_data(result), with_states=True)
+
+
+def comparison_figure(comparison: ComparisonOutcome) -> Figure:
+    """Return the four panels of the paper's Figure 3: controls, their spectra, two phase portraits."""
+    return four_panels(comparison_data(comparison))
+
+
+def result_data(result: Outcome) -> PlotData:
+    """Return the solution as plot data; SolveError if it has no trajectory."""
+    shown = measured_solution(solution_label(result), result.problem, result)
+    if shown is None:
+        raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
+    return PlotData(result.problem, (Trace(shown.label, shown, STYLES[CONSTRAINED]),))
+
+
+def comparison_data(comparison: ComparisonOutcome) -> PlotData:
+    """Return the classical, the filtered and the constrained trajectory, as far as there are any."""
+    filtered, solution, traces = comparison.shown_filter, comparison.constrained_solution, list[Trace]()
+    if solution is None or has_frequency_constraint(comparison.problem):
+        traces.append(Trace(CLASSICAL, comparison.classical_solution, STYLES[CLASSICAL]))
+    if filtered is not None:
+        traces.append(Trace("filtered", filtered.replay, STYLES["filtered"], filtered.replay.label, overlay=True))
+    if solution is not None:
+        traces.append(Trace(solution.label, solution, STYLES[CONSTRAINED]))
+    return PlotData(comparison.problem, tuple(traces))
+
+
+def four_panels(data: PlotData, with_states: bool = False) -> Figure:
+    """Return each control in time beside its spectrum, and two views of the states below; on request, all in time."""
+    problem = data.problem
+    controls, groups = problem.control_dim, _groups_of_states(data) if with_states else []
+    state_rows = ceil(len(groups) / 2)
+    views = 0 if with_states and problem.state_dim == 1 else 1
+    heights = [ROW_HEIGHT] * (controls + views) + [STATE_ROW_HEIGHT] * state_rows
+    legend = _legend_handles(data, problem.state_dim > 1, bool(problem.control_band.any()), with_bounds=True)
+    figure = new_figure(sum(heights) + LEGEND_HEIGHT * legend_rows(legend) + mode_legend(data).height)
+    grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
+    letters = (f"({''.join(one)})" for size in (1, 2) for one in product(ascii_lowercase, repeat=size))
+    for j, name in enumerate(problem.control_names):
+        control_panel(figure.add_subplot(grid[j, 0]), data, j, f"{next(letters)} {short_name(name)}")
+        spectrum_panel(
+            figure.add_subplot(grid[j, 1]), data, data.controls[j], f"{next(letters)} Spectrum of {short_name(name)}"
+        )
+    if with_states and problem.state_dim == 2:
+        title = f"{next(letters)} {' and '.join(map(short_name, problem.state_names))}"
+        phase_panel(figure.add_subplot(grid[controls, :]), data, 0, 1, title)
+    else:
+        for column in range(2 * views):
+            _draw_states(figure, grid, data, column, controls, next(letters))
+    for k, group in enumerate(groups):
+        row, alone = controls + views + k // 2, k == len(groups) - 1 and not k % 2
+        ax = figure.add_subplot(grid[row, :] if alone else grid[row, k % 2])
+        states_panel(ax, data, group, next(letters))
+    legend_above(figure, legend, handlelength=2.6)
+    mode_legend(data).draw(figure)
+    return figure
+
+
+def _groups_of_states(data: PlotData) -> list[list[int]]:
+    """Return the states that share a panel: few have one each, of many those of the same unit, some at a time."""
+    problem = data.problem
+    if problem.state_dim <= MOST_PANELS or len(data.traces) > 1:
+        return [[i] for i in range(problem.state_dim)]
+    of_unit: dict[str, list[int]] = {}
+    for i, name in enumerate(problem.state_names):
+        of_unit.setdefault(split_unit(name)[1], []).append(i)
+    size = len(COMPONENTS)
+    return [states[at : at + size] for states in of_unit.values() for at in range(0, len(states), size)]
+
+
+def phase_pairs(n: int) -> list[tuple[int, int]]:
+    """Return at most two pairs of states: i with i + n/2 (positions with their speeds) for even n, else neighbours."""
+    half = n // 2
+    pairs = [(i, i + half) for i in range(half)] if n % 2 == 0 else [(i, i + 1) for i in range(n - 1)]
+    return pairs[:2]
+
+
+def _draw_states(figure: Figure, grid: GridSpec, data: PlotData, column: int, row: int, letter: str) -> None:
+    """Draw a phase portrait into a row; where there are not two, the first state in time."""
+    names, pairs = data.problem.state_names, phase_pairs(data.problem.state_dim)
+    if column < len(pairs):
+        i, j = pairs[column]
+        title = f"{letter} {short_name(names[i])} and {short_name(names[j])}"
+        phase_panel(figure.add_subplot(grid[row, column]), data, i, j, title)
+    elif pairs:
+        state_panel(figure.add_subplot(grid[row, column]), data, 0, f"{letter} {short_name(names[0])}")
+    elif column == 0:
+        state_panel(figure.add_subplot(grid[row, :]), data, 0, f"{letter} {short_name(names[0])}")
+
+
+def states_figure(data: PlotData) -> Figure:
+    """Return every state in time, within its bounds."""
+    names = data.problem.state_names
+    figure, panels = _two_columns(len(names), STATE_ROW_HEIGHT, mode_legend(data).height)
+    for i, (name, ax) in enumerate(zip(names, panels, strict=True)):
+        state_panel(ax, data, i, short_name(name))
+    legend_above(figure, _legend_handles(data, with_bounds=True), handlelength=2.6)
+    mode_legend(data).draw(figure)
+    return figure
+
+
+def spectra_figure(data: PlotData, signals: Sequence[Signal]) -> Figure:
+    """Return the spectra of some states or outputs (there must be one)."""
+    figure, panels = _two_columns(len(signals), ROW_HEIGHT)
+    for signal, ax in zip(signals, panels, strict=True):
+        spectrum_panel(ax, data, signal, f"Spectrum of {short_name(signal.name)}")
+    legend_above(figure, _legend_handles(data, with_band=True), handlelength=2.6)
+    return figure
+
+
+def gap_figure(data: PlotData, certificate: Certificate) -> Figure | None:
+    """Return what each stage adds to the gap between cost and global bound; None without a bound."""
+    gaps = certificate.stage_gaps
+    if gaps is None or not np.isfinite(gaps).all():
+        return None
+    figure = new_figure(0.85 * ROW_HEIGHT)
+    ax = figure.add_subplot()
+    allowed = certificate.allowed_gap
+    floor = max(SMALLEST_SHOWN * max(float(gaps.max()), ROUNDING * allowed), float(gaps[gaps > 0].min(initial=allowed)))
+    times, low = data.time.factor * np.arange(len(gaps)), gaps < floor
+    color, at_floor = STYLES[CONSTRAINED].color, np.full(int(low.sum()), floor)
+    ax.plot(*thin_out(times[~low], gaps[~low]), "o", color=color, markersize=3.2, markeredgewidth=0)
+    ax.plot(*thin_out(times[low], at_floor), "v", color=color, markersize=4, markerfacecolor="none")
+    ax.axhline(allowed, color=MUTED, linewidth=1.1, linestyle=(0, (5, 2)))
+    ax.set_yscale("log")
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.set_ylim(floor / 4, 60 * max(allowed, float(gaps.max())))
+    ax.margins(x=0.015)
+    ax.annotate(
+        f"allowed for all stages together: {number(allowed, 2)}",
+        (1, allowed),
+        xycoords=("axes fraction", "data"),
+        xytext=(-4, 3),
+        textcoords="offset points",
+        fontsize=LABEL_SIZE,
+        color=MUTED,
+        ha="right",
+        va="bottom",
+    )
+    style_axes(ax, "Gap per stage", data.time.label, "part of the gap [cost]")
+    return figure
+
+
+def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
+    """Return |d J* / d bin| of every removed or bounded bin over its frequency (there must be one)."""
+    kinds = [
+        (price, [signal for signal in signals if signal.stop.any()], what, length)
+        for price, signals, what, length in (
+            (prices[0], data.controls, "control", data.problem.horizon),
+            (prices[1], data.states, "state", data.problem.state_samples),
+        )
+    ]
+    kinds = [kind for kind in kinds if kind[1]]
+    figure = new_figure(0.85 * ROW_HEIGHT * len(kinds))
+    for row, (price, components, what, length) in enumerate(kinds):
+        ax = figure.add_subplot(len(kinds), 1, row + 1)
+        frequency = data.frequency.factor * 2 * np.pi * np.arange(len(price)) / length
+        for i, one in enumerate(components):
+            shade_stop_band(ax, one.stop, length, data.frequency.factor)
+            _draw_prices(ax, one, frequency, price[:, one.index], i)
+        highest = float(price[:, [one.index for one in components]].max())
+        ax.set_ylim(0, 1.08 * highest or 1.0)
+        if len(components) > 1:
+            ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK)
+        units = {split_unit(one.name)[1] for one in components}
+        unit = f" [cost per {units.pop()}]" if len(units) == 1 and "" not in units else " [cost per unit]"
+        style_axes(ax, f"Price of each removed {what} bin", data.frequency.label, f"|dJ* / d bin|{unit}")
+        frequency_axis(ax, data)
+        _look_at(ax, frequency[np.any([one.stop for one in components], axis=0)])
+    return figure
+
+
+def _look_at(ax: Axes, frequency: np.ndarray) -> None:
+    """Leave out what is far from all stopped bins."""
+    margin = 0.12 * (frequency[-1] - frequency[0]) or 0.12 * frequency[0]
+    low, high = ax.get_xlim()
+    if margin > 0:
+        ax.set_xlim(max(low, frequency[0] - margin), min(high, frequency[-1] + margin))
+
+
+def _draw_prices(ax: Axes, component: Signal, frequency: np.ndarray, price: np.ndarray, i: int) -> None:
+    """Draw one stem per stopped bin."""
+    color = COMPONENTS[i % len(COMPONENTS)]
+    x, y = thin_out(frequency[component.stop], price[component.stop])
+    ax.vlines(x, 0, y, color=color, linewidth=1.0, alpha=0.7)
+    marker = MARKERS[i % len(MARKERS)]
+    ax.plot(x, y, label=short_name(component.name), marker=marker, linestyle="none", color=color, markersize=5)
+
+
+def _two_columns(count: int, height: float, below: float = 0.0) -> tuple[Figure, list[Axes]]:
+    """Return a figure and so many panels in two columns; a single one takes both."""
+    rows = ceil(count / 2)
+    figure = new_figure(height * rows + LEGEND_HEIGHT + below)
+    columns = min(count, 2)
+    return figure, [figure.add_subplot(rows, columns, i + 1) for i in range(count)]
+
+
+def _legend_handles(
+    data: PlotData, with_ends: bool = False, with_band: bool = False, with_bounds: bool = False
+) -> list[Artist]:
+    handles = list[Artist]()
+
+    def add(label: str, **style: object) -> None:
+        handles.append(Line2D([], [], linewidth=1.2, label=label))
+        handles[-1].set(**style)
+
+    for trace in data.traces:
+        style, label = trace.style, f"{trace.label} ({trace.detail})" if trace.detail else trace.label
+        add(label, color=style.color, linestyle=style.line, linewidth=style.width + 0.3)
+    signals = [*data.controls, *data.states, *data.outputs]
+    rows = [line for one in signals for line in one.row_bounds] if with_bounds else []
+    levels = [line for one in signals for line in one.levels] if with_band else []
+    boxes = [bound for one in [*data.controls, *data.states] for bound in one.bounds] if with_bounds else []
+    if any((np.abs(bound) < NO_BOUND).any() for bound in boxes) or any(not line.soft for line in [*rows, *levels]):
+        add("bound", color=BOUND)
+    if any(line.soft for line in [*rows, *levels]):
+        add("soft bound", color=BOUND, linestyle=SOFT)
+    if with_bounds and any(one.references for one in signals):
+        add("reference", color=REFERENCE, linestyle=REFERENCE_LINE)
+    if with_band:
+        handles.append(Patch(facecolor=BAND, label="stopped or bounded bins" if levels else "stop band"))
+    if with_ends:
+        add("start", linestyle="none", marker="o", color=INK, markerfacecolor=PAPER)
+        add("end", linestyle="none", marker="s", color=INK, markerfacecolor=INK)
+    return handles

@@ -1,0 +1,127 @@
+"""The figure of a control loop: its states and controls, their spectra over time, and the times of its steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import ceil
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy import fft, signal
+
+from lin_freq_ocp.base.arrays import NO_BOUND, Array
+from lin_freq_ocp.base.phrases import number, plural, short_name
+from lin_freq_ocp.loop.record import LoopRecord, Source
+from lin_freq_ocp.pages.figures.plot_data import (
+    BOUND,
+    COMPONENTS,
+    FILTERED,
+    INK,
+    LABEL_SIZE,
+    MUTED,
+    ROW_HEIGHT,
+    Note,
+    new_figure,
+    style_axes,
+    thin_out,
+)
+
+LONGEST_WINDOW = 64  # samples of a window of the spectrogram; an eighth of the loop, if that is less
+LEAST_WINDOW = 8
+DECIBELS = 60  # below the largest value: the darkest colour
+
+
+def loop_figure(loop: LoopRecord) -> Figure:
+    """Return each control in time beside its spectrogram, then all states, then the times of the steps and the gaps."""
+    states, m = loop.problem.state_dim, loop.problem.control_dim
+    rows = m + ceil(states / 2) + 1
+    figure = new_figure(0.8 * ROW_HEIGHT * rows)
+    grid = figure.add_gridspec(rows, 2)
+    for j in range(m):
+        _in_time(
+            figure.add_subplot(grid[j, 0]), loop, loop.controls[:, j], loop.problem.control_names[j], _bounds(loop, j)
+        )
+        _spectrogram(figure.add_subplot(grid[j, 1]), loop, j)
+    for i in range(states):
+        alone = i == states - 1 and i % 2 == 0
+        ax = figure.add_subplot(grid[m + i // 2, :] if alone else grid[m + i // 2, i % 2])
+        _in_time(ax, loop, loop.states[:, i], loop.problem.state_names[i], _bounds(loop, i, of_state=True))
+    _times(figure.add_subplot(grid[-1, 0]), loop)
+    _gaps(figure.add_subplot(grid[-1, 1]), loop)
+    return figure
+
+
+def _clock(loop: LoopRecord, count: int) -> tuple[Array, str]:
+    """Return so many times, and the label of their axis."""
+    step = loop.problem.sampling_time
+    if step is None:
+        return np.arange(float(count)), "step"
+    return step * np.arange(float(count)), "time [s]"
+
+
+def _bounds(loop: LoopRecord, component: int, of_state: bool = False) -> Iterator[float]:
+    """Yield the bounds that hold at the first time of a plan after the one that is measured."""
+    box = loop.problem.state_boxes.at(1) if of_state else loop.problem.control_tube.at(0)
+    for limit in (box.lower[component], box.upper[component]):
+        if abs(limit) < NO_BOUND:
+            yield float(limit)
+
+
+def _in_time(ax: Axes, loop: LoopRecord, values: Array, name: str, bounds: Iterator[float]) -> None:
+    times, label = _clock(loop, len(values))
+    held = len(values) == len(loop.steps)
+    ax.plot(*thin_out(times, values), color=COMPONENTS[0], linewidth=1.5, drawstyle="steps-post" if held else "default")
+    for limit in bounds:
+        ax.axhline(limit, color=BOUND, linewidth=1.1)
+    other = np.array([source is not Source.PLAN for source in loop.sources], dtype=bool)
+    if other.any():
+        ax.plot(times[: len(other)][other], values[: len(other)][other], "x", color=FILTERED, markersize=5)
+    crosses = Note(f"crosses: {plural(int(other.sum()), 'step')} whose own problem was not solved")
+    ax.margins(x=0.015)
+    style_axes(ax, short_name(name), label, name, [crosses] if other.any() and held else [])
+
+
+def _spectrogram(ax: Axes, loop: LoopRecord, j: int) -> None:
+    """Draw |DFT| of Hann windows of a control over their middle times, in dB of the largest value."""
+    control, step = loop.controls[:, j], loop.problem.sampling_time
+    length = min(LONGEST_WINDOW, max(len(control) // 8, LEAST_WINDOW), len(control))
+    frames = np.lib.stride_tricks.sliding_window_view(control, length) * signal.get_window(
+        "hann", length, fftbins=False
+    )
+    spectra = np.abs(fft.rfft(frames, axis=1))
+    largest = float(spectra.max(initial=0.0)) or 1.0
+    decibels = 20 * np.log10(np.maximum(spectra / largest, 10 ** (-DECIBELS / 20)))
+    times, label = _clock(loop, len(control))
+    frequencies = np.arange(spectra.shape[1]) / length * (2 * np.pi if step is None else 1 / step)
+    middle = times[: len(frames)] + (times[length - 1] if length else 0.0) / 2
+    drawn = ax.pcolormesh(middle, frequencies, decibels.T, shading="nearest", cmap="cividis", rasterized=True)
+    ax.set_ylim(0, frequencies[-1])
+    bar = ax.figure.colorbar(drawn, ax=ax, pad=0.02)
+    bar.set_label("dB", fontsize=LABEL_SIZE, color=INK)
+    title = f"Spectrogram of {short_name(loop.problem.control_names[j])}"
+    unit = "frequency [rad/sample]" if step is None else "frequency [Hz]"
+    style_axes(ax, title, label, unit, [Note(f"Hann windows of {length} samples; 0 dB: {number(largest, 3)}")])
+
+
+def _times(ax: Axes, loop: LoopRecord) -> None:
+    steps = np.arange(float(len(loop.steps)))
+    for values, label, color in (
+        (loop.solve_seconds, "solve", COMPONENTS[0]),
+        (loop.certify_seconds, "certificate", COMPONENTS[2]),
+    ):
+        ax.semilogy(*thin_out(steps, 1e3 * np.maximum(values, 1e-7)), ".", color=color, markersize=4, label=label)
+    ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK)
+    median = number(1e3 * float(np.median(loop.solve_seconds)), 3) if len(steps) else "0"
+    style_axes(ax, "Times of the steps", "step", "time [ms]", [Note(f"median without certificate: {median} ms")])
+
+
+def _gaps(ax: Axes, loop: LoopRecord) -> None:
+    steps, gaps = np.arange(float(len(loop.steps))), loop.gaps
+    known = np.isfinite(gaps)
+    ax.semilogy(*thin_out(steps[known], np.maximum(gaps[known], 1e-17)), ".", color=COMPONENTS[0], markersize=4)
+    if not known.all():
+        for step in steps[~known]:
+            ax.axvline(step, color=MUTED, linewidth=0.8)
+    text = f"conditions satisfied at {int(loop.satisfied.sum())} of {plural(len(steps), 'step')}"
+    style_axes(ax, "Certificates", "step", "relative gap", [Note(text)])

@@ -1,0 +1,263 @@
+"""Modes in pictures: tints behind the panels, one strip for each trajectory, and the adjoint with its kinks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import FuncFormatter
+
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.phrases import LARGE, SMALL, number, split_unit
+from lin_freq_ocp.certificate.hybrid.smooth import Kink
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
+from lin_freq_ocp.comparison.trajectories import NO_MODE
+from lin_freq_ocp.pages.figures.plot_data import (
+    COMPONENTS,
+    FILTERED,
+    GRID,
+    HATCHES,
+    INK,
+    LABEL_SIZE,
+    MARGIN,
+    MUTED,
+    NOTE_SIZE,
+    PAPER,
+    ROW_HEIGHT,
+    TICK_SIZE,
+    TINTS,
+    WIDTH,
+    Note,
+    PlotData,
+    Span,
+    legend_above,
+    new_figure,
+    plain,
+    spans,
+    style_axes,
+    thin_out,
+)
+from lin_freq_ocp.pages.report.proof import ETA
+
+CHARACTER = 0.52 * NOTE_SIZE / 72  # inches: about the width of a character of a note
+# Inches: what a legend may take, and about the width of one of its characters.
+LEGEND_WIDTH, LEGEND_CHARACTER = WIDTH - 0.3, 1.12 * CHARACTER
+LONGEST_NAME = 32  # characters of a mode's name in a picture
+STRIP_HEIGHT = 0.3  # inches: height of a strip, and the room between strips
+BAR = 0.02  # width of the bar of an interval, relative to the time axis
+# The marker of what the adjoint equation requires.
+REQUIRED: dict[str, object] = {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
+MARKED = 60  # up to so many values are points on their line
+
+
+def shade_modes(ax: Axes, data: PlotData) -> None:
+    """Put the tint of the main trajectory's mode behind every step of a panel in time."""
+    for span in data.modes:
+        if span.mode != NO_MODE:
+            start, end = data.time.factor * span.start, data.time.factor * span.end
+            _paint(ax.axvspan(start, end, zorder=0), span.mode)
+
+
+@dataclass(frozen=True)
+class ModeLegend:
+    """The tints of some modes with their names, and whose modes they are; empty without any."""
+
+    modes: tuple[int, ...]
+    names: tuple[str, ...]
+    whose: str
+
+    def _layout(self) -> tuple[int, bool]:
+        """Return how many names stand side by side, and whether all do, with whose modes they are."""
+        width = LEGEND_CHARACTER * max(map(len, self.names)) + 0.55
+        if len(self.modes) * width + len(self.whose) * LEGEND_CHARACTER <= LEGEND_WIDTH:
+            return len(self.modes), True
+        return max(1, int(LEGEND_WIDTH / width)), False
+
+    @property
+    def height(self) -> float:
+        """Return the inches that it takes."""
+        if not self.modes:
+            return 0.0
+        columns, in_one_row = self._layout()
+        return 0.24 * (1 if in_one_row else 1 + ceil(len(self.modes) / columns)) + 0.08
+
+    def draw(self, figure: Figure) -> None:
+        """Put it below the panels."""
+        if not self.modes:
+            return
+        columns, in_one_row = self._layout()
+        legend = figure.legend(
+            handles=[_paint(Patch(), mode) for mode in self.modes],
+            labels=["mode"] * len(self.modes),
+            title=None if in_one_row else plain(self.whose),
+            title_fontsize=LABEL_SIZE + 0.5,
+            alignment="left",
+            loc="outside lower left",
+            ncols=columns,
+            frameon=False,
+            fontsize=LABEL_SIZE + 0.5,
+            labelcolor=INK,
+            handlelength=1.8,
+            columnspacing=1.6,
+        )
+        legend.get_title().set_color(INK)
+        labels = list(self.names)
+        labels[-1] += f"   ({self.whose})" if in_one_row else ""
+        for text, label in zip(legend.get_texts(), labels, strict=True):
+            text.set_text(label)  # a label that begins with an underscore would be left out
+
+
+def mode_legend(data: PlotData) -> ModeLegend:
+    """Return the explanation of the tints behind the panels."""
+    whose = "mode" if len(data.traces) == 1 else f"mode of the {data.main.label} trajectory"
+    return _legend_of(data, {span.mode for span in data.modes}, whose)
+
+
+def _legend_of(data: PlotData, modes: set[int], whose: str) -> ModeLegend:
+    used, names = sorted(modes - {NO_MODE}), _short_names(data.problem.dynamics.mode_names)
+    return ModeLegend(tuple(used), tuple(names[mode] for mode in used), whose)
+
+
+def strip_rows(comparison: ComparisonOutcome) -> list[tuple[str, Indices | None]]:
+    """Return label and mode sequence of every trajectory of a comparison; None without a replay."""
+    return [(one.label, one.modes) for one in comparison.trajectories]
+
+
+def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) -> Figure:
+    """Return one strip for each trajectory: label and mode sequence, or None where its states mean nothing."""
+    names, factor, horizon = _short_names(data.problem.dynamics.mode_names), data.time.factor, data.problem.horizon
+    drawn = [(row, span) for row, (_, modes) in enumerate(rows) if modes is not None for span in spans(modes)]
+    unnamed = any(span.mode != NO_MODE and not _has_room(span, names[span.mode], horizon) for _, span in drawn)
+    legend = _legend_of(data, {span.mode for _, span in drawn} if unnamed else set(), "mode")
+    figure = new_figure(STRIP_HEIGHT * 1.25 * len(rows) + 0.75 + legend.height)
+    ax = figure.add_subplot()
+    for row, span in drawn:
+        _draw_strip(ax, span, row, factor, horizon, names)
+    for row, (_, modes) in enumerate(rows):
+        if modes is None:
+            _write(ax, 0.5 * factor * horizon, row, "not replayed", MUTED)
+    style_axes(ax, "Modes", data.time.label, "")
+    ax.grid(False)
+    ax.set_xlim(-0.008 * factor * horizon, 1.008 * factor * horizon)
+    ax.set_ylim(len(rows) - 0.35, -0.65)
+    ax.set_yticks(range(len(rows)), [plain(label) for label, _ in rows], fontsize=LABEL_SIZE, color=INK)
+    ax.tick_params(axis="y", length=0)
+    ax.spines["left"].set_visible(False)
+    legend.draw(figure)
+    return figure
+
+
+def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: float) -> Figure:
+    """Return each component of eta_t, (T, n), in time, with what the derivatives can be at kinks.
+
+    Smaller values than ``least`` are zero up to the tolerance of the adjoint equation.
+    """
+    names = data.problem.state_names
+    columns = min(len(names), 2)
+    rows = ceil(len(names) / columns)
+    figure = new_figure(0.85 * ROW_HEIGHT * rows + 0.5 + mode_legend(data).height)
+    for i, name in enumerate(names):
+        ax = figure.add_subplot(rows, columns, i + 1)
+        shade_modes(ax, data)
+        times = data.time.factor * np.arange(len(eta))
+        marker = "o" if len(eta) <= MARKED else ""
+        ax.plot(
+            *thin_out(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, marker=marker, markersize=3.2
+        )
+        for kink in found:
+            _draw_kink(ax, data, kink, i)
+        end = data.time.factor * data.problem.horizon
+        ax.set_xlim(-BAR * end, (1 + BAR) * end)
+        notes = _show_all(ax, np.concatenate([eta[:, i], *(one.of(i) for one in found)]), least)
+        short, unit = split_unit(name)
+        style_axes(ax, f"Adjoint of {short}", data.time.label, f"{ETA} [cost per {unit or 'unit'}]", notes)
+    _adjoint_legend(figure, bool(found))
+    mode_legend(data).draw(figure)
+    return figure
+
+
+def smallest_adjoint(certificate: Certificate) -> float:
+    """Return the size below which the judge cannot tell eta from zero."""
+    scales = [one.scale * one.tolerance for one in certificate.conditions if one.name == "adjoint equation"]
+    return max(scales, default=0.0)
+
+
+def _show_all(ax: Axes, shown: Array, least: float) -> list[Note]:
+    """Let the axis reach over all values; where these are zero up to rounding, do not magnify them, and say so."""
+    low, high = float(shown.min()), float(shown.max())
+    if max(-low, high) <= least:
+        ax.set_ylim(-1, 1)
+        return [Note("zero, within the tolerance of the adjoint equation")]
+    margin = 1.5 * MARGIN * (high - low if high - low > least else max(-low, high))
+    ax.set_ylim(low - margin, high + margin)
+    if not SMALL <= max(-low, high) < LARGE:  # the power of ten would stand where the title is
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 3)))
+    return []
+
+
+def _draw_kink(ax: Axes, data: PlotData, kink: Kink, i: int) -> None:
+    """Draw the interval as a bar with caps, and beside it what the adjoint equation requires."""
+    factor = data.time.factor
+    at, half = factor * kink.time, 0.5 * factor * BAR * data.problem.horizon
+    low, high = float(kink.lower[i]), float(kink.upper[i])
+    bar = Rectangle((at - half, low), 2 * half, high - low)
+    bar.set(facecolor=FILTERED, alpha=0.28, linewidth=0, zorder=5)
+    ax.add_patch(bar)
+    ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=FILTERED, linewidth=1.8, zorder=6)
+    (point,) = ax.plot(at, kink.required[i], "D", zorder=8)
+    point.set(**REQUIRED)
+
+
+def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
+    adjoint = Line2D([], [], color=COMPONENTS[0], linewidth=1.5, marker="o", markersize=3.2, label=f"adjoint {ETA}")
+    handles: list[Artist] = [adjoint]
+    if with_kinks:
+        handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=f"$D_x$ <{ETA}, f> over all derivatives at a kink"))
+        required = "what the adjoint equation requires of it"
+        handles.append(Line2D([], [], linestyle="none", marker="D", label=required))
+        handles[-1].set(**REQUIRED)
+    legend_above(figure, handles)
+
+
+def _draw_strip(ax: Axes, span: Span, row: int, factor: float, horizon: int, names: Sequence[str]) -> None:
+    """Draw a span as a box, with its mode's name where there is room."""
+    outside = span.mode == NO_MODE
+    box = Rectangle((factor * span.start, row - 0.4), factor * (span.end - span.start), 0.8)
+    if outside:
+        box.set(facecolor=PAPER, edgecolor=GRID, linestyle=(0, (3, 2)))
+    else:
+        _paint(box, span.mode)
+    ax.add_patch(box)
+    ax.vlines(factor * span.end, row - 0.4, row + 0.4, color=PAPER, linewidth=1.2)
+    name = "outside" if outside else names[span.mode]
+    if _has_room(span, name, horizon):
+        _write(ax, 0.5 * factor * (span.start + span.end), row, name, MUTED if outside else INK)
+
+
+def _has_room(span: Span, name: str, horizon: int) -> bool:
+    return 0.82 * WIDTH * (span.end - span.start) / horizon > CHARACTER * (len(name) + 1)
+
+
+def _write(ax: Axes, x: float, row: int, text: str, color: str) -> None:
+    ax.text(x, row, text, ha="center", va="center_baseline", fontsize=TICK_SIZE, color=color)
+
+
+def _paint(patch: Patch, mode: int) -> Patch:
+    """Give a patch the colour and hatch of a mode."""
+    hatch = HATCHES[mode // len(TINTS) % len(HATCHES)]
+    patch.set(facecolor=TINTS[mode % len(TINTS)], hatch=hatch, edgecolor=PAPER, linewidth=0)
+    return patch
+
+
+def _short_names(names: Sequence[str]) -> list[str]:
+    """Return names as pictures show them, ready to be drawn."""
+    end = "\N{HORIZONTAL ELLIPSIS}"
+    return [plain(name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + end) for name in names]

@@ -1,0 +1,227 @@
+"""What a comparison found, in sentences made from the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Mask
+from lin_freq_ocp.base.phrases import listed, number, plural, runs_in_words, short_name
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
+from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
+from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Signal, Violation, controls_of
+from lin_freq_ocp.pages.report.proof import RIGOROUS, proven_optimal
+from lin_freq_ocp.pages.report.tables import moves_sentence
+from lin_freq_ocp.pages.units import frequency_scale, quantity, rough
+from lin_freq_ocp.problem.measures import stopped_runs
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.outcome import Outcome
+
+FILTERING = "Filtering afterwards"
+NAMED = 2  # components that a sentence names before it only counts the others
+MORE_EXPENSIVE = 1e-2  # relative: a smaller extra cost of a filtered control is not mentioned
+NOTABLE = 1.0  # percent: a smaller difference of two costs is shown with two digits
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The result of a comparison, without full stops: of filtering (empty without any), and of the constraint."""
+
+    filtering: str
+    setting: str
+    solution: str
+
+    def __str__(self) -> str:
+        filtering = f"{FILTERING}: {self.filtering}. " if self.filtering else ""
+        return f"{filtering}{self.setting}: {self.solution}."
+
+
+def finding(comparison: ComparisonOutcome) -> Finding:
+    """Return what filtering afterwards does, and what the constraint in the problem does."""
+    result, shown = comparison.constrained, comparison.shown_filter
+    if not has_frequency_constraint(comparison.problem):
+        solution = _without_solution(result) or f"the cost is {number(result.cost)}, {_proven(result)}"
+        return Finding("", "No frequency constraint, so nothing to filter", solution)
+    filtering, limits = "", filter_limits(comparison.problem)
+    if shown is None and limits:
+        filtering = f"does not apply: {limits}"
+        filtering += "" if comparison.moves is None else f"; {moves_sentence(comparison.moves)}"
+    if shown is not None:
+        replay = shown.replay
+        filtering = ", ".join(faults(replay, comparison))
+        if not filtering and not replay.between_levels:
+            filtering = f"breaks no constraint{'' if replay.meaningful else ' on the controls'}"
+        if replay.stopped:
+            filtering += (
+                f"{'; ' if filtering else ''}its {replay.why_stopped}, so that they cannot be replayed to the end"
+            )
+        elif not replay.meaningful:
+            filtering += (
+                "; what the states would do cannot be replayed: over this horizon the dynamics amplify rounding errors "
+                f"{rough(comparison.classical_measures.amplification)}-fold"
+            )
+        filtering += f". Note: {limits}" if limits else ""
+    return Finding(filtering, "With the constraint in the problem", _with_constraint(comparison))
+
+
+def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[str]:
+    """Return the constraints that a filtered control violates, and whether it is more expensive, in words."""
+    problem, found = replay.problem, _exceeded_controls(replay)
+    if replay.meaningful:
+        left, others = _broken(replay.states, problem.state_names, "other state")
+        if left:
+            found.append(f"leaves the bounds on {listed([name for name, _ in left])}{others}")
+        terms = [term.name for term in problem.terms if term.hard]
+        violated, others = _broken(replay.terms, terms, "other constraint")
+        if violated:
+            found.append(f"violates {listed([f'{name} by {size}' for name, size in violated])}{others}")
+        missed, others = _broken(replay.end, problem.state_names, "other state")
+        if missed:
+            found.append(f"misses the end by {listed([f'{size} in {name}' for name, size in missed])}{others}")
+    measures, best = replay.measures, comparison.constrained.cost
+    for of_states, what, energy in (
+        (False, "control", measures.stopband_energy),
+        (True, "state", measures.state_stopband_energy),
+    ):
+        if replay.empties_band(of_states) is False:
+            found.append(f"leaves an energy of {number(energy, 3)} at the bins of the {what} stop band")
+    if best is not None and measures.cost is not None and comparison.constrained.primal:
+        if measures.cost > best + MORE_EXPENSIVE * abs(best):
+            found.append(
+                f"costs {number(measures.cost, 4)}, more than the {number(best, 4)} of the constrained solution"
+            )
+    return found
+
+
+def _exceeded_controls(replay: MeasuredTrajectory) -> list[str]:
+    broken, controls = np.flatnonzero(~replay.controls.passed), controls_of(replay.problem)
+    bounds = [
+        f"the {short_name(controls[j].name)} bound by {quantity(float(replay.controls.values[j]), controls[j].name)} "
+        f"({_peak(replay, controls[j])})"
+        for j in broken[:NAMED]
+    ]
+    return [f"exceeds {listed(bounds)}{_others(len(broken), 'other control')}"] if bounds else []
+
+
+def _peak(replay: MeasuredTrajectory, signal: Signal) -> str:
+    times = replay.peak_times(signal)
+    where = listed([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
+    return f"peaks at {quantity(replay.largest(signal), signal.name)}, {where}"
+
+
+def _broken(violation: Violation | None, names: Sequence[str], noun: str) -> tuple[list[tuple[str, str]], str]:
+    """Return name and size of the first violated bounds, and the count of the others."""
+    broken = [] if violation is None else [int(i) for i in np.flatnonzero(~violation.passed)]
+    sizes = [] if violation is None else [quantity(float(violation.values[i]), names[i]) for i in broken[:NAMED]]
+    named = [(short_name(names[i]), size) for i, size in zip(broken, sizes, strict=False)]
+    return named, _others(len(broken), noun)
+
+
+def _others(count: int, noun: str) -> str:
+    return f" (and {plural(count - NAMED, noun)})" if count > NAMED else ""
+
+
+def _with_constraint(comparison: ComparisonOutcome) -> str:
+    result, before, after = comparison.constrained, comparison.classical.cost, comparison.constrained.cost
+    if result.status == "infeasible":
+        return (
+            "no trajectory satisfies all constraints, which is proven; without those on frequencies there is a "
+            "solution, so they are part of the conflict"
+        )
+    if after is None:
+        return _without_solution(result)
+    if before is None or before <= 0 or after > 2 * before:
+        extra = f"for a cost of {number(after)} instead of {number(before)}"
+    else:
+        percent = 100 * (after / before - 1)
+        size = f"{abs(percent):.{1 if abs(percent) >= NOTABLE else 2}f}"
+        extra = f"for {size} % {'more' if percent > 0 else 'less'} cost" if float(size) else "at the same cost"
+    return f"{_holds(comparison)}, {extra}, {_proven(result)}"
+
+
+def _without_solution(result: Outcome) -> str:
+    if result.cost is not None:
+        return ""
+    if result.status == Status.LIMIT:
+        return f"no point found ({result.message})"
+    return f"no solution ({result.status.replace('_', ' ')}: {result.message})"
+
+
+def _holds(comparison: ComparisonOutcome) -> str:
+    """Say whether every constraint holds, and whether a spectrum between the bins of a band is larger than without."""
+    result, own = comparison.constrained, comparison.constrained_measures
+    if not result.primal:
+        return f"not every constraint holds ({result.message or result.status.replace('_', ' ')})"
+    free, larger = comparison.classical_measures, list[str]()
+    for what, peak, before in (
+        ("control", own and own.stopband_peak, free.stopband_peak),
+        ("state", own and own.state_stopband_peak, free.state_stopband_peak),
+    ):
+        if peak is not None and before is not None and peak > (1 + SAME_PEAK) * before:
+            larger.append(
+                f"the spectrum of the {what} peaks at {number(peak, 3)} between the bins of its band, above the "
+                f"{number(before, 3)} without the constraint"
+            )
+    return f"every constraint holds at the bins, but {listed(larger)}" if larger else "everything holds"
+
+
+def _proven(result: Outcome) -> str:
+    """Say what is proven of a solution, in the words of its status."""
+    certificate = result.certificate
+    if certificate is None or certificate.gap is None or certificate.bound is None:
+        gap = "without a bound on the optimal cost"
+    elif proven_optimal(result):
+        return f"proven optimal within {number(abs(certificate.gap), 2)}"
+    else:
+        kind = "" if certificate.bound.kind == RIGOROUS else " to a numerical bound"
+        gap = f"not proven optimal (gap {number(certificate.gap, 2)}{kind})"
+    if result.status not in ("optimal", "locally_optimal"):
+        return f"{gap}; the solve ended with: {result.status.replace('_', ' ')}"
+    if certificate is not None and certificate.pmp == "satisfied":
+        return f"locally optimal as far as the maximum principle says, {gap}"
+    return gap
+
+
+def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
+    """Say which bins are zero, and what remains between them."""
+    problem, sentences = comparison.problem, list[str]()
+    bands = (problem.control_stop, problem.control_names), (problem.state_stop, problem.state_names)
+    for of_states, (stopped, names) in enumerate(bands):
+        if stopped.any():
+            sentences.append(
+                _removed_bins(problem, stopped, names, problem.state_samples if of_states else problem.horizon)
+            )
+            sentences.append(_between_the_bins(comparison, "state_stopband_peak" if of_states else "stopband_peak"))
+    return sentences
+
+
+def _removed_bins(problem: OptimalControlProblem, stopped: Mask, names: tuple[str, ...], length: int) -> str:
+    """Return which bins of which components are zero; components with the same bins are named together."""
+    scale, sharing = frequency_scale(problem), dict[tuple[tuple[int, int], ...], list[str]]()
+    for i, name in enumerate(names):
+        runs = tuple(stopped_runs(stopped[:, i]))
+        if runs:
+            sharing.setdefault(runs, []).append(short_name(name))
+    parts = list[str]()
+    for runs, components in sharing.items():
+        spans = [tuple(number(scale.factor * 2 * np.pi * k / length, 4) for k in run) for run in runs]
+        frequencies = listed([low if low == high else f"{low} to {high}" for low, high in spans])
+        parts.append(f"{runs_in_words(runs)} of {listed(components)} ({frequencies} {scale.unit})")
+    return f"On a horizon of {length} samples, these DFT bins and their mirror images are zero: {'; '.join(parts)}."
+
+
+def _between_the_bins(comparison: ComparisonOutcome, field: str) -> str:
+    shown, own = comparison.shown_filter, comparison.constrained_measures
+    filtered = None if shown is None else getattr(shown.replay.measures, field)
+    parts = [] if own is None else [f"{number(getattr(own, field), 3)} with the constraint"]
+    parts.append(
+        f"{number(getattr(comparison.classical_measures, field), 3)} without {'it' if parts else 'the constraint'}"
+    )
+    parts += [] if filtered is None else [f"{number(filtered, 3)} after filtering"]
+    return (
+        "Zero at these bins is not zero between them: the zero-padded spectrum, which looks between, still peaks at "
+        f"{listed(parts)}."
+    )

@@ -1,0 +1,299 @@
+"""Self-contained HTML pages of a comparison and of a control loop.
+
+The page of a comparison has the finding, the figures, the tables, the proof and the problem; that of a loop its signals
+and the table of its steps. A page embeds its figures, which are also written as files of their own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from io import BytesIO
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from lin_freq_ocp.base.atomic import write_each, writing
+from lin_freq_ocp.base.phrases import number, plural
+from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
+from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
+from lin_freq_ocp.loop.record import LoopRecord
+from lin_freq_ocp.pages.figures import figures
+from lin_freq_ocp.pages.figures.continua import held_figure, moves_figure, vibrations_figure
+from lin_freq_ocp.pages.figures.loop import loop_figure
+from lin_freq_ocp.pages.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
+from lin_freq_ocp.pages.figures.plot_data import THEMED, THEMED_TINTS, PlotData
+from lin_freq_ocp.pages.report import proof
+from lin_freq_ocp.pages.report.findings import FILTERING, finding, stop_band_meaning
+from lin_freq_ocp.pages.report.tables import (
+    NOT_MEANINGFUL,
+    certificate_rows,
+    comparison_rows,
+    moves_caption,
+    moves_rows,
+    moves_title,
+)
+from lin_freq_ocp.pages.units import rough
+from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.solving.outcome import Outcome
+
+PIXELS_PER_INCH = 150
+
+CAPTION = (
+    "Spectrograms show the magnitude of the DFT of short windows over the time of their middle. Crosses mark steps "
+    "whose problem had no solution, or no plan in time."
+)
+
+
+def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
+    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
+    drawings = draw(comparison)
+    return save_page(Path(folder), render(comparison, drawings), drawings)
+
+
+def draw(comparison: ComparisonOutcome) -> tuple[Drawing, ...]:
+    """Return all figures that the comparison has something to show in."""
+    return tuple(drawing_of(*parts) for parts in _figures(comparison))
+
+
+def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Figure]]:
+    """Yield name, title, caption and figure."""
+    data, result = figures.comparison_data(comparison), comparison.constrained
+    shown = comparison.shown_filter
+    caption = (
+        "Spectra: points are the bins of the DFT, hollow triangles at the lower edge those too small for the axis; "
+        "lines are the zero-padded spectrum, which looks between the bins (for many bins, its largest value between "
+        "neighbours)."
+    )
+    filtered = "" if shown is None else f" Filtered: {shown.description}."
+    yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(data)
+    stopped = [state for state in data.states if state.stop.any()]
+    if stopped:
+        yield "state_spectra", "Spectra of the states with a stop band", "", figures.spectra_figure(data, stopped)
+    if data.outputs:
+        yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
+    if comparison.moves is not None:
+        title, caption = moves_title(comparison.moves), moves_caption(comparison.moves)
+        yield "vibration", title, caption, moves_figure(comparison.moves)
+    yield from _draw_continua(data, comparison.moves is None)
+    if data.modes:
+        rows = strip_rows(comparison)
+        yield "modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows)
+    yield "states", "Every state in time", "", figures.states_figure(data)
+    certificate, multipliers = result.certificate, result.multipliers
+    if certificate is None or multipliers is None:
+        return
+    borders = facts_where_modes_meet(certificate)
+    if borders is not None and data.main.trajectory is result.trajectory:
+        solution = PlotData(data.problem, (data.main,))
+        figure = adjoint_figure(solution, multipliers.eta, comparison.kinks, smallest_adjoint(certificate))
+        yield "adjoint", "Adjoint, and its choice at kinks", proof.adjoint_caption(borders), figure
+    gap = figures.gap_figure(data, certificate)
+    if gap is not None:
+        yield "gap", "Gap per stage", proof.parts_of_the_gap(certificate), gap
+    if comparison.prices is not None:
+        text = (
+            "What the optimal cost would lose, per unit, if a removed bin were allowed to be a little above zero, "
+            "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
+        )
+        yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
+
+
+def _draw_continua(data: PlotData, with_boxes: bool) -> Iterator[tuple[str, str, str, Figure]]:
+    held, vibrations = held_figure(data), vibrations_figure(data) if with_boxes else None
+    if held is not None:
+        caption = (
+            "What the plant sees of a signal that is held between its samples: |sinc(f h) V(2 pi f h)|, images above "
+            "the Nyquist frequency included (for many bins, its largest value between neighbours)."
+        )
+        yield "held_spectra", "Spectra of held signals below their limits", caption, held
+    if vibrations is not None:
+        caption = "The amplitude that is left in a mode of this natural frequency, the largest over the damping ratios."
+        yield "vibration", "Residual vibration over the natural frequency, with its limit", caption, vibrations
+
+
+def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
+    """Return the page."""
+    problem, certificate = comparison.problem, comparison.constrained.certificate
+    constrained, result = has_frequency_constraint(problem), comparison.constrained
+    return render_template(
+        "page.html.jinja",
+        title=problem.name or "Optimal control problem",
+        finding=finding(comparison),
+        tiles=tiles(comparison),
+        drawings={drawing.name: drawing for drawing in drawings},
+        table=comparison_rows(comparison),
+        moves=None if comparison.moves is None else moves_rows(comparison.moves),
+        filtering=FILTERING,
+        not_meaningful=NOT_MEANINGFUL,
+        meaning=stop_band_meaning(comparison),
+        verdict=[] if certificate is None else proof.verdict(certificate, problem),
+        search=proof.search_sentences(result),
+        conditions=() if certificate is None else certificate_rows(problem, certificate),
+        problem=problem,
+        result=result,
+        comparison=comparison,
+        amplification=rough(comparison.classical_measures.amplification),
+        facts=problem_facts(problem, problem.gap),
+        filter_limits=filter_limits(problem),
+        constrained=constrained,
+        filters=comparison.filtered if can_be_filtered(problem) else (),
+        solves=[
+            *([_how("without the frequency constraint", comparison.classical)] if constrained else []),
+            _how("with the constraint" if constrained else "the problem", result),
+        ],
+        sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
+        version=version("lin-freq-ocp"),
+    )
+
+
+def _how(what: str, result: Outcome) -> tuple[str, str, str, str, str]:
+    times = ", ".join(f"{stage} {number(seconds, 3)} s" for stage, seconds in result.seconds.items())
+    status = f"{result.status.replace('_', ' ')}{': ' if result.message else ''}{result.message}"
+    return what, status, result.method, result.backend or "none needed", times
+
+
+def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
+    """Return the figures of the headline: label, number, and a remark on it."""
+    result, certificate = comparison.constrained, comparison.constrained.certificate
+    shown = list[tuple[str, str, str]]()
+    if has_frequency_constraint(comparison.problem):
+        shown.append(("cost without frequency constraint", number(comparison.classical.cost), ""))
+    if certificate is None:
+        return [*shown, ("with the constraint", result.status.replace("_", " "), "proven" if result.dual else "")]
+    cost, remark = ("optimal cost", "") if proof.proven_optimal(result) else ("cost found", "not proven global")
+    if certificate.borders is not None and certificate.bound is None:
+        cost, remark = "cost found", "no global bound"
+    if not certificate.feasible:
+        remark = "breaks constraints"
+    shown.append(("cost with the constraint" if shown else cost, number(result.cost), remark))
+    kind = "" if certificate.normal is None else "normal" if certificate.normal else "abnormal"
+    shown.append(("maximum principle", certificate.pmp.replace("_", " "), kind))
+    if certificate.gap is not None and certificate.bound is not None:
+        bound = f"{proof.bound_kind(certificate)} bound"
+        shown.append((f"gap to the {bound}", number(certificate.gap, 2), certificate.bound.kind))
+    return shown
+
+
+def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
+    """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
+    drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
+    page = render_template(
+        "loop.html.jinja",
+        title=loop.problem.name or "Control loop",
+        finding=_loop_finding(loop),
+        tiles=_loop_tiles(loop),
+        drawing=drawing,
+        counts=_loop_counts(loop),
+        excess=_loop_violations(loop),
+        facts=problem_facts(loop.problem, loop.problem.gap),
+        problem=loop.problem,
+        version=version("lin-freq-ocp"),
+    )
+    return save_page(folder, page, [drawing])
+
+
+def _loop_finding(loop: LoopRecord) -> str:
+    steps = len(loop.steps)
+    proven = int(loop.satisfied.sum())
+    text = f"{plural(steps, 'step')}; the plans of {proven} satisfy the maximum principle"
+    known = loop.gaps[np.isfinite(loop.gaps)]
+    text += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
+    return text + (f" The loop stopped before its end: {loop.stopped}" if loop.stopped else "")
+
+
+def _loop_tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
+    """Return label, number and remark of the headline's figures."""
+    if not loop.steps:
+        return [("steps", "0", "")]
+    solve, certify = 1e3 * loop.solve_seconds, 1e3 * loop.certify_seconds
+    return [
+        ("steps", str(len(loop.steps)), ""),
+        ("time of a step", f"{number(float(np.median(solve)), 3)} ms", f"at most {number(float(solve.max()), 3)} ms"),
+        ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
+        ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
+    ]
+
+
+def _loop_counts(loop: LoopRecord) -> list[tuple[str, str, str, int]]:
+    """Return status, source and method of the steps, with how many there are of each."""
+    found = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
+    return [(*key, count) for key, count in found.most_common()]
+
+
+def _loop_violations(loop: LoopRecord) -> list[tuple[str, str, int]]:
+    """Return the largest excess of each softened constraint, and at how many steps there was one."""
+    names = dict.fromkeys(name for step in loop.steps for name in step.excess)
+    rows: list[tuple[str, str, int]] = []
+    for name in names:
+        amounts = [step.excess.get(name, 0.0) for step in loop.steps]
+        rows.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
+    return rows
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure, ready for the page and for files of its own: ``name``.svg and ``name``.png."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str
+    png: bytes
+
+    @property
+    def inline(self) -> Markup:
+        """Return the figure as an element of a page: no header, own ids, and the page's colours."""
+        body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
+        view_box = re.search(r'viewBox="[^"]*"', body)
+        content = body[body.index(">") + 1 :].replace("xlink:href", "href")
+        content = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.name}-", content)
+        for color, variable in (THEMED | THEMED_TINTS).items():
+            content = content.replace(color, f"var(--{variable})")
+        view = Markup(view_box[0] if view_box else "")
+        return Markup('<svg role="img" aria-label="{}" {}>').format(self.title, view) + Markup(content)
+
+
+def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
+    """Return a figure as text and as an image."""
+    figure.set_dpi(PIXELS_PER_INCH)
+    svg, png = BytesIO(), BytesIO()
+    FigureCanvasAgg(figure).print_png(png)
+    figure.set_layout_engine("none")  # keeps the layout that was found
+    # Names of shapes do not change from run to run, and text looks the same on every machine.
+    with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
+        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
+    return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
+
+
+def render_template(template: str, **values: object) -> str:
+    """Return a page from its template."""
+    environment = Environment(
+        loader=PackageLoader("lin_freq_ocp.pages.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(**values)
+
+
+def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
+    """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    contents = {folder / f"{drawing.name}.svg": drawing.svg.encode() for drawing in drawings}
+    contents |= {folder / f"{drawing.name}.png": drawing.png for drawing in drawings}
+    path = folder / "index.html"
+    write_each(contents | {path: page.encode()})
+    return path

@@ -1,0 +1,323 @@
+"""Tables as rows of text, for the page and for the terminal alike: comparisons, certificates, sweeps and moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from lin_freq_ocp.base.phrases import NOTHING, listed, number, plural, short_name, split_unit
+from lin_freq_ocp.batch.sweep import SweepOutcome
+from lin_freq_ocp.certificate.conditions import Condition
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.comparison.compare import ComparisonOutcome
+from lin_freq_ocp.comparison.moves import OURS, Move, Moves
+from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation, controls_of
+from lin_freq_ocp.pages.report.proof import bound_kind
+from lin_freq_ocp.pages.units import align
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+NOT_MEANINGFUL = "not meaningful"  # in place of numbers that need a replay, where there is no meaningful one
+KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"
+
+# Conditions whose component is a control (that of the others is a state), a joint row, or a mode.
+OF_CONTROL, OF_ROWS, OF_MODES = ("C-v", "C-vii", "S-u", "N-u"), ("S-z", "N-z"), ("S-f", "N-f")
+IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")  # conditions whose worst violation is at a bin
+
+COST_DIGITS = 5  # costs differ less than the other figures do
+SWEEP_DIGITS = 6  # neighbours in a grid differ less than a filter and a solution do
+
+Columns = Sequence[MeasuredTrajectory | None]  # None: no trajectory was found
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A text, and whether a constraint holds there; None where none is concerned."""
+
+    text: str
+    passed: bool | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: its label and unit, and a cell per trajectory."""
+
+    label: str
+    unit: str
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows under a common title, which may be empty."""
+
+    title: str
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class ComparisonRows:
+    """A comparison: one column per trajectory, one row per figure."""
+
+    columns: tuple[str, ...]
+    groups: tuple[Group, ...]
+
+
+@dataclass(frozen=True)
+class ConditionRow:
+    """One condition of a certificate, in words."""
+
+    label: str
+    name: str
+    residual: str
+    scale: str
+    relative: str
+    tolerance: str
+    passed: bool
+    place: str
+
+    @property
+    def verdict(self) -> str:
+        """Return "holds" or "fails"."""
+        return "holds" if self.passed else "fails"
+
+
+def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
+    """Return what was measured of every trajectory, where it applies to the problem."""
+    problem, found = comparison.problem, comparison.trajectories
+    columns, labels = list[MeasuredTrajectory | None](found), [one.label for one in found]
+    if comparison.constrained_solution is None:
+        columns.append(None)
+        labels.append(comparison.constrained_label)
+    controls, hard = controls_of(problem), [term for term in problem.terms if term.hard]
+    only_rows = all(term.kind == "stage rows" for term in hard)
+    of_terms = "Beyond the joint rows by" if only_rows else "Beyond other constraints by"
+    groups = [
+        _group("", ["cost"], columns, lambda one, _: _measured_cell(one, one.measures.cost, digits=COST_DIGITS)),
+        _group(
+            "Largest magnitude", problem.control_names, columns, lambda one, j: Cell(align(one.largest(controls[j])))
+        ),
+        _violation_group("Beyond the control bounds by", problem.control_names, columns, lambda one: one.controls),
+        _violation_group("Beyond the state bounds by", problem.state_names, columns, lambda one: one.states),
+        _violation_group(of_terms, [term.name for term in hard], columns, lambda one: one.terms),
+        _violation_group("Misses the end state by", problem.state_names, columns, lambda one: one.end),
+        _stop_band_group(problem, columns, of_states=False),
+        _stop_band_group(problem, columns, of_states=True),
+    ]
+    if not all(one.meaningful for one in found):
+        title = "Misses the next planned state, in one step, by"
+        groups.append(_group(title, problem.state_names, columns, lambda one, i: Cell(align(one.one_step_residual[i]))))
+    return ComparisonRows(tuple(labels), tuple(group for group in groups if group.rows))
+
+
+def _group(
+    title: str,
+    names: Sequence[str],
+    columns: Columns,
+    cell: Callable[[MeasuredTrajectory, int], Cell],
+    shown: Iterable[int] | None = None,
+) -> Group:
+    """Return a row per name, or for some of them, with ``cell`` of each trajectory and the name's index."""
+    return Group(
+        title,
+        tuple(
+            Row(*split_unit(names[i]), tuple(Cell(NOTHING) if one is None else cell(one, i) for one in columns))
+            for i in (range(len(names)) if shown is None else shown)
+        ),
+    )
+
+
+def _measured_cell(
+    trajectory: MeasuredTrajectory, value: float | None, passed: bool | None = None, digits: int = 4
+) -> Cell:
+    return Cell(NOT_MEANINGFUL if value is None and not trajectory.meaningful else align(value, digits), passed)
+
+
+def _violation_group(
+    title: str, names: Sequence[str], columns: Columns, violation: Callable[[MeasuredTrajectory], Violation | None]
+) -> Group:
+    """Return one row per component that has a bound."""
+
+    def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
+        found = violation(trajectory)
+        return Cell(NOT_MEANINGFUL) if found is None else Cell(align(float(found.values[i])), bool(found.passed[i]))
+
+    found = [violation(one) for one in columns if one is not None]
+    bounded = np.any([one.bounded for one in found if one is not None], axis=0)
+    return _group(title, names, columns, cell, map(int, np.flatnonzero(bounded)))
+
+
+def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:
+    def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
+        found = trajectory.measures
+        if of_states:
+            values = found.state_stopband_energy, found.state_stopband_peak
+        else:
+            values = found.stopband_energy, found.stopband_peak
+        return _measured_cell(trajectory, values[i], None if i else trajectory.empties_band(of_states))
+
+    rows = ["energy at its bins", "peak between its bins"]
+    banded = (problem.state_band if of_states else problem.control_band).any()
+    return _group(f"Stop band of the {'states' if of_states else 'controls'}", rows if banded else [], columns, cell)
+
+
+def certificate_rows(problem: OptimalControlProblem, certificate: Certificate) -> tuple[ConditionRow, ...]:
+    """Return every condition of a certificate, in the paper's order."""
+    return tuple(
+        ConditionRow(
+            label=condition.label,
+            name=condition.name,
+            residual=number(condition.residual, 3),
+            scale=number(condition.scale, 4),
+            relative=number(condition.relative, 3),
+            tolerance=number(condition.tolerance, 3),
+            passed=condition.passed,
+            place=_worst_at(problem, condition),
+        )
+        for condition in certificate.conditions
+    )
+
+
+def _worst_at(problem: OptimalControlProblem, condition: Condition) -> str:
+    """Return where a condition is worst; nothing where it holds exactly."""
+    if condition.time is None or condition.residual == 0:
+        return NOTHING
+    if condition.label in OF_ROWS:
+        return f"t = {condition.time}, row {condition.component}"
+    if condition.label in OF_MODES and condition.component is not None:
+        return f"t = {condition.time}, {problem.dynamics.mode_names[condition.component]}"
+    names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
+    axis = "bin" if condition.label in IN_FREQUENCY else "t ="
+    if condition.component is None:
+        return f"{axis} {condition.time}"
+    return f"{axis} {condition.time}, {short_name(names[condition.component])}"
+
+
+def comparison_table(comparison: ComparisonOutcome) -> Table:
+    """Return the comparison as a table for a terminal."""
+    return terminal_table(comparison.problem.name or "Comparison", comparison_rows(comparison))
+
+
+def terminal_table(title: str, rows: ComparisonRows) -> Table:
+    """Return one column per trajectory as a table for a terminal."""
+    table = Table(title=Text(title), caption=Text(KEY))
+    table.add_column("")
+    for column in rows.columns:
+        table.add_column(Text(column), justify="right", style="bold" if column == rows.columns[-1] else "")
+    for group in rows.groups:
+        table.add_section()
+        if group.title:
+            table.add_row(Text(group.title, style="italic"))
+        for row in group.rows:
+            label = f"{row.label} [{row.unit}]" if row.unit else row.label
+            table.add_row(Text(("  " if group.title else "") + label), *(_styled_text(cell) for cell in row.cells))
+    return table
+
+
+def _styled_text(cell: Cell) -> Text:
+    if cell.passed is False:
+        return Text(f"{cell.text} \N{BALLOT X}", style="bold red")
+    return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
+
+
+def certificate_table(problem: OptimalControlProblem, certificate: Certificate) -> Table:
+    """Return the conditions of a certificate as a table for a terminal."""
+    verdict = f"maximum principle {certificate.pmp.replace('_', ' ')}"
+    if certificate.gap is not None:
+        verdict += f", gap to the {bound_kind(certificate)} bound {number(certificate.gap, 2)}"
+    table = Table(title=Text(verdict))
+    for heading in ("", "condition", "residual", "scale", "relative", "tolerance", "", "worst at"):
+        justify = "right" if heading in ("residual", "scale", "relative", "tolerance") else "left"
+        table.add_column(heading, justify=justify)
+    for row in certificate_rows(problem, certificate):
+        style = "green" if row.passed else "bold red"
+        cells = (row.label, row.name, row.residual, row.scale, row.relative, row.tolerance)
+        table.add_row(*(Text(cell) for cell in cells), Text(row.verdict, style=style), Text(row.place))
+    return table
+
+
+def sweep_table(sweep: SweepOutcome) -> Table:
+    """Return the points of a sweep as a table for a terminal."""
+    table = Table(title=Text(f"{sweep.problem}: {len(sweep.rows)} of {plural(sweep.size, 'point')}"))
+    for name in sweep.names:
+        table.add_column(Text(name), justify="right")
+    for heading in ("status", "cost", "gap", "method", "seconds", "message"):
+        table.add_column(heading, justify="right" if heading in ("cost", "gap", "seconds") else "left")
+    for row in sweep.rows:
+        style = "" if row["status"] == "optimal" and row["proven"] else "yellow" if row["proven"] else "bold red"
+        status = row["status"].replace("_", " ") + ("" if row["proven"] else ", not proven")
+        table.add_row(
+            *(Text(_cell_text(value)) for value in row["parameters"].values()),
+            Text(status, style=style),
+            Text(align(row["cost"], SWEEP_DIGITS)),
+            Text(number(row["gap"], 2)),
+            Text(row["method"] or NOTHING),
+            Text(number(row["seconds"], 3)),
+            Text(row["message"] or ""),
+        )
+    return table
+
+
+def _cell_text(value: object) -> str:
+    return NOTHING if value is None else number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)
+
+
+def moves_rows(moves: Moves) -> ComparisonRows:
+    """Return one column per move: its length, and the vibration that it leaves."""
+    found = moves.all
+
+    def longer(move: Move) -> str:
+        if move.measured is None or moves.ours.measured is None:
+            return NOTHING
+        return number(100 * (move.samples / moves.ours.samples - 1), 3)
+
+    def length(move: Move, value: str) -> str:
+        return value if move.measured is not None else f"> {value}"
+
+    def vibration(move: Move) -> Cell:
+        if move.ratio is None:
+            return Cell(NOTHING)
+        return Cell(align(move.ratio), move.keeps_everything)
+
+    rows = (
+        Row("samples", "", tuple(Cell(length(move, str(move.samples))) for move in found)),
+        Row("move time", "s", tuple(Cell(length(move, align(move.seconds))) for move in found)),
+        Row("longer than the optimal move by", "%", tuple(Cell(longer(move)) for move in found)),
+        Row("largest vibration, of its limit", "", tuple(map(vibration, found))),
+    )
+    return ComparisonRows(tuple(move.name for move in found), (Group("", rows),))
+
+
+def moves_sentence(moves: Moves) -> str:
+    """Say how long the moves of the shapers are, and that of the problem."""
+    known = [f"{move.name} {move.samples}" for move in moves.shaped if move.measured is not None]
+    unknown = [f"{move.name} more than {move.samples}" for move in moves.shaped if move.measured is None]
+    ours = moves.ours
+    if ours.measured is None:
+        own = f"{ours.samples} samples are not known to be enough for any control"
+    else:
+        own = f"{ours.samples} samples are enough" + (
+            f", and {ours.samples - 1} are proven not to be" if moves.proof and ours.samples > 1 else ""
+        )
+    found = listed(known + unknown)
+    return f"with the profiles tried, input shapers of the same robustness need {found} samples; {own}"
+
+
+def moves_caption(moves: Moves) -> str:
+    """Describe the figure of the vibration, and the impulses."""
+    impulses = "; ".join(f"{move.name}: {move.description}" for move in moves.shaped)
+    return (
+        "The amplitude that each move leaves ringing in a mode of this natural frequency, the largest over the damping "
+        "ratios of the box; within the shaded frequencies it must not exceed the limit. Every move but the unshaped "
+        f"is the shortest found of its kind that keeps all constraints, '{OURS}' that of the problem. Impulses: "
+        f"{impulses}."
+    )
+
+
+def moves_title(moves: Moves) -> str:
+    """Return the title of the figure, which is also its description where it cannot be seen."""
+    within = [move.name for move in moves.all if move.keeps_everything]
+    return f"Residual vibration over the natural frequency: {listed(within)} stay below the limit over the whole box"

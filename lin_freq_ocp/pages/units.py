@@ -1,0 +1,55 @@
+"""Numbers with their units in tables and sentences, and the units of the time and frequency axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from lin_freq_ocp.base.phrases import LARGE, SMALL, number, power, split_unit
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+
+def align(value: float | None, digits: int = 4) -> str:
+    """Return a number with exactly so many significant digits, for a column of numbers; 0 remains "0"."""
+    if value is None or value == 0 or not SMALL <= abs(value) < LARGE:
+        return number(value)
+    return number(value) if abs(value) >= 10 ** (digits - 1) else f"{value:#.{digits}g}"
+
+
+def rough(value: float) -> str:
+    """Return a number of which only the size matters, with two digits."""
+    return power(value) if 1e3 <= abs(value) < inf else number(value, 2)
+
+
+def quantity(value: float, name: str, digits: int = 3) -> str:
+    """Return a number with the unit of the component of that name."""
+    return f"{number(value, digits)} {split_unit(name)[1]}".rstrip()
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What to multiply by (steps, or rad/sample) to get the unit; ``label`` names the axis."""
+
+    factor: float
+    unit: str
+    label: str
+
+
+def time_scale(problem: OptimalControlProblem) -> Scale:
+    """Return the scale from steps to seconds, or steps themselves without a sampling time."""
+    step = problem.sampling_time
+    if step is None:
+        return Scale(1.0, "steps", "step t")
+    total = step * problem.horizon
+    factor, unit = (1e6, "\N{MICRO SIGN}s") if total < 1e-3 else (1e3, "ms") if total < 1 else (1.0, "s")
+    return Scale(factor * step, unit, f"time [{unit}]")
+
+
+def frequency_scale(problem: OptimalControlProblem) -> Scale:
+    """Return the scale from rad/sample to Hz, as cut-offs are given, or rad/sample itself without a sampling time."""
+    step = problem.sampling_time
+    if step is None:
+        return Scale(1.0, "rad/sample", "frequency [rad/sample]")
+    return Scale(1 / (2 * np.pi * step), "Hz", "frequency [Hz]")

@@ -1,0 +1,408 @@
+"""Plants known by their frequency response: y_k = G_k u_k + g_k at every bin of the DFT.
+
+The states of such a problem are the outputs: x_t = y_t for t = 0 .. T, with eta_t the multiplier of x_{t+1} = y_{t+1}.
+Of a periodic record, x_T = x_0; else the first output is an equation of its own (``FirstOutput``). Measured responses
+are tables of frequency, real and imaginary part, interpolated at the bins of a record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import fft
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, positive_integer, positive_number, real_array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.phrases import first_few, plural
+from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
+from lin_freq_ocp.problem.dynamics.response import FirstOutput, Response
+from lin_freq_ocp.problem.sets.linked_ends import Periodic
+from lin_freq_ocp.problem.terms.penalties import Within
+from lin_freq_ocp.problem.terms.term import Link
+
+MODES = ("periodic", "zero-padded")
+REAL_TOLERANCE = 1e-12  # imaginary part, relative to the largest response, that is rounding at bins 0 and N/2
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class FrequencyResponse(StateEquations):
+    """Outputs y = irfft(G_k u_k + g_k) + d of all controls at once: measured plants, boundary-element data.
+
+    The states of the problem are the outputs: x_t = y_t at t = 0 .. T. Costs, sets, stage rows and frequency
+    constraints are on them and on the controls as ever.
+
+    Parameters
+    ----------
+    G : complex (N//2 + 1, p, m), or (N//2 + 1,) for one output and one control
+        The response at the frequencies 2 pi k / N rad/sample, k = 0 .. N/2, of exp(+iwt); real at 0 and N/2.
+    sampling_time : float, optional
+        Seconds per step. Needed wherever a frequency is given in Hz.
+    offset : complex (N//2 + 1, p), or (N//2 + 1,) for one output, optional
+        DFT of outputs without controls, in the units of numpy.fft.rfft: a sine of amplitude a has |g_k| = a N / 2.
+    disturbance : (T, p), zero-padded (T+1, p), optional
+        Outputs without controls, as a signal in time; it is added to those of ``offset``.
+    mode : {"periodic", "zero-padded"}
+        Periodic: N = T, the record is one period, and x_T = x_0. Zero-padded: N = 2T, the plant is at rest before the
+        record, the controls are zero after it, and x_0 .. x_T are the outputs of t = 0 .. T.
+    state_names, control_names : sequences of str, optional
+        One name per output and control, with its unit in brackets: ``"velocity [m/s]"``.
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not match, entries are not finite, or the response is not real at 0 or N/2.
+
+    Methods
+    -------
+    from_table(table, samples, sampling_time)
+        Interpolate a table of frequency, real and imaginary part.
+    from_csv(path, samples, sampling_time)
+        The same of a CSV file.
+    from_frd(plant, samples)
+        Interpolate a frequency response of python-control.
+
+    References
+    ----------
+    docs/frequency_response.md has the conditions of the maximum principle, the bound, and when costs are convex.
+
+    Examples
+    --------
+    >>> dynamics = lfo.FrequencyResponse([1.0, 0.5 - 0.5j, 0.0])  # a period of 4 samples
+    >>> problem = lfo.OptimalControlProblem(dynamics, 4, lfo.QuadraticCost(Q=1.0, R=1.0, x_ref=[2.0]))
+    >>> round(float(lfo.solve(problem).trajectory.x[3, 0]), 9)
+    1.0
+    """
+
+    G: ComplexArray
+    sampling_time: float | None
+    offset: ComplexArray
+    disturbance: Array | None
+    mode: str
+    state_names: tuple[str, ...]
+    control_names: tuple[str, ...]
+    _kept: ClassVar[Response | None] = None  # the last response that was asked for
+
+    def __init__(
+        self,
+        G: ArrayLike,
+        sampling_time: float | None = None,
+        offset: ArrayLike | None = None,
+        disturbance: ArrayLike | None = None,
+        mode: str = "periodic",
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ):
+        response = complex_array("dynamics.G", G)
+        response = response[:, None, None] if response.ndim == 1 else response
+        if response.ndim != 3 or len(response) < 2 or 0 in response.shape:
+            expected = "(N//2 + 1, p, m), or (N//2 + 1,) for one output and one control: bins first"
+            raise ProblemError("dynamics.G", f"shape {np.shape(G)}", expected)
+        if mode not in MODES:
+            raise ProblemError("dynamics.mode", brief(mode), "'periodic' or 'zero-padded'")
+        bins, p, m = response.shape
+        known = complex_array("dynamics.offset", np.zeros((bins, p)) if offset is None else offset)
+        known = known[:, None] if known.ndim == 1 and p == 1 else known
+        if known.shape != (bins, p):
+            raise ProblemError("dynamics.offset", f"shape {known.shape}", f"shape {(bins, p)}, a spectrum as long as G")
+        signal = None if disturbance is None else real_array("dynamics.disturbance", disturbance)
+        signal = signal[:, None] if signal is not None and signal.ndim == 1 and p == 1 else signal
+        if signal is not None and (signal.ndim != 2 or signal.shape[1] != p):
+            raise ProblemError("dynamics.disturbance", f"shape {signal.shape}", f"shape (T, {p}): time is axis 0")
+        _require_real("dynamics.G", response, 0)
+        _require_real("dynamics.offset", known, 0)
+        labels = signal_labels(p, m, sampling_time, state_names, control_names)
+        assign(self, G=response, offset=known, disturbance=signal, mode=mode, **labels)
+
+    @classmethod
+    def from_table(
+        cls,
+        table: ArrayLike,
+        samples: int,
+        sampling_time: float,
+        outside: str = "refuse",
+        disturbance: ArrayLike | None = None,
+        mode: str = "periodic",
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> FrequencyResponse:
+        """Interpolate a table of one output and one control at the bins of a record.
+
+        Parameters
+        ----------
+        table : (k, 3)
+            Frequency in Hz, increasing, real part, imaginary part. Between frequencies, both parts are linear; at the
+            Nyquist frequency the real part counts, at 0 the response must be real.
+        samples : int
+            N, the samples of the record: the horizon, or twice the horizon if zero-padded.
+        sampling_time : float
+            Seconds per step.
+        outside : {"refuse", "zero"}
+            What happens to bins outside the table: an error that names them, or a response of 0.
+        disturbance, mode, state_names, control_names
+            As for the constructor.
+
+        Raises
+        ------
+        ProblemError
+            If the table has another shape, its frequencies do not increase, or do not cover the bins.
+
+        Examples
+        --------
+        >>> table = [[0.0, 1.0, 0.0], [0.5, 0.0, -1.0]]
+        >>> lfo.FrequencyResponse.from_table(table, samples=4, sampling_time=1.0).G[:, 0, 0].tolist()
+        [(1+0j), (0.5-0.5j), 0j]
+        """
+        given = real_array("dynamics.table", table)
+        if given.ndim != 2 or given.shape[1] != 3:
+            expected = "(k, 3): frequency in Hz, real part, imaginary part"
+            raise ProblemError("dynamics.table", f"shape {given.shape}", expected)
+        found = given[:, 0], given[:, 1] + 1j * given[:, 2]
+        G = response_at_bins("dynamics.table", *found, samples, sampling_time, outside)
+        return cls(G, sampling_time, None, disturbance, mode, state_names, control_names)
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | PathLike[str],
+        samples: int,
+        sampling_time: float,
+        outside: str = "refuse",
+        disturbance: ArrayLike | None = None,
+        mode: str = "periodic",
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> FrequencyResponse:
+        """Interpolate a CSV file of frequency in Hz, real and imaginary part; see ``from_table``.
+
+        The first line may be a header, and lines that begin with # are left out.
+        """
+        table = read_response(Path(path))
+        further = disturbance, mode, state_names, control_names
+        return cls.from_table(table, samples, sampling_time, outside, *further)
+
+    @classmethod
+    def from_frd(
+        cls,
+        plant: object,
+        samples: int,
+        sampling_time: float | None = None,
+        outside: str = "refuse",
+        disturbance: ArrayLike | None = None,
+        mode: str = "periodic",
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> FrequencyResponse:
+        """Interpolate a ``control.FrequencyResponseData`` at the bins of a record; see ``from_table``.
+
+        The sampling time is that of a discrete plant unless given; its signal names are taken unless others are given.
+        """
+        import control  # here, because it takes seconds to import and only its users need it
+
+        if not isinstance(plant, control.FrequencyResponseData):
+            raise ProblemError("plant", type(plant).__name__, "a control.FrequencyResponseData", "See control.frd.")
+        step = plant.dt if sampling_time is None and isinstance(plant.dt, float) else sampling_time
+        if not step:
+            raise ProblemError("sampling_time", "nothing", "seconds per step", "The plant is continuous.")
+        values = np.moveaxis(np.asarray(plant.frdata, dtype=complex), -1, 0)
+        hertz = np.asarray(plant.omega, dtype=np.float64) / (2 * np.pi)
+        G = response_at_bins("plant", hertz, values, samples, float(step), outside)
+        outputs, inputs = state_names or plant.output_labels or None, control_names or plant.input_labels or None
+        return cls(G, float(step), None, disturbance, mode, outputs, inputs)
+
+    @property
+    def padded(self) -> bool:
+        """Whether the record is followed by as many zeros."""
+        return self.mode == "zero-padded"
+
+    def record(self, horizon: int) -> int:
+        """Return N, the number of samples that the frequencies of G divide."""
+        return 2 * horizon if self.padded else horizon
+
+    def require_horizon(self, horizon: int) -> None:
+        """Raise ProblemError unless G, the offset and the disturbance are those of a record of the horizon."""
+        N = self.record(horizon)
+        if len(self.G) != N // 2 + 1:
+            expected = f"{N // 2 + 1} bins, 0 .. {N // 2} of a record of {N} samples at a horizon of {horizon}"
+            raise ProblemError(
+                "dynamics.G", f"{len(self.G)} bins", expected, "from_table, from_csv and from_frd interpolate."
+            )
+        if N % 2 == 0:
+            _require_real("dynamics.G", self.G, N // 2)
+            _require_real("dynamics.offset", self.offset, N // 2)
+        samples = horizon + self.padded
+        if self.disturbance is not None and len(self.disturbance) != samples:
+            raise ProblemError("dynamics.disturbance", f"{len(self.disturbance)} times", f"{samples} times")
+
+    def response(self, horizon: int) -> Response:
+        """Return the map from all controls to all outputs."""
+        if self._kept is None or self._kept.horizon != horizon:
+            N = self.record(horizon)
+            base = fft.irfft(self.offset, n=N, axis=0)
+            if self.disturbance is not None:
+                base[: len(self.disturbance)] += self.disturbance
+            assign(self, _kept=Response(self.G, base[np.arange(horizon + 1) % N], horizon, N))
+        assert self._kept is not None
+        return self._kept
+
+    def links(self, horizon: int) -> tuple[Link, ...]:
+        """Return x_T = x_0 for a period; else that x_0 is the first output."""
+        if not self.padded:
+            return Periodic().links(self.state_dim, horizon)
+        first = FirstOutput(self.response(horizon))
+        return (Link("first output", first, Within(0.0), periodic=False, repeats=False),)
+
+    def successors(self, x: Array, u: Array) -> Array:
+        """Return y_1 .. y_T, (T, p)."""
+        return self.response(len(u)).states(u)[1:]
+
+    def successor_sizes(self, x: Array, u: Array) -> Array:
+        """Return |y - base| + |base|."""
+        response = self.response(len(u))
+        return (np.abs(response.linear(u)) + np.abs(response.base))[1:]
+
+    def pull_back(self, eta: Array) -> tuple[Array, Array]:
+        """Return zeros (T, p), as no state is a function of others, and the adjoint of the response, (T, m)."""
+        later = np.vstack([np.zeros((1, self.state_dim)), eta]).astype(eta.dtype)
+        return np.zeros_like(eta), self.response(len(eta)).pull_back(later)
+
+    def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
+        """Return zeros, and the absolute values of the adjoint."""
+        in_x, in_u = self.pull_back(eta)
+        return in_x, np.abs(in_u)
+
+    def stepper(self, horizon: int) -> Step:
+        """Raise UnsupportedError: outputs depend on all controls."""
+        raise UnsupportedError("dynamics: a FrequencyResponse cannot be stepped; its outputs depend on all controls.")
+
+    def gains(self) -> tuple[Array, Array, Array]:
+        """Return zeros (p, p), the largest |G| over all bins (p, m), and the amplitudes of the known outputs (p,)."""
+        known = 2 * np.abs(self.offset).sum(0) / (2 * (len(self.G) - 1))
+        if self.disturbance is not None:
+            known = known + np.abs(self.disturbance).max(0)
+        return np.zeros((self.state_dim, self.state_dim)), np.abs(self.G).max(0), known
+
+    def linear_at(self, x: Array, u: Array) -> FrequencyResponse:
+        """Return these dynamics."""
+        return self
+
+    def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> FrequencyResponse:
+        """Return the response with the outputs w_{t+1} = B u_t; a recursion A that is not zero is refused."""
+        if A.any():
+            raise UnsupportedError("dynamics: a FrequencyResponse takes no further states with a memory of their own.")
+        delay = np.exp(-2j * np.pi * np.arange(len(self.G)) / self.record(horizon))
+        if self.record(horizon) % 2 == 0:
+            delay[-1] = -1.0
+        return self.with_outputs(np.asarray(delay[:, None, None] * B, dtype=complex), names)
+
+    def with_outputs(self, G: ComplexArray, names: Sequence[str]) -> FrequencyResponse:
+        """Return the response with further outputs, G (N//2 + 1, k, m), that are zero without controls."""
+        k = G.shape[1]
+        signal = self.disturbance
+        return FrequencyResponse(
+            np.concatenate([self.G, G], axis=1),
+            self.sampling_time,
+            np.hstack([self.offset, np.zeros((len(G), k))]),
+            None if signal is None else np.hstack([signal, np.zeros((len(signal), k))]),
+            self.mode,
+            [*self.state_names, *names],
+            self.control_names,
+        )
+
+    def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
+        """Return the map in words."""
+        known = " + g" if self.offset.any() else ""
+        size = f"{plural(self.state_dim, 'output')}, {plural(self.control_dim, 'control')}"
+        text = f"frequency response: y = G u{known} at {len(self.G)} bins, {self.mode}, {size}"
+        return [("dynamics", text + ("; disturbance given in time" if self.disturbance is not None else ""))]
+
+
+def complex_array(field: str, value: ArrayLike) -> ComplexArray:
+    """Convert to a read-only complex array of finite entries."""
+    try:
+        found = np.array(value, dtype=np.complex128)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(field, brief(value), "complex numbers in a rectangular array", f"({error})") from None
+    bad = ~np.isfinite(found)
+    if bad.any():
+        where = "".join(f"[{i}]" for i in np.argwhere(bad)[0])
+        raise ProblemError(f"{field}{where}", f"{found[bad].flat[0]}", "a finite number")
+    found.flags.writeable = False
+    return found
+
+
+def _require_real(field: str, spectrum: ComplexArray, k: int) -> None:
+    """Raise ProblemError unless a spectrum is real at bin k."""
+    imaginary = float(np.abs(spectrum[k].imag).max())
+    if imaginary > REAL_TOLERANCE * float(np.abs(spectrum).max()):
+        what = "frequency 0" if k == 0 else "the Nyquist frequency, N/2"
+        expected = f"a real response at {what}, where signals are real"
+        advice = "Take its real part, or remove that bin by a stop band and set it to 0."
+        raise ProblemError(f"{field}[{k}]", f"imaginary part {imaginary:g}", expected, advice)
+
+
+OUTSIDE = ("refuse", "zero")
+COVERED = 1e-9  # of the distance of bins: how far a bin may lie outside a table whose frequencies were rounded
+
+
+def response_at_bins(
+    field: str, frequencies: Array, values: ComplexArray, samples: int, sampling_time: float, outside: str
+) -> ComplexArray:
+    """Return the response at the bins of a record, (N//2 + 1, ...), from values (k, ...) at frequencies (k,) in Hz.
+
+    Between two frequencies, real and imaginary part are linear. A bin outside the table is an error that names it, or
+    has a response of 0. At the Nyquist frequency N/2, where a sampled signal has no phase, it is the real part.
+    """
+    if outside not in OUTSIDE:
+        raise ProblemError("outside", brief(outside), "'refuse' or 'zero'")
+    if len(frequencies) < 2 or frequencies[0] < 0 or (np.diff(frequencies) <= 0).any():
+        got = f"{len(frequencies)} frequencies from {frequencies[:3].tolist()}"
+        raise ProblemError(field, got, "at least two frequencies in Hz, zero or above, each above the one before")
+    N = positive_integer("samples", samples)
+    spacing = 1 / (N * positive_number("dynamics.sampling_time", sampling_time))
+    bins = spacing * np.arange(N // 2 + 1)
+    slack = COVERED * spacing
+    missing = np.flatnonzero((bins < frequencies[0] - slack) | (bins > frequencies[-1] + slack))
+    if len(missing) and outside == "refuse":
+        named = first_few([f"{k} ({bins[k]:.6g} Hz)" for k in missing], 6)
+        got = f"frequencies from {frequencies[0]:.6g} to {frequencies[-1]:.6g} Hz"
+        advice = f"Not covered: bins {named}. outside='zero' makes the response 0 there; remove them by a stop band."
+        raise ProblemError(field, got, f"all bins of the record, 0 to {bins[-1]:.6g} Hz", advice)
+    flat = values.reshape(len(values), -1)
+    columns = [
+        np.interp(bins, frequencies, column.real) + 1j * np.interp(bins, frequencies, column.imag) for column in flat.T
+    ]
+    found = np.stack(columns, axis=1)
+    found[missing] = 0.0
+    if N % 2 == 0:
+        found[-1] = found[-1].real
+    return found.reshape(len(bins), *values.shape[1:])
+
+
+def read_response(path: Path) -> Array:
+    """Return the table of a CSV file, (k, 3): frequency in Hz, real and imaginary part; a header line is left out."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise ProblemError(str(path), f"{error}", "a readable CSV file") from None
+    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    rows = list[list[float]]()
+    for i, line in enumerate(lines):
+        try:
+            row = [float(entry) for entry in line.split(",")]
+        except ValueError:
+            row = []
+        if i == 0 and not row:
+            continue
+        if len(row) != 3 or not np.isfinite(row).all():
+            expected = "three finite numbers: frequency in Hz, real part, imaginary part"
+            raise ProblemError(f"{path.name}: row {i}", brief(line), expected)
+        rows.append(row)
+    if not rows:
+        raise ProblemError(path.name, "no rows", "rows of frequency in Hz, real part, imaginary part")
+    return np.array(rows)

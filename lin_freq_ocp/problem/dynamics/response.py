@@ -1,0 +1,123 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``AffineMap``)
+"""x = base + irfft(G rfft(u)): all outputs of a record as a linear function of all controls.
+
+A record has N samples: N = T, and x_0 .. x_T is one period and the first sample of the next; or N = 2T, the controls
+are zero from T on, and nothing of their response wraps around.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from scipy import fft
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
+from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, joined_rows
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """The response of T controls, with G (N//2 + 1, p, m); ``base`` (T+1, p) are the outputs without controls."""
+
+    G: ComplexArray
+    base: Array
+    horizon: int
+    record: int  # N
+
+    @property
+    def closed(self) -> bool:
+        """Whether the record is one period: x_T repeats x_0."""
+        return self.record == self.horizon
+
+    @property
+    def weight(self) -> Array:
+        """Return how often each bin counts in sums over all N, (N//2 + 1,)."""
+        k = np.arange(len(self.G))
+        return np.where((k == 0) | (2 * k == self.record), 1.0, 2.0)
+
+    def states(self, u: Array) -> Array:
+        """Return the outputs (T+1, p) of controls (T, m)."""
+        return self.base + self.linear(u)
+
+    def linear(self, u: Array) -> Array:
+        """Return the outputs (T+1, p) of controls (T, m), without those of no controls."""
+        spectrum = fft.rfft(u, n=self.record, axis=0)
+        y = fft.irfft(_applied(self._typed(u.dtype), spectrum), n=self.record, axis=0)
+        return y[np.arange(self.horizon + 1) % self.record]
+
+    def pull_back(self, weights: Array) -> Array:
+        """Return the adjoint of ``linear``, (T, m), for weights (T+1, p)."""
+        G = np.swapaxes(self._typed(weights.dtype), 1, 2).conj()
+        return fft.irfft(_applied(G, self._spectrum(weights)), n=self.record, axis=0)[: self.horizon]
+
+    def _spectrum(self, weights: Array) -> ComplexArray:
+        """Return the DFT of the weights of one record, where x_T repeats x_0 if it is a period."""
+        folded = weights
+        if self.closed:
+            folded = weights[:-1].copy()
+            folded[0] += weights[-1]
+        return fft.rfft(folded, n=self.record, axis=0)
+
+    @cached_property
+    def matrix(self) -> Array:
+        """The matrix of ``linear``, ((T+1) p, T m)."""
+        impulse = fft.irfft(self.G, n=self.record, axis=0)
+        t, s = np.arange(self.horizon + 1)[:, None], np.arange(self.horizon)
+        (_, p, m), T = self.G.shape, self.horizon
+        return impulse[(t - s) % self.record].transpose(0, 2, 1, 3).reshape((T + 1) * p, T * m)
+
+    def _typed(self, dtype: np.dtype[np.floating]) -> ComplexArray:
+        """Return G in the precision of signals of a type."""
+        return extended(self.G) if dtype == np.longdouble else self.G
+
+
+def _applied(G: ComplexArray, spectrum: ComplexArray) -> ComplexArray:
+    """Return G_k v_k, for G (bins, p, m) and v (bins, m)."""
+    return (G * spectrum[:, None, :]).sum(axis=2)
+
+
+@dataclass(frozen=True, eq=False)
+class FirstOutput(AffineMap):
+    """v = x_0 - y_0(u), a single group: the first state is the first output, which all controls may act on."""
+
+    response: Response
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return 1, self.response.base.shape[1]
+
+    @property
+    def positions(self) -> Indices:
+        return np.array([0])
+
+    @property
+    def additions(self) -> float:
+        return float(5 * np.log2(self.response.record) + 10)
+
+    @property
+    def dense_size(self) -> tuple[int, int]:
+        rows, m = self.shape[1], self.response.G.shape[2]
+        return rows, rows * m * self.response.horizon
+
+    def values(self, x: Array, u: Array) -> Array:
+        return x[:1] - self.response.states(u)[:1]
+
+    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        of_x = np.zeros(shapes[0], dtype=weights.dtype)
+        of_x[0] = weights[0]
+        return of_x, -self.response.pull_back(of_x)
+
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        first = self.response.matrix[:n]
+        of_x = sp.csr_array(sp.hstack([sp.eye_array(n), sp.csr_array((n, horizon * n))]))
+        return joined_rows(of_x, sp.csr_array(-first)), -self.response.base[0]
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        return np.abs(x[:1]) + np.abs(self.response.states(u)[:1])
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        of_x, of_u = self.pull_back(weights, shapes)
+        return np.abs(of_x), np.abs(of_u)

@@ -1,1 +1,0 @@
-"""Plants that are known by their frequency response."""

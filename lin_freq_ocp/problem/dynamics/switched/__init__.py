@@ -1,1 +1,0 @@
-"""Dynamics whose control switches: between levels at every sample, and at free angles."""

@@ -1,0 +1,35 @@
+"""A problem with modes in the forms that searches and checks take."""
+
+from __future__ import annotations
+
+from lin_freq_ocp.problem.dynamics.base import in_form
+from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
+from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import stated_sizes
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+
+def piecewise_affine(problem: OptimalControlProblem) -> PiecewiseAffineDynamics:
+    """Return the dynamics of a problem, which must be piecewise affine; else raise UnsupportedError."""
+    return in_form(problem.dynamics, PiecewiseAffineDynamics)
+
+
+def piecewise_smooth(problem: OptimalControlProblem) -> PiecewiseSmoothDynamics:
+    """Return the dynamics of a problem, which must be piecewise smooth; else raise UnsupportedError."""
+    return in_form(problem.dynamics, PiecewiseSmoothDynamics)
+
+
+def measured_modes(problem: OptimalControlProblem) -> ModeArrays:
+    """Return the modes of a problem at all times, which measure components by the sizes that the data state."""
+    arrays = piecewise_affine(problem).arrays(problem.horizon)
+    return arrays.with_sizes(*stated_sizes(problem), problem.dynamics.level_sizes)
+
+
+def linear_along(problem: OptimalControlProblem, trajectory: Trajectory) -> OptimalControlProblem:
+    """Return the linear problem of the modes that a trajectory is in; of linear dynamics, the problem itself."""
+    problem = problem.affine_at(trajectory)
+    if not problem.dynamics.mode_names:
+        return problem
+    return problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))

@@ -1,0 +1,211 @@
+"""Where a piecewise-affine system can be while its modes are restricted: boxes forward from X_0, and modes that remain.
+
+Everything is rounded outwards, so that what the search leaves out for these boxes is left out with proof. Several
+masks are propagated side by side: the arrays are small, and most of the time of one alone is that of calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+OUTWARD = 1e-12  # part of the largest terms by which sums are rounded outwards: far above their rounding errors
+INFINITE = 1e100  # stands for infinity, so that its product with zero is zero
+UNBOUNDED = 1e90  # larger bounds stem from INFINITE
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """A box around every state that modes within a mask allow.
+
+    Attributes
+    ----------
+    allowed : (T, modes)
+        The modes that remain of the mask: the others cannot be reached, or lead out of the state sets.
+    lower, upper : (T+1, n)
+        Bounds of the states.
+    mode_lower, mode_upper : (T, modes, n+m)
+        Bounds of (x_t, u_t) in the region of each mode that remains.
+    centres, generators : sequences of (n,) and (n, count)
+        x_t lies in centre + generators [-1, 1]^count, too, which does not wrap around turning dynamics.
+    """
+
+    allowed: Mask
+    lower: Array
+    upper: Array
+    mode_lower: Array
+    mode_upper: Array
+    centres: tuple[Array, ...]
+    generators: tuple[Array, ...]
+
+
+class ModeReach:
+    """The reach of one problem, for any mask of modes."""
+
+    def __init__(self, problem: OptimalControlProblem):
+        self.problem, tube = problem, problem.control_tube
+        self.arrays = piecewise_affine(problem).arrays(problem.horizon)
+        arrays = self.arrays
+        maps, self._rows = np.concatenate([arrays.A, arrays.B], axis=-1), np.concatenate([arrays.G, arrays.H], axis=-1)
+        self._increasing, self._decreasing = np.maximum(maps, 0.0), np.minimum(maps, 0.0)
+        self._limits = np.minimum(arrays.h, INFINITE)
+        finite = np.isfinite(arrays.h)
+        self._limit_sizes = np.where(finite, np.abs(arrays.h), 0.0)
+        usable = (self._rows != 0) & finite[..., None]
+        inverses = 1 / np.where(usable, self._rows, 1.0)
+        self._inverses = np.where(usable, inverses, np.sign(self._rows) * INFINITE)  # no coefficient, or no limit
+        lower, upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
+        # what the centres of the controls add to the next state, and the generators that the controls add
+        self._pushed = np.einsum("tkij,tj->tki", arrays.B, (lower + upper) / 2) + arrays.offset
+        self._pushes = arrays.B * ((upper - lower) / 2)[:, None, None]
+        self._pushed_radius = np.abs(self._pushes).sum(axis=-1)
+        self._above, self._below = self._rows > 0, self._rows < 0
+        self._absolute = self._increasing - self._decreasing
+
+    def from_start(self, allowed: Mask) -> Reach | None:
+        """Return the reach of a mask (T, modes), or None if no sequence within it has a trajectory."""
+        return self.from_start_each([allowed])[0]
+
+    def from_start_each(self, masks: Sequence[Mask]) -> list[Reach | None]:
+        """Return the reach of each mask (T, modes)."""
+        if not masks:
+            return []
+        tube, controls = self.problem.state_tube, self.problem.control_tube
+        lower, upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
+        y_lower, y_upper = (
+            np.concatenate([x[:-1], np.clip(u, -INFINITE, INFINITE)], axis=1)[:, None].repeat(masks[0].shape[1], axis=1)
+            for x, u in ((lower, controls.lower), (upper, controls.upper))
+        )
+        centre, spread = _ball(lower[0], upper[0])
+        whole = Reach(masks[0], lower, upper, y_lower, y_upper, (centre,), (spread,))
+        return _Propagation(self, whole, 0, np.array(masks)).run()
+
+    def after(self, reach: Reach, t: int, choices: Sequence[Mask]) -> list[Reach | None]:
+        """Return a reach with only some of its modes at a time, for each choice (modes,) of them."""
+        allowed = np.stack([reach.allowed] * len(choices))
+        allowed[:, t] &= np.array(choices)
+        return _Propagation(self, reach, t, allowed).run()
+
+    def within_regions(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
+        """Return boxes of (x_t, u_t) (..., modes, k) cut by the region of each mode, and which regions they meet."""
+        rows, above = self._rows[t], self._above[t]
+        nearest = np.where(above, low[..., None, :], high[..., None, :])
+        terms = rows * nearest
+        slack = self._limits[t] - terms.sum(axis=-1)
+        slack += OUTWARD * (np.abs(terms).sum(axis=-1) + self._limit_sizes[t])
+        room = nearest + slack[..., None] * self._inverses[t]
+        high = np.minimum(high, np.where(above, room, np.inf).min(axis=-2))
+        low = np.maximum(low, np.where(self._below[t], room, -np.inf).max(axis=-2))
+        meets = (slack >= 0).all(axis=-1) & (low <= high).all(axis=-1)  # rows that each leave room may not together
+        return np.minimum(low, high), high, meets
+
+    def images(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return boxes (..., modes, n) around the images of boxes (..., modes, k)."""
+        up, down, offset = self._increasing[t], self._decreasing[t], self.arrays.offset[t]
+        size = (self._absolute[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(offset)
+        low, high, rounding = low[..., None], high[..., None], OUTWARD * size
+        least, most = (up @ low + down @ high)[..., 0], (up @ high + down @ low)[..., 0]
+        return least + offset - rounding, most + offset + rounding
+
+    def zonotopes(self, t: int, centres: Array, generators: Array) -> tuple[Array, Array, Array]:
+        """Return centres, radii (batch, modes, n) and generators of images; those of controls are not among these."""
+        A = self.arrays.A[t]
+        centre = (A @ centres[:, None, :, None])[..., 0] + self._pushed[t]
+        spread = A @ generators[:, None]
+        radius = np.abs(spread).sum(axis=-1) + self._pushed_radius[t]
+        return centre, radius + OUTWARD * (np.abs(centre) + radius), spread
+
+    def pushes(self, t: int, mode: int) -> Array:
+        """Return the generators that the controls add, (n, m)."""
+        return self._pushes[t, mode]
+
+
+class _Propagation:
+    """Parts of a reach with other masks (count, T, modes), side by side from a time on; later bounds are kept."""
+
+    def __init__(self, system: ModeReach, before: Reach, first: int, allowed: Mask):
+        self._system, self._before, self._first, self._allowed, count = system, before, first, allowed, len(allowed)
+        self._lower, self._upper, self._mode_lower, self._mode_upper = (
+            np.stack([part] * count) for part in (before.lower, before.upper, before.mode_lower, before.mode_upper)
+        )
+        self._centres = [list(before.centres[: first + 1]) for _ in range(count)]
+        self._generators = [list(before.generators[: first + 1]) for _ in range(count)]
+
+    def run(self) -> list[Reach | None]:
+        """Return the reaches, None where no sequence has a trajectory."""
+        count, T, _ = self._allowed.shape
+        possible, live = np.ones(count, dtype=bool), np.arange(count)
+        for t in range(self._first, T):
+            if not len(live):
+                break
+            keep, settled = self._step(t, live)
+            possible[live] = keep
+            live = live[keep & ~settled]
+        return [self._reach(b) if possible[b] else None for b in range(count)]
+
+    def _reach(self, b: int) -> Reach:
+        return Reach(
+            allowed=self._allowed[b].copy(),
+            lower=self._lower[b].copy(),
+            upper=self._upper[b].copy(),
+            mode_lower=self._mode_lower[b].copy(),
+            mode_upper=self._mode_upper[b].copy(),
+            centres=tuple(self._centres[b]),
+            generators=tuple(self._generators[b]),
+        )
+
+    def _step(self, t: int, live: Indices) -> tuple[Mask, Mask]:
+        """Go from t to t + 1; return which can, and for which nothing changes later."""
+        system, n = self._system, self._lower.shape[2]
+        low, high = self._mode_lower[live, t], self._mode_upper[live, t]
+        np.maximum(low[..., :n], self._lower[live, None, t], out=low[..., :n])
+        np.minimum(high[..., :n], self._upper[live, None, t], out=high[..., :n])
+        low, high, feasible = system.within_regions(t, low, high)
+        image_low, image_high = system.images(t, low, high)
+        centre, radius, spread = system.zonotopes(t, *self._zonotopes(t, live))
+        last_low, last_high = self._lower[live, t + 1], self._upper[live, t + 1]
+        image_low = np.maximum(np.maximum(image_low, centre - radius), last_low[:, None])
+        image_high = np.minimum(np.minimum(image_high, centre + radius), last_high[:, None])
+        keep = self._allowed[live, t] & feasible & (image_low <= image_high).all(axis=-1)
+        self._allowed[live, t], self._mode_lower[live, t], self._mode_upper[live, t] = keep, low, high
+        new_low = np.where(keep[..., None], image_low, np.inf).min(axis=1)
+        new_high = np.where(keep[..., None], image_high, -np.inf).max(axis=1)
+        self._lower[live, t + 1], self._upper[live, t + 1] = new_low, new_high
+        left = keep.sum(axis=1)
+        same = (left > 1) & (new_low == last_low).all(axis=1) & (new_high == last_high).all(axis=1)
+        before = self._before
+        for place, b in enumerate(live):
+            if same[place] and len(before.centres) > t + 1:
+                self._centres[b] += before.centres[t + 1 :]
+                self._generators[b] += before.generators[t + 1 :]
+                continue
+            same[place] = False
+            if left[place] == 1:
+                only, old = int(np.argmax(keep[place])), self._generators[b][t].shape[1]
+                after = np.concatenate([spread[place, only, :, :old], system.pushes(t, only)], axis=1)
+                self._centres[b].append(centre[place, only])
+                self._generators[b].append(after)
+            elif left[place]:
+                ball = _ball(new_low[place], new_high[place])
+                self._centres[b].append(ball[0])
+                self._generators[b].append(ball[1])
+        return left > 0, same
+
+    def _zonotopes(self, t: int, live: Indices) -> tuple[Array, Array]:
+        """Return centres (live, n) and generators (live, n, count), filled up by zeros."""
+        parts = [self._generators[b][t] for b in live]
+        generators = np.zeros((len(parts), len(parts[0]), max(part.shape[1] for part in parts)))
+        for place, part in enumerate(parts):
+            generators[place, :, : part.shape[1]] = part
+        return np.array([self._centres[b][t] for b in live]), generators
+
+
+def _ball(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return centre and generators of a box."""
+    return (lower + upper) / 2, np.diag((upper - lower) / 2)

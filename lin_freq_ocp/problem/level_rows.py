@@ -1,0 +1,193 @@
+"""How few samples of an optimum stand between the levels of their component.
+
+Let the cost be one of each sample alone, convex and piecewise linear with its kinks at levels, and let the rest be r
+independent linear rows in u: R u = c, or between limits. Of an optimum u with more than r entries between two levels
+that span the envelope, some direction z != 0 of these entries has R z = 0. Along z and -z the cost is linear as far as
+the next level, so that its slope is zero: u is moved along z until an entry reaches a level, and has one fewer between
+levels, the same rows and the same cost. After finitely many steps there are r at most (a vertex; Shapley and Folkman).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.terms.term import Term, TermKind
+
+AT_LEVEL = 1e-6  # share of a sample up to which it counts as at a level: solvers leave less, and the judge allows it
+INDEPENDENT = 1e-10  # singular value of rows of size 1, over the largest, from which they are independent: no rounding
+
+
+@dataclass(frozen=True, eq=False)
+class LevelUse:
+    """How the samples of a control use their levels.
+
+    Attributes
+    ----------
+    duty_cycles : tuple of (T, levels)
+        For each component, the share of every sample at each level.
+    fractional : int
+        Samples between two levels, over all components.
+    rows : int or None
+        Where the cost is one of each sample alone and the rest are linear rows: how many of them are independent.
+        Then some optimum has at most as many samples between levels. None where that was not found to hold.
+
+    Examples
+    --------
+    >>> lfo.solve(lfo.library.pulse_pattern(samples=32)).level_use.rows
+    8
+    """
+
+    duty_cycles: tuple[Array, ...]
+    fractional: int
+    rows: int | None
+
+    def __str__(self) -> str:
+        samples = sum(map(len, self.duty_cycles))
+        text = f"{self.fractional} of {plural(samples, 'sample')} between levels"
+        if self.rows is None:
+            return text
+        why = f"a cost of each sample alone, {plural(self.rows, 'linear row')}"
+        return f"{text}; no more than {self.rows} are needed: {why}"
+
+
+def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
+    """Return how controls (T, m) use the levels of a problem; None without levels."""
+    given = problem.control_set
+    if not isinstance(given, ConvexSet) or not len(given.levels_of(u.shape[1])):
+        return None
+    shares = given.shares(u)
+    between = sum(int(np.count_nonzero(one.max(axis=1) < 1 - AT_LEVEL)) for one in shares)
+    rows = level_rows(problem)
+    return LevelUse(tuple(shares), between, None if rows is None else _rank(_of_spans(rows, _spans(given, u))))
+
+
+def level_rows(problem: OptimalControlProblem) -> Array | None:
+    """Return R, (rows, T, m), of everything beside levels that u must satisfy; None where that is not linear rows.
+
+    None, too, where the cost is not one of each sample alone, or the initial state is free.
+    """
+    given = problem.control_set
+    if not isinstance(given, ConvexSet) or not len(given.shares(problem.control_tube.lower)):
+        return None
+    inner = np.isfinite([bound[1:-1] for bound in (problem.state_tube.lower, problem.state_tube.upper)])
+    try:
+        _ = problem.linear
+    except UnsupportedError:  # known by a frequency response, or with modes
+        return None
+    free = problem.quadratic.zero and 0 in problem.fixed_ends and not inner.any()
+    if not free or not all(map(_linear, problem.terms)):
+        return None
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    end = problem.ends[1]
+    of_end = np.zeros((n, T + 1, n))
+    of_end[:, T] = np.eye(n)
+    bounded = np.isfinite(end.lower) | np.isfinite(end.upper)
+    parts = [(of_end[bounded], np.zeros((int(bounded.sum()), T, m)))]
+    of_controls, of_states = _removed(problem.control_stop, T), _removed(problem.state_stop, T + 1)
+    parts.append((np.zeros((len(of_controls), T + 1, n)), of_controls))
+    parts.append((of_states, np.zeros((len(of_states), T, m))))
+    for term in problem.terms:
+        if term.hard:
+            rows = term.map.rows(T, n, m)[0].toarray()
+            parts.append((rows[:, : (T + 1) * n].reshape(-1, T + 1, n), rows[:, (T + 1) * n :].reshape(-1, T, m)))
+    of_x, of_u = (np.concatenate(given) for given in zip(*parts, strict=True))
+    return of_u + _through_states(problem, of_x)
+
+
+def with_few_between(problem: OptimalControlProblem, u: Array) -> Array | None:
+    """Return an optimum with as few entries between levels as there are rows, from an optimum u (T, m); or None."""
+    rows, given = level_rows(problem), problem.control_set
+    if rows is None or not isinstance(given, ConvexSet):
+        return None
+    spans, (*levels, between) = _spans(given, u), _neighbours(given, u)
+    R, at, free = _of_spans(rows, spans), (u / spans).ravel(), np.flatnonzero(between)
+    nearest, lower, upper = ((part / spans).ravel() for part in levels)
+    found = np.where(between.ravel(), at, nearest)
+    if len(free) <= _rank(R):
+        return None
+    if len(R):
+        found[free] += np.linalg.lstsq(R[:, free], R @ (at - found), rcond=None)[0]
+    while len(free):
+        z = _null(R[:, free])
+        if z is None:
+            break
+        room = np.where(z > 0, upper[free] - found[free], found[free] - lower[free]) / np.maximum(np.abs(z), 1e-300)
+        first = int(np.argmin(room))
+        found[free] += room[first] * z
+        found[free[first]] = upper[free[first]] if z[first] > 0 else lower[free[first]]
+        free = np.delete(free, first)
+    return found.reshape(u.shape) * spans
+
+
+def _spans(given: ConvexSet, u: Array) -> Array:
+    """Return the unit of each component, (m,): the distance of its outermost levels."""
+    return np.array([np.ptp(values) for values in given.levels_of(u.shape[1])])
+
+
+def _of_spans(rows: Array, spans: Array) -> Array:
+    """Return rows on controls over their spans, (rows, T m), each of size 1 or zero: their units say nothing."""
+    given = (rows * spans).reshape(len(rows), rows.shape[1] * rows.shape[2])
+    largest = np.abs(given).max(axis=1, keepdims=True, initial=0.0)
+    given = given / np.where(largest > 0, largest, 1.0)
+    size = np.linalg.norm(given, axis=1, keepdims=True)
+    return given / np.where(size > 0, size, 1.0)
+
+
+def _linear(term: Term) -> bool:
+    """Whether a term is linear rows, or a cost of levels."""
+    if not term.hard:
+        return term.kind == TermKind.CONTROL_SET
+    lower, upper = term.penalty.hard_bounds(term.shape)
+    return term.everywhere is None and (term.penalty.polyhedral or bool((lower == upper).all()))
+
+
+def _removed(stop: Mask, times: int) -> Array:
+    """Return the rows of the bins removed from a signal, (rows, times, components): real and imaginary parts."""
+    found, angle = [np.zeros((0, times, stop.shape[1]))], 2 * np.pi * np.arange(times) / times
+    for k, i in np.argwhere(stop):
+        waves = [np.cos(k * angle)] if k in (0, times / 2) else [np.cos(k * angle), np.sin(k * angle)]
+        rows = np.zeros((len(waves), times, stop.shape[1]))
+        rows[:, :, i] = waves
+        found.append(rows)
+    return np.concatenate(found)
+
+
+def _through_states(problem: OptimalControlProblem, of_x: Array) -> Array:
+    """Return rows on states, (rows, T + 1, n), as rows on controls, (rows, T, m)."""
+    dynamics, T = problem.linear, problem.horizon
+    A, B = (np.broadcast_to(part, (T, *part.shape[-2:])) for part in (dynamics.A, dynamics.B))
+    adjoint, rows = of_x[:, T], np.zeros((len(of_x), T, problem.control_dim))
+    for t in reversed(range(T)):
+        rows[:, t] = adjoint @ B[t]
+        adjoint = of_x[:, t] + adjoint @ A[t]
+    return rows
+
+
+def _neighbours(given: ConvexSet, u: Array) -> tuple[Array, Array, Array, Array]:
+    """Return, each (T, m), the nearest levels, those below and above, and which entries are between."""
+    shares, levels = given.shares(u), given.levels_of(u.shape[1])
+    pairs = [np.sort(np.argpartition(-one, 1, axis=1)[:, :2], axis=1) for one in shares]
+    low, high = (
+        np.stack([values[pair[:, side]] for values, pair in zip(levels, pairs, strict=True)], axis=1) for side in (0, 1)
+    )
+    between = np.stack([one.max(axis=1) < 1 - AT_LEVEL for one in shares], axis=1)
+    nearest = np.stack([values[one.argmax(axis=1)] for values, one in zip(levels, shares, strict=True)], axis=1)
+    return nearest, low, high, between
+
+
+def _null(R: Array) -> Array | None:
+    """Return a direction that R maps to zero, or None."""
+    _, sizes, directions = np.linalg.svd(R, full_matrices=True)
+    rank = int(np.count_nonzero(sizes > INDEPENDENT * sizes.max(initial=0.0)))
+    return directions[rank] if rank < R.shape[1] else None
+
+
+def _rank(R: Array) -> int:
+    return int(np.linalg.matrix_rank(R, rtol=INDEPENDENT)) if len(R) else 0

@@ -1,0 +1,384 @@
+"""Problems made of a problem: its states counted from another origin, states added to its own, rates limited.
+
+A far origin costs digits, so that states are counted from where they move. Where a constraint has a memory, the memory
+becomes a state; a limit on the change of a control is joint rows on (x_t, u_{t-1}). Semi-infinite constraints have
+terms at finitely many points, and ``at_frequencies`` chooses these.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.base.arrays import (
+    Array,
+    Bound,
+    Mask,
+    assign,
+    brief,
+    one_component,
+    real_array,
+    with_columns,
+    with_rows,
+)
+from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.phrases import split_unit
+from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
+from lin_freq_ocp.problem.dynamics.base import Dynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
+from lin_freq_ocp.problem.sets.box import Box, SetOrSets
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_indices, entries_of
+from lin_freq_ocp.problem.terms.semi_infinite import Continuum
+from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+OF_STATES = ("state_boxes", "met_ends", "state_tube", "terms", "borders", "gap")  # what a problem caches of its states
+FAR = 10.0  # distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
+ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its terms
+
+
+@dataclass(frozen=True, eq=False)
+class Translation:
+    """A problem, and the same problem with its states counted from an origin, (n,): x = origin + y.
+
+    A, B, control sets, multipliers and costs stay; offsets, ends, state sets, references, rows, guards and regions move
+    along. A move of 1 m at a northing of 5 000 000 m is badly posed in double precision, as every solver and every
+    relative tolerance sees numbers of 5e6; counted from the start of the move, it is the same problem as anywhere else.
+    """
+
+    given: OptimalControlProblem
+    problem: OptimalControlProblem
+    origin: Array
+
+    @property
+    def moves(self) -> bool:
+        """Whether the origin is not zero."""
+        return bool(self.origin.any())
+
+    @property
+    def cost(self) -> float:
+        """Return the cost of the given problem less that of the translated one: that of linear terms at the origin."""
+        cost, T = self.given.quadratic, self.given.horizon
+        return float(np.broadcast_to(cost.q, (T, len(self.origin))).sum(0) @ self.origin + cost.p @ self.origin)
+
+    def translated(self, trajectory: Trajectory) -> Trajectory:
+        """Return a trajectory of the given problem as one of the translated problem."""
+        return Trajectory(trajectory.x - self.origin, trajectory.u) if self.moves else trajectory
+
+    def restored(self, trajectory: Trajectory) -> Trajectory:
+        """Return a trajectory of the translated problem as one of the given problem."""
+        return Trajectory(trajectory.x + self.origin, trajectory.u) if self.moves else trajectory
+
+
+def translation_of(problem: OptimalControlProblem) -> Translation:
+    """Return a problem with its states counted from where they move; itself where they move near zero."""
+    return translated_by(problem, far_origin(problem))
+
+
+def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
+    """Return a problem with its states counted from an origin (n,), where its classes allow that.
+
+    Nothing is checked again.
+    """
+    none = Translation(problem, problem, np.zeros(problem.state_dim))
+    if not origin.any():
+        return none
+    dynamics, cost = problem.dynamics.translated(origin), problem.cost.translated(origin)
+    if dynamics is None or cost is None:
+        return none
+    moved = copy(problem)
+    assign(
+        moved,
+        dynamics=dynamics,
+        cost=cost.at_dimensions(problem.state_dim, problem.control_dim, problem.horizon),
+        state_set=translated_set(problem.state_set, origin),
+        initial_state=problem.initial_state.translated(origin),
+        terminal_state=problem.terminal_state.translated(origin),
+        stage_rows=tuple(rows.translated(origin) for rows in problem.stage_rows),
+        _origin=origin if problem.origin is None else problem.origin + origin,
+    )
+    for name in OF_STATES:
+        moved.__dict__.pop(name, None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BandWarning)  # the given problem has said so
+        _ = moved.ends, moved.terms
+    return Translation(problem, moved, origin)
+
+
+def translated_set(given: SetOrSets, origin: Array) -> SetOrSets:
+    """Return one set for all times, or one per time, of x - origin."""
+    if isinstance(given, Sequence):
+        return [one.translated(origin) for one in given]
+    return given and given.translated(origin)
+
+
+def far_origin(problem: OptimalControlProblem) -> Array:
+    """Return the origin from which states are to be counted, (n,); zero in components that are near it.
+
+    A state lies where its ends are fixed, else at its references, else in the middle of its bounds. It is far from zero
+    if it lies FAR times farther than these values differ, and than it drifts from there over the horizon without
+    control. Spectra of a state that depend on its mean keep its zero.
+    """
+    places = _fixed_places(problem)
+    centre, highest, lowest = places[0], places[0], places[0]
+    for place in places[1:]:
+        centre = np.where(np.isnan(centre), place, centre)
+        highest, lowest = np.fmax(highest, place), np.fmin(lowest, place)
+    spread, unknown = highest - lowest, np.isnan(centre)
+    if unknown.any():
+        middle, half = _middle(problem)
+        centre, spread = np.where(unknown, middle, centre), np.where(unknown, half, spread)
+    far = np.abs(centre) > FAR * spread
+    if not far.any():
+        return np.zeros(problem.state_dim)
+    centre = np.nan_to_num(centre)
+    far &= np.abs(centre) > FAR * _drift(problem, centre)
+    return np.where(far & ~_limited_about_zero(problem), centre, 0.0)
+
+
+def _fixed_places(problem: OptimalControlProblem) -> list[Array]:
+    """Return where the data say that states are, (n,) each, in order of preference; nan where they do not."""
+    n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
+    found = [np.where(end.fixed, end.lower, np.nan) for end in problem.ends]
+    references = [cost.x_ref]
+    if cost.x_ref.ndim == 2:
+        references = [cost.x_ref[0], cost.x_ref.max(0), cost.x_ref.min(0)]
+    found += [np.where(cost.weighs, reference, np.nan) for reference in references]
+    for norm in problem.cost.norms:
+        for i in range(n):
+            given = norm.references(i, True, T)
+            if given is not None and given[1].any():
+                values = np.broadcast_to(given[0] if given[0].ndim == 0 else given[0][..., i], T + 1)[given[1]]
+                found += [np.where(np.arange(n) == i, value, np.nan) for value in (values.max(), values.min())]
+    return found
+
+
+def _middle(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """Return the middle of the first set that bounds a state on both sides, and half its width; nan without any."""
+    middle = half = np.full(problem.state_dim, np.nan)
+    for box in (problem.state_boxes.at(0), *reversed(problem.ends)):
+        bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
+        lower, upper = np.where(bounded, box.lower, 0.0), np.where(bounded, box.upper, 0.0)
+        middle, half = np.where(bounded, (lower + upper) / 2, middle), np.where(bounded, (upper - lower) / 2, half)
+    return middle, half
+
+
+def _drift(problem: OptimalControlProblem, place: Array) -> Array:
+    """Return how far states move from a place (n,) over the horizon if they go on as in the first step, (n,)."""
+    try:
+        step = problem.dynamics.given[0].stepper(problem.horizon)
+        moved = step(0, place, np.zeros(problem.control_dim)) - place
+    except LinFreqOCPError:  # no mode holds there, or there are no steps
+        return np.zeros(problem.state_dim)
+    return problem.horizon * np.nan_to_num(np.abs(moved))
+
+
+def _limited_about_zero(problem: OptimalControlProblem) -> Mask:
+    """Return which states a frequency constraint limits by their distance from zero, (n,)."""
+    n, none = problem.state_dim, np.zeros((problem.horizon, problem.control_dim))
+    found = problem.state_stop[0].copy()
+    rest = np.zeros((problem.horizon + 1, n))
+    for term in problem.terms:
+        if not term.kind.is_spectrum:
+            continue
+        for i in range(n):
+            steady = rest + (np.arange(n) == i)
+            moved = term.map.values(steady, none) - term.map.values(rest, none)
+            sizes = term.map.sizes(steady, none)
+            found[i] |= bool((np.abs(moved) > ROUNDING * sizes).any())
+            if term.everywhere is not None:
+                found[i] |= bool(term.everywhere.map.signal(steady, none).any())
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class AddedStates:
+    """States w of w_{t+1} = A w_t + B u_t, without cost."""
+
+    A: Array  # (k, k)
+    B: Array  # (k, m)
+    initial: Box  # of w_0, bounds (k,)
+    lower: Array  # (k,), of w_t at all times
+    names: Sequence[str]
+
+
+def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
+    """Return the problem in the states (x, w); its own constraints and cost are as they were."""
+    dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
+    return wider(problem, dynamics, added.initial, added.lower, _augmented_cost(problem, len(added.A)))
+
+
+def wider(
+    problem: OptimalControlProblem, dynamics: Dynamics, initial: Box, lower: Array, cost: Cost
+) -> OptimalControlProblem:
+    """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,)."""
+    k = len(lower)
+    free = np.full(k, np.inf)
+    return replace(
+        problem,
+        dynamics=dynamics,
+        cost=cost,
+        state_set=_augmented_state_set(problem, lower),
+        initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
+        terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
+        state_spectrum=[
+            more for one in entries_of(problem.state_spectrum) for more in one.extended(problem.state_dim, k)
+        ]
+        or None,
+        stage_rows=[
+            StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
+        ],
+        output_spectrum=[one.extended(problem.state_dim, k) for one in entries_of(problem.output_spectrum)] or None,
+    )
+
+
+def _augmented_cost(problem: OptimalControlProblem, k: int) -> CostSum:
+    cost, n = problem.quadratic, problem.state_dim
+    wider = QuadraticCost(
+        Q=with_rows(with_columns(cost.Q, k), np.zeros((k, n + k))),
+        R=cost.R,
+        S=with_rows(cost.S, np.zeros((k, problem.control_dim))),
+        q=with_columns(cost.q, k),
+        r=cost.r,
+        P=with_rows(with_columns(cost.P, k), np.zeros((k, n + k))),
+        p=with_columns(cost.p, k),
+        x_ref=with_columns(cost.x_ref, k),
+        u_ref=cost.u_ref,
+    )
+    return CostSum([wider, *(one.extended(n, k) for one in problem.cost.norms)])
+
+
+def _augmented_state_set(problem: OptimalControlProblem, lower: Array) -> ConvexSet | list[ConvexSet]:
+    given, boxes, upper = problem.state_set, problem.state_boxes, np.full(len(lower), np.inf)
+    if given is not None and not isinstance(given, ConvexSet):
+        return [_with_box(one, boxes.at(t), Box(lower, upper)) for t, one in enumerate(given)]
+    shape = problem.horizon + 1, len(lower)
+    return _with_box(given, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)))
+
+
+def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
+    """Return the set of (x, w) with x in the given set, whose bounds these are, and w within the added ones."""
+    box = Box(np.hstack([bounds.lower, added.lower]), np.hstack([bounds.upper, added.upper]))
+    n, k = bounds.lower.shape[-1], added.lower.shape[-1]
+    members = () if given is None else given.members
+    return Intersection([box, *(one.extended(n, k) for one in members)]) if members else box
+
+
+RATE_LIMIT = "rate limit"  # of the added rows
+
+
+def rate_limited(
+    problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None
+) -> OptimalControlProblem:
+    """Return the problem with |u_t - u_{t-1}| <= limit, in the states (x, u_{t-1}).
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    limit : float or (m,)
+        Largest change per step, zero or above; None or inf: no limit on that control. A single number holds for all.
+    previous : (m,), or a number for a single control, optional
+        The control before the first, u_{-1}; without it, the first control is free of the limit.
+
+    Returns
+    -------
+    OptimalControlProblem
+        With one more state for each limited control, named after it, and stage rows "rate limit".
+
+    Raises
+    ------
+    ProblemError
+        If the limit or the previous control does not fit the problem.
+
+    Examples
+    --------
+    >>> problem = lfo.rate_limited(lfo.library.double_integrator(), 0.5)
+    >>> problem.state_dim
+    3
+    """
+    require_problem(problem)
+    m = problem.control_dim
+    limits = _limits_of_changes(limit, m)
+    limited = np.flatnonzero(np.isfinite(limits))
+    if not len(limited):
+        raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
+    if any(rows.name == RATE_LIMIT for rows in problem.stage_rows):
+        raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{RATE_LIMIT}'")
+    k, chosen = len(limited), np.eye(m)[limited]
+    before = np.full((2, k), [[-np.inf], [np.inf]])
+    if previous is not None:
+        given = one_component(real_array("previous", previous), m)
+        if given.shape != (m,):
+            raise ProblemError("previous", f"shape {given.shape}", f"one number for each of the {m} controls")
+        before = np.tile(given[limited], (2, 1))
+    labels = [split_unit(problem.control_names[j]) for j in limited]
+    names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
+    added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
+    remembering = extended(problem, added)
+    of_x = np.zeros((k, problem.state_dim))
+    rows = StageRows(
+        np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
+        np.vstack([chosen, -chosen]),
+        np.tile(limits[limited], 2),
+        name=RATE_LIMIT,
+    )
+    return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
+
+
+def _limits_of_changes(limit: Bound, m: int) -> Array:
+    given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
+    limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
+    if limits.shape not in ((), (m,)) or (limits < 0).any():
+        raise ProblemError(
+            "rate_limit", brief(limit), f"one number, zero or above, or one for each of the {m} controls"
+        )
+    return np.broadcast_to(limits, m)
+
+
+Kind = TypeVar("Kind", bound=Continuum)
+
+
+def everywhere_of(problem: OptimalControlProblem, kind: type[Kind]) -> list[tuple[Term, Kind]]:
+    """Return the terms whose infinitely many constraints are of a kind, and these."""
+    return [(term, found) for term in problem.terms if isinstance(found := term.everywhere, kind)]
+
+
+def at_frequencies(
+    problem: OptimalControlProblem, frequencies: Mapping[str, Array], relaxed: bool = False
+) -> OptimalControlProblem:
+    """Return the problem whose terms stand at these points, (groups,) in rad/sample or (groups, 2), by their name.
+
+    Others stay where they are. ``relaxed``: nothing is required at other points.
+    """
+    found = [term for term in problem.terms if term.everywhere is not None]
+    if not found or not (frequencies or relaxed):
+        return problem
+    pending = iter([frequencies.get(term.name, term.map.places) for term in found])
+
+    def placed(given: object, names: Sequence[str]) -> list[FrequencyConstraint]:
+        """Return the entries of a field; those at every frequency take the next points, one array a component."""
+        constraints: list[FrequencyConstraint] = []
+        for constraint in entries_of(given):
+            if constraint.every_frequency:
+                count = len(component_indices("spectrum", constraint.component, names))
+                constraint = constraint.at_frequencies([next(pending) for _ in range(count)], relaxed)
+            constraints.append(constraint)
+        return constraints
+
+    return replace(
+        problem,
+        state_spectrum=placed(problem.state_spectrum, problem.state_names),
+        control_spectrum=placed(problem.control_spectrum, problem.control_names),
+        output_spectrum=[
+            OutputSpectrum(one.C, one.D, placed(one.constraints, one.output_names), one.output_names)
+            for one in entries_of(problem.output_spectrum)
+        ],
+    )

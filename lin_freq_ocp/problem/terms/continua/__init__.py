@@ -1,1 +1,0 @@
-"""Parameter sets of infinitely many constraints beyond the frequencies of a DFT."""

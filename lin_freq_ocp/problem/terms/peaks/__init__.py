@@ -1,1 +1,0 @@
-"""Local maxima of spectra, and of vibrations over boxes of plants, relative to their limits."""

@@ -1,0 +1,418 @@
+# ruff: noqa: D102  (a method without a docstring is described by the class that it implements)
+"""Semi-infinite constraints |V(p)| <= l(p), one for each point p of a parameter set, on a signal of the trajectory.
+
+A term of a problem has finitely many of them, at its points; what must hold at all others stands in its ``everywhere``.
+By Caratheodory's theorem, an optimum has multipliers at finitely many points only. The sets are the frequencies of a
+spectrum, those of a signal that is held between its samples, and the modes of a plant that is known up to a box. Each
+finds the local maxima of |V|/l. A new set is a subclass of ``Continuum`` with a function registered in ``peaks_above``
+and one in ``certificate/peaks/proven``, which proves the maxima.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, singledispatch
+from typing import ClassVar
+
+import numpy as np
+from scipy import fft
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, extended
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.problem.terms.maps import Shapes
+from lin_freq_ocp.problem.terms.penalties import LargestExcess, NormBall
+from lin_freq_ocp.problem.terms.penalty import HARD, Penalty
+from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap
+
+
+@dataclass(frozen=True, eq=False)
+class Continuum(ABC):
+    """|V(p)| <= l(p) at every point of a parameter set; points are arrays (k,) or (k, parameters)."""
+
+    map: FrequencyMap  # at no point
+    price: float = field(default=np.inf, kw_only=True)  # of the largest |V|/l - 1, if that is above 0; inf: never is
+
+    @abstractmethod
+    def limit_at(self, points: Array) -> Array:
+        """Return l at points, (k,); infinity outside the set."""
+
+    @abstractmethod
+    def first_points(self) -> Array:
+        """Return the points to begin with."""
+
+    @abstractmethod
+    def distances(self, some: Array, others: Array) -> Array:
+        """Return the distances of k points and l others, in DFT bins of the signal, (k, l)."""
+
+    def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
+        """Return the map to the values at points, and their balls."""
+        if points.shape[1:] != self.map.at.shape[1:]:
+            expected = "shape " + str(("atoms", *self.map.at.shape[1:])).replace("'", "")
+            raise ProblemError("multipliers.frequencies", f"{brief(points.tolist())}", expected)
+        limits = self.limit_at(points)
+        soft = np.isfinite(self.price)
+        ball = LargestExcess(limits, np.asarray(self.price)) if soft else NormBall(2, limits, HARD)
+        return self.map.placed(points), ball
+
+
+FINENESS = 16  # points of a first search for each bin of the signal's DFT
+STEPS = 4  # of Newton's method, from 1/16 of a bin: quadratic from the first on
+
+
+@singledispatch
+def peaks_above(everywhere: Continuum, x: Array, u: Array, above: float) -> tuple[Array, Array]:
+    """Return the points of the local maxima of |V|/l above a ratio, and these ratios, (peaks,); by kind of set."""
+    raise NotImplementedError(type(everywhere).__name__)
+
+
+def _local_maxima(ratio: Array, above: float) -> Mask:
+    """Return which samples of |V|/l are local maxima from which the refinement may rise above a ratio."""
+    padded = np.concatenate([[-np.inf], ratio, [-np.inf]])
+    return (ratio >= padded[:-2]) & (ratio >= padded[2:]) & (ratio > above * (1 - 1 / FINENESS))
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """l(w) on intervals low <= w <= high (pieces,), linear from ``at_low`` to ``at_high`` on each, above zero."""
+
+    low: Array
+    high: Array
+    at_low: Array
+    at_high: Array
+
+    def at(self, frequencies: Array) -> Array:
+        """Return the least limit at frequencies (k,) in rad/sample; infinity beyond all intervals."""
+        w = frequencies[:, None]
+        inside = (w >= self.low) & (w <= self.high)
+        share = (w - self.low) / np.where(self.high > self.low, self.high - self.low, 1.0)
+        found = (1 - share) * self.at_low + share * self.at_high
+        return np.where(inside, found, np.inf).min(axis=1)
+
+    def scaled(self, factor: float) -> Limits:
+        """Return the limits times a factor."""
+        return Limits(self.low, self.high, factor * self.at_low, factor * self.at_high)
+
+    def raised(self, amount: float) -> Limits:
+        """Return the limits plus an amount."""
+        return Limits(self.low, self.high, self.at_low + amount, self.at_high + amount)
+
+
+def limits_on(intervals: Sequence[tuple[float, float]], frequencies: Array, limits: Array) -> Limits:
+    """Return the limit through points (k,), constant beyond them, on intervals in rad/sample."""
+    low, high = list[float](), list[float]()
+    for first, last in intervals:
+        inner = frequencies[(frequencies > first) & (frequencies < last)]
+        ends = [first, *inner.tolist(), last]
+        low += ends[:-1]
+        high += ends[1:]
+    starts, stops = np.array(low), np.array(high)
+    return Limits(starts, stops, np.interp(starts, frequencies, limits), np.interp(stops, frequencies, limits))
+
+
+@dataclass(frozen=True, eq=False)
+class Frequencies(Continuum):
+    """|V(w)| <= l(w) at every frequency w in rad/sample of the intervals of the limits."""
+
+    limits: Limits
+    highest: ClassVar[float] = np.pi  # beyond it, there are no points
+
+    def limit_at(self, points: Array) -> Array:
+        return self.limits.at(points)
+
+    def first_points(self) -> Array:
+        """Return the bins of the signal's DFT within the intervals, and their ends."""
+        bins = 2 * np.pi * np.arange(self.map.samples // 2 + 1) / self.map.samples
+        inside = bins[np.isfinite(self.limits.at(bins))]
+        return np.unique(np.concatenate([inside, self.limits.low, self.limits.high]))
+
+    def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
+        if points.ndim == 1 and (points > self.highest).any():
+            raise ProblemError("multipliers.frequencies", brief(points.tolist()), "frequencies from 0 to pi rad/sample")
+        return super().at(points)
+
+    def factor(self, points: Array) -> Array:
+        """Return the modulus of what V is multiplied by, (k,)."""
+        return np.ones(len(points))
+
+    def log_slopes(self, points: Array) -> tuple[Array, Array]:
+        """Return the first and second derivative by w of the logarithm of the factor, both (k,)."""
+        return np.zeros(len(points)), np.zeros(len(points))
+
+    def distances(self, some: Array, others: Array) -> Array:
+        return np.abs(some[:, None] - others) * self.map.samples / (2 * np.pi)
+
+
+@peaks_above.register
+def _spectral_peaks(everywhere: Frequencies, x: Array, u: Array, above: float) -> tuple[Array, Array]:
+    """Return where |V|/l has local maxima above a ratio, in rad/sample, and these ratios, both (peaks,).
+
+    They are those of a zero-padded FFT, refined by Newton's method. Of a held signal, V is multiplied by a factor S,
+    and the FFT's period is 2 pi.
+    """
+    signal, limits = everywhere.map.signal(x, u), everywhere.limits
+    points = fft.next_fast_len(FINENESS * len(signal), real=True)
+    step, spectrum, places = 2 * np.pi / points, np.abs(fft.rfft(signal, n=points)), list[Array]()
+    for low, high, at_low, at_high in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
+        k = np.arange(int(low / step), int(high / step) + 2)
+        k = k[(step * k > low) & (step * k < high)]
+        w = np.concatenate([[low], step * k, [high]])
+        ends = np.abs(everywhere.map.placed(w[[0, -1]]).transform(signal))
+        inner = spectrum[np.minimum(k % points, -k % points)] * everywhere.factor(w[1:-1])
+        slope = (at_high - at_low) / (high - low) if high > low else 0.0
+        ratio = np.concatenate([ends[:1], inner, ends[1:]]) / (at_low + slope * (w - low))
+        highest = w[_local_maxima(ratio, above)]
+        places.append(_refine_on_interval(everywhere, signal, highest, (low, high), at_low, slope, np.pi / points))
+    found = np.unique(np.concatenate(places))
+    ratios = np.abs(everywhere.map.placed(found).transform(signal)) / limits.at(found)
+    return found[ratios > above], ratios[ratios > above]
+
+
+def _refine_on_interval(
+    everywhere: Frequencies,
+    signal: Array,
+    w: Array,
+    ends: tuple[float, float],
+    level: float,
+    slope: float,
+    reach: float,
+) -> Array:
+    """Return local maxima w of f = ln |V|^2 + ln S^2 - 2 ln l near w, by Newton's method.
+
+    f' = 2 Re(V'/V) - 2 l'/l,  f'' = 2 Re(V''/V - (V'/V)^2) + 2 (l'/l)^2, and the derivatives of ln S^2.
+    """
+    start, t = w, np.arange(len(signal))
+    for _ in range(STEPS):
+        at = everywhere.map.placed(w)
+        V, first, second = (at.transform(part) for part in (signal, t * signal, -(t**2.0) * signal))
+        V = np.where(V == 0, 1.0, V)
+        growth, limit = -1j * first / V, slope / (level + slope * (w - ends[0]))
+        slope_of_factor, bend_of_factor = everywhere.log_slopes(w)
+        steepness = 2 * growth.real - 2 * limit + 2 * slope_of_factor
+        curvature = 2 * (second / V - growth**2).real + 2 * limit**2 + 2 * bend_of_factor
+        step = np.where(curvature < 0, -steepness / np.where(curvature < 0, curvature, 1.0), 0.0)
+        w = np.clip(np.clip(w + step, start - 2 * reach, start + 2 * reach), *ends)
+    return w
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledMap(FrequencyMap, ABC):
+    """A factor times a sum of the samples, of which no term is larger than its sample; the values are about no bins."""
+
+    @property
+    @abstractmethod
+    def gain(self) -> ComplexArray:
+        """Return the factor of each value, (groups,)."""
+
+    @property
+    def nearest_bins(self) -> Indices:
+        return np.arange(0)
+
+    @property
+    def frequencies(self) -> Array:
+        return np.zeros(0)
+
+    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
+        return False
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        return super().sizes(x, u) * np.abs(self.gain.astype(complex))[:, None]
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        return super().pulled_sizes(weights * np.abs(self.gain.astype(complex))[:, None], shapes)
+
+
+ZERO = 1e-6  # of S, below which an end of an interval is none of the first points: its constraint is hardly any
+SERIES = 1e-2  # below it, the logarithm of S is -w^2/24, to w^4/2880
+
+
+@dataclass(frozen=True, eq=False)
+class HeldMap(ScaledMap):
+    """(Re, Im) of S(w) V(w)."""
+
+    @property
+    def gain(self) -> ComplexArray:
+        return extended(sinc(extended(self.at)) + 0j)
+
+    @property
+    def additions(self) -> float:
+        return super().additions * max(float(self.at.max(initial=0.0)) / np.pi, 1.0)
+
+    @cached_property
+    def _factors(self) -> tuple[ComplexArray, ComplexArray]:
+        first, second = self.plain_factors
+        return self.gain[:, None] * first, second
+
+
+@dataclass(frozen=True, eq=False)
+class HeldFrequencies(Frequencies):
+    """|S(w) V(w)| <= l(w) at every w of the intervals of the limits, w = 2 pi f h for any f >= 0 in Hz.
+
+    v(t) = v_k for k h <= t < (k + 1) h has the spectrum h S V but for a factor of modulus 1, with S(w) = sin(w/2) /
+    (w/2) and V(w) = sum_t v_t exp(-iwt), of period 2 pi. Limits that are constant from some w = a on need only be held
+    up to a + 2 pi: |S V| = 2 |sin(w/2) V(w)| / w, whose numerator has the period 2 pi, so that every later value is
+    below the value at a frequency of that interval.
+    """
+
+    highest: ClassVar[float] = np.inf
+
+    def first_points(self) -> Array:
+        """Return the bins within the intervals, of those with the same V the one with the least limit, and the ends."""
+        N = self.map.samples
+        k = np.arange(int(N * self.limits.high.max() / (2 * np.pi)) + 1)
+        w = 2 * np.pi * k / N
+        limits = self.limits.at(w)
+        of_V = np.full(len(k), np.inf)
+        np.divide(limits, np.abs(sinc(w)), out=of_V, where=np.isfinite(limits) & (k % N > 0) | (k == 0))
+        tightest = np.lexsort((of_V, np.minimum(k % N, -k % N)))
+        firsts = tightest[np.unique(np.minimum(k % N, -k % N)[tightest], return_index=True)[1]]
+        ends = np.concatenate([self.limits.low, self.limits.high])
+        return np.unique(np.concatenate([w[firsts[np.isfinite(of_V[firsts])]], ends[self.factor(ends) > ZERO]]))
+
+    def factor(self, points: Array) -> Array:
+        return np.abs(sinc(points))
+
+    def log_slopes(self, points: Array) -> tuple[Array, Array]:
+        w = np.where(points < SERIES, SERIES, points)
+        half = np.where(np.sin(w / 2) == 0, SERIES, w / 2)
+        near = points < SERIES
+        first = np.where(near, -points / 12, np.cos(half) / (2 * np.sin(half)) - 1 / w)
+        return first, np.where(near, -1 / 12, 1 / w**2 - 1 / (4 * np.sin(half) ** 2))
+
+
+def sinc(w: Array) -> Array:
+    """Return S(w), of any precision."""
+    half = np.where(w == 0, 1.0, w / 2)
+    return np.where(w == 0, 1.0, np.sin(half) / half)
+
+
+@dataclass(frozen=True, eq=False)
+class VibrationMap(ScaledMap):
+    """(Re, Im) of V for modes ``at`` (groups, 2): natural frequency in Hz, damping ratio."""
+
+    sampling_time: float
+
+    @property
+    def real(self) -> Mask:
+        return np.zeros(len(self.at), dtype=bool)
+
+    @property
+    def gain(self) -> ComplexArray:
+        """Return (z - 1) / sqrt(1 - zeta^2), (groups,)."""
+        turned: ComplexArray = np.exp(self._angles)
+        return (turned - 1) / np.sqrt(1 - self._damping**2)
+
+    @property
+    def _angles(self) -> ComplexArray:
+        """Return s h, (groups,)."""
+        w, damping = (2 * np.pi * self.sampling_time) * extended(self.at[:, 0]), self._damping
+        return w * (-damping + 1j * np.sqrt(1 - damping**2))
+
+    @property
+    def _damping(self) -> Array:
+        return extended(self.at[:, 1])
+
+    @cached_property
+    def _factors(self) -> tuple[ComplexArray, ComplexArray]:
+        B, s = int(np.ceil(np.sqrt(self.samples))), self._angles[:, None]
+        left = self.samples - 1 - B * np.arange(-(-self.samples // B))
+        return self.gain[:, None] * np.exp(s * left), np.exp(-s * np.arange(B))
+
+
+@dataclass(frozen=True, eq=False)
+class PlantBox(Continuum):
+    """|V| <= limit for every mode of a box: the residual vibration of a signal that is held between its samples.
+
+    A mode is q'' + 2 zeta w q' + w^2 q = w^2 v. With the eigenvalue s = w (-zeta + i sqrt(1 - zeta^2)), z = exp(s h),
+    and no signal after N samples, its amplitude is |V|,
+
+        V = (z - 1) / sqrt(1 - zeta^2) sum_t v_t z^(N-1-t).
+
+    In y = ln s = ln w + i phi, the sum times (z - 1) is analytic and sqrt(1 - zeta^2) = sin(phi): ln |V| is
+    subharmonic, as the second derivative of -ln sin(phi) is 1/sin(phi)^2. The box of (w, zeta) is a rectangle in y: the
+    largest |V| is on its edges.
+    """
+
+    low: Array  # natural frequency in Hz and damping ratio, (2,)
+    high: Array
+    limit: float
+    sampling_time: float
+
+    def limit_at(self, points: Array) -> Array:
+        return np.where(((points >= self.low) & (points <= self.high)).all(axis=1), self.limit, np.inf)
+
+    def first_points(self) -> Array:
+        """Return points on the edges, a bin of the signal's DFT apart at most."""
+        per_edge = [np.linspace(0.0, 1.0, int(np.ceil(self.bins(edge))) + 1) for edge in self.edges]
+        found = [self.modes_on(edge, share) for edge, share in zip(self.edges, per_edge, strict=True)]
+        return np.unique(np.concatenate(found), axis=0)
+
+    def distances(self, some: Array, others: Array) -> Array:
+        first, second = (np.exp(self.logarithms(points)) for points in (some, others))
+        return np.abs(first[:, None] - second) * self.duration / (2 * np.pi)
+
+    @property
+    def duration(self) -> float:
+        """Return that of the signal in seconds."""
+        return self.map.samples * self.sampling_time
+
+    @property
+    def edges(self) -> list[tuple[complex, complex]]:
+        """Return the ends of the rectangle's edges in y = ln s; of edges that coincide, one."""
+        y = self.logarithms(np.array([self.low, self.high]))
+        (left, right), (bottom, top) = y.real, y.imag
+        along = [(complex(left, phi), complex(right, phi)) for phi in dict.fromkeys((bottom, top))]
+        across = [(complex(size, bottom), complex(size, top)) for size in dict.fromkeys((left, right))]
+        return (along if left < right or bottom == top else []) + (across if bottom < top else [])
+
+    def bins(self, edge: tuple[complex, complex]) -> float:
+        """Return the length of an edge in bins of the signal's DFT, or more."""
+        return abs(edge[1] - edge[0]) * float(self.high[0]) * self.duration
+
+    def logarithms(self, points: Array) -> ComplexArray:
+        """Return y of modes (k, 2), (k,)."""
+        return np.log(2 * np.pi * points[:, 0]) + 1j * np.arccos(-points[:, 1])
+
+    def modes_on(self, edge: tuple[complex, complex], share: Array) -> Array:
+        """Return the modes at shares (k,) of the way along an edge, (k, 2)."""
+        y = edge[0] + (edge[1] - edge[0]) * share
+        return np.clip(np.column_stack([np.exp(y.real) / (2 * np.pi), -np.cos(y.imag)]), self.low, self.high)
+
+
+DIFFERENCE = 1e-2  # distance of the points of differences, in that of the samples: they err by 1e-5 of a step
+FARTHEST = 2.0  # distances of the samples that a maximum may be from the sample
+
+
+@peaks_above.register
+def _vibration_peaks(box: PlantBox, x: Array, u: Array, above: float) -> tuple[Array, Array]:
+    """Return the modes of local maxima of |V|/limit above a ratio, (peaks, 2), and these ratios, (peaks,).
+
+    They are on the edges: those of samples, refined by Newton's method.
+    """
+    signal, places = box.map.signal(x, u), list[Array]()
+    for edge in box.edges:
+        samples = int(np.ceil(FINENESS * box.bins(edge)))
+        share, step = np.linspace(0.0, 1.0, samples + 1), 1.0 / max(samples, 1)
+        ratio = _ratios(box, signal, box.modes_on(edge, share))
+        highest = share[_local_maxima(ratio, above)]
+        places.append(box.modes_on(edge, _refine_on_edge(box, signal, edge, highest, step)))
+    found = np.unique(np.concatenate(places), axis=0)
+    ratios = _ratios(box, signal, found)
+    return found[ratios > above], ratios[ratios > above]
+
+
+def _refine_on_edge(box: PlantBox, signal: Array, edge: tuple[complex, complex], start: Array, step: float) -> Array:
+    """Return the shares of the way along an edge at which ln |V| has its maxima near ``start``, from differences."""
+    share, d = start, DIFFERENCE * step
+    for _ in range(STEPS):
+        inner = np.clip(share, d, 1 - d)
+        left, here, right = (np.log(_ratios(box, signal, box.modes_on(edge, inner + move))) for move in (-d, 0.0, d))
+        slope, curvature = (right - left) / (2 * d), (right - 2 * here + left) / d**2
+        move = np.where(curvature < 0, -slope / np.where(curvature < 0, curvature, 1.0), np.sign(slope) * step)
+        share = np.clip(np.clip(inner + move, start - FARTHEST * step, start + FARTHEST * step), 0.0, 1.0)
+    return share
+
+
+def _ratios(box: PlantBox, signal: Array, modes: Array) -> Array:
+    return np.abs(box.map.placed(modes).transform(signal)) / box.limit

@@ -1,0 +1,399 @@
+# ruff: noqa: D102  (a method without a docstring is described by ``AffineMap``)
+"""Spectra of a linear output y_t = C x_t + D u_t of the trajectory as affine maps.
+
+They stand at the bins of a DFT, at any frequencies, or at the bins of windows, of which samples before time 0 are data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy import fft
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, joined_rows, pad_columns
+
+
+@dataclass(frozen=True, eq=False)
+class SpectrumMap(AffineMap):
+    """(Re, Im) of Y_j = sum_t w_t y_t exp(-2 pi i j t / N) at chosen bins j, for y_t = C x_t + D u_t.
+
+    One group (Re, Im) for each bin, or with ``together`` a single group of all of them. The imaginary part of bins 0
+    and N/2, always zero, is left out where all are together, and is a zero elsewhere.
+    """
+
+    C: Array | None  # (n,)
+    D: Array | None  # (m,); y_t counts for t = 0 .. T-1, and at T, too, without D
+    window: Array  # w_t, (samples,); ones for the plain DFT
+    points: int  # N: the number of samples, or a multiple of it for a finer grid
+    bins: Indices  # (bins,), within 0 .. N/2
+    together: bool = False
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return (1, 2 * len(self.bins) - int(self.real.sum())) if self.together else (len(self.bins), 2)
+
+    @property
+    def real(self) -> Mask:
+        """Which of the bins are real for every signal, (bins,)."""
+        return np.asarray((self.bins == 0) | (2 * self.bins == self.points))
+
+    @property
+    def samples(self) -> int:
+        return len(self.window)
+
+    @property
+    def component(self) -> int:
+        row = self.C if self.C is not None else self.D
+        assert row is not None  # there is a signal
+        return int(np.flatnonzero(row)[0])
+
+    @property
+    def nearest_bins(self) -> Indices:
+        return np.rint(self.bins * len(self.window) / self.points).astype(int)
+
+    @property
+    def positions(self) -> Indices:
+        return self.nearest_bins
+
+    @property
+    def frequencies(self) -> Array:
+        return np.zeros(0) if self.together else 2 * np.pi * self.bins / self.points
+
+    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
+        return all(
+            own is given or (own is not None and given is not None and np.array_equal(own, given))
+            for own, given in ((self.C, C), (self.D, D))
+        )
+
+    def spectrum_form(self, n: int, m: int) -> SpectrumForm:
+        parts = [np.zeros(size) if part is None else part for part, size in ((self.C, n), (self.D, m))]
+        kept = self.kept if self.together else np.ones(2 * len(self.bins), dtype=bool)
+        return SpectrumForm(np.concatenate(parts), self.window, self.points, self.bins, kept)
+
+    @property
+    def dense_size(self) -> tuple[int, int]:
+        rows, signals = 2 * len(self.bins), sum(1 for part in (self.C, self.D) if part is not None and part.any())
+        return rows, rows * len(self.window) * signals
+
+    @property
+    def additions(self) -> float:
+        return float(5 * np.log2(self.points) + 10)
+
+    def values(self, x: Array, u: Array) -> Array:
+        spectrum = fft.rfft(self.window * self.signal(x, u)[: self.samples], n=self.points)[self.bins]
+        return self.grouped(np.stack([spectrum.real, spectrum.imag], axis=1))
+
+    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        pairs = self.pairs(weights)
+        k = np.arange(self.points // 2 + 1)
+        spectrum = np.zeros(len(k), dtype=np.result_type(pairs, np.complex64))
+        spectrum[self.bins] = pairs[:, 0] + 1j * pairs[:, 1]
+        factor = np.where((k == 0) | (2 * k == self.points), 1.0, 0.5)
+        signal = fft.irfft(self.points * factor * spectrum, n=self.points)[: len(self.window)] * self.window
+        return self.spread(signal, shapes)
+
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        t = np.arange(len(self.window))
+        angle = 2 * np.pi * (np.outer(self.bins, t) % self.points) / self.points
+        waves = np.stack([np.cos(angle), -np.sin(angle)], axis=1) * self.window
+        waves[self.real, 1] = 0.0  # and not the rounding error of sin(pi t)
+        waves = waves.reshape(-1, len(t))
+        waves = waves[self.kept] if self.together else waves
+        of_y = sp.csr_array(waves)
+        of_x, of_u = signal_rows(of_y, self.C, horizon + 1, n), signal_rows(of_y, self.D, horizon, m)
+        return joined_rows(of_x, of_u), np.zeros(len(waves))
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        """Return the Euclidean norm of w y, the typical size of a bin, for every entry, (groups, dim)."""
+        y = self.magnitudes().signal(np.abs(x), np.abs(u))[: self.samples]
+        return np.full(self.shape, np.sqrt(((self.window * y) ** 2).sum()))
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        return self.magnitudes().spread(np.abs(self.window) * np.abs(self.pairs(weights)).sum(), shapes)
+
+    def grouped(self, pairs: Array) -> Array:
+        """Return values, (groups, dim), from (Re, Im) of every bin, (bins, 2); of several spectra, one by one."""
+        return pairs.reshape(-1, 2 * len(self.bins))[:, self.kept] if self.together else pairs
+
+    def pairs(self, values: Array) -> Array:
+        if not self.together:
+            return values
+        pairs = np.zeros((len(values), 2 * len(self.bins)), dtype=values.dtype)
+        pairs[:, self.kept] = values
+        return pairs.reshape(-1, 2)
+
+    def magnitudes(self) -> SpectrumMap:
+        """Return the map with the absolute values of the coefficients."""
+        of_x, of_u = (None if part is None else np.abs(part) for part in (self.C, self.D))
+        return replace(self, C=of_x, D=of_u)
+
+    @property
+    def kept(self) -> Mask:
+        """Which of (Re, Im) of each bin are values of a map ``together``, (2 bins,)."""
+        kept = np.ones((len(self.bins), 2), dtype=bool)
+        kept[self.real, 1] = False
+        return kept.ravel()
+
+    def length(self, horizon: int) -> int:
+        """Return the number of samples of the signal over a horizon."""
+        return horizon + (self.D is None)
+
+    def signal(self, x: Array, u: Array) -> Array:
+        """Return y, (samples,)."""
+        parts = [part[: self.length(len(u))] @ row for row, part in ((self.C, x), (self.D, u)) if row is not None]
+        return sum(parts[1:], parts[0])
+
+    def spread(self, signal: Array, shapes: Shapes) -> tuple[Array, Array]:
+        """Return what a change of y by the first samples of a signal is worth in x and u."""
+        of_x, of_u = (np.zeros(shape, dtype=signal.dtype) for shape in shapes)
+        for row, part in ((self.C, of_x), (self.D, of_u)):
+            if row is not None:
+                part[: len(signal)] += np.outer(signal, row)
+        return of_x, of_u
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyMap(AffineMap):
+    """(Re, Im) of Y(w) = sum_t h_t y_t exp(-iwt) at frequencies w, one group each, for y_t = C x_t + D u_t.
+
+    With t = a B + b, exp(-iwt) is a product of two factors, of some sqrt(T) values each.
+    """
+
+    C: Array | None  # (n,)
+    D: Array | None  # (m,)
+    window: Array  # h_t, (samples,)
+    at: Array  # w in rad/sample, (groups,)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return len(self.at), 2
+
+    @property
+    def samples(self) -> int:
+        return len(self.window)
+
+    @property
+    def component(self) -> int:
+        return self._plain.component
+
+    @property
+    def nearest_bins(self) -> Indices:
+        return np.rint(self.at * len(self.window) / (2 * np.pi)).astype(int)
+
+    @property
+    def positions(self) -> Indices:
+        return self.nearest_bins
+
+    @property
+    def frequencies(self) -> Array:
+        return self.at
+
+    @property
+    def places(self) -> Array:
+        return self.at
+
+    @property
+    def real(self) -> Mask:
+        """Which of the values are real for every signal, (groups,)."""
+        return np.asarray((self.at == 0) | (self.at == np.pi))
+
+    @property
+    def additions(self) -> float:
+        return float(4 * len(self.window) + 10)  # that many roundings are in an angle w t
+
+    @property
+    def dense_size(self) -> tuple[int, int]:
+        rows, signals = 2 * len(self.at), sum(1 for part in (self.C, self.D) if part is not None and part.any())
+        return rows, rows * len(self.window) * signals
+
+    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
+        return self._plain.spectrum_of(C, D)
+
+    def values(self, x: Array, u: Array) -> Array:
+        found = self.transform(self.signal(x, u))
+        return np.stack([found.real, found.imag], axis=1)
+
+    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        first, second = self.factors(weights.dtype)
+        turned = (weights[:, 0] + 1j * weights[:, 1])[:, None]
+        signal = (np.conj(first).T @ (turned * np.conj(second))).real.reshape(-1)[: self.samples]
+        return self._plain.spread(signal * self.window, shapes)
+
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        of_y = sp.csr_array(self.waves())
+        of_x, of_u = signal_rows(of_y, self.C, horizon + 1, n), signal_rows(of_y, self.D, horizon, m)
+        return joined_rows(of_x, of_u), np.zeros(2 * len(self.at))
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        return np.broadcast_to(self._plain.sizes(x, u)[:1], self.shape)
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        return self._plain.magnitudes().spread(np.abs(self.window) * np.abs(weights).sum(), shapes)
+
+    def waves(self) -> Array:
+        """Return the coefficients of the samples, (2 groups, samples): of Re and Im of each frequency in turn."""
+        first, second = self.factors(np.dtype(np.float64))
+        whole = (first[:, :, None] * second[:, None, :]).reshape(len(self.at), -1)[:, : self.samples] * self.window
+        waves = np.stack([whole.real, whole.imag], axis=1)
+        waves[self.real, 1] = 0.0  # and not the rounding error of sin(pi t)
+        return waves.reshape(-1, self.samples)
+
+    def transform(self, signal: Array) -> ComplexArray:
+        """Return Y of a signal that is windowed already, (groups,)."""
+        first, second = self.factors(signal.dtype)
+        blocks = np.zeros(first.shape[1] * second.shape[1], dtype=signal.dtype)
+        blocks[: len(signal)] = signal
+        inner = second @ blocks.reshape(first.shape[1], -1).T
+        return (first * inner).sum(axis=1)
+
+    def factors(self, dtype: np.dtype[np.floating]) -> tuple[ComplexArray, ComplexArray]:
+        """Return exp(-iw a B), (groups, A), and exp(-iw b), (groups, B), for signals of a type."""
+        first, second = self._factors
+        return (first, second) if dtype == np.longdouble else (first.astype(complex), second.astype(complex))
+
+    @cached_property
+    def _factors(self) -> tuple[ComplexArray, ComplexArray]:
+        return self.plain_factors
+
+    @property
+    def plain_factors(self) -> tuple[ComplexArray, ComplexArray]:
+        """Return the factors in extended precision."""
+        B = int(np.ceil(np.sqrt(self.samples)))
+        w, A = self.at.astype(np.longdouble)[:, None], -(-self.samples // B)
+        return np.exp(-1j * w * (B * np.arange(A))), np.exp(-1j * w * np.arange(B))
+
+    @property
+    def _plain(self) -> SpectrumMap:
+        """Return the map of the first bin, which has the same signal."""
+        return SpectrumMap(self.C, self.D, self.window, len(self.window), np.array([0]))
+
+    def signal(self, x: Array, u: Array) -> Array:
+        """Return h_t y_t, (samples,)."""
+        return self.window * self._plain.signal(x, u)[: self.samples]
+
+    def placed(self, points: Array) -> FrequencyMap:
+        """Return the map to the values at other points."""
+        return replace(self, at=points)
+
+
+PI = np.arccos(np.longdouble(-1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class SpectrogramMap(AffineMap):
+    """(Re, Im) of Y_sj = sum_i w_i y_{s+i} exp(-2 pi i j (s+i) / N) for windows from s on, and bins j of each of them.
+
+    The phase is counted from time 0. Groups are those of ``spectrum``, window by window.
+    """
+
+    spectrum: SpectrumMap  # of the first window's length
+    starts: Indices  # s, (windows,), not before the past begins
+    past: Array  # (P,): y at times -P .. -1
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        groups, dim = self.spectrum.shape
+        return len(self.starts) * groups, dim
+
+    @property
+    def positions(self) -> Indices:
+        return np.repeat(np.maximum(self.starts, 0), self.spectrum.shape[0])
+
+    @property
+    def additions(self) -> float:
+        return self.spectrum.additions + 2
+
+    @property
+    def component(self) -> int:
+        return self.spectrum.component
+
+    @property
+    def dense_size(self) -> tuple[int, int]:
+        rows, entries = self.spectrum.dense_size
+        return len(self.starts) * rows, len(self.starts) * entries
+
+    def values(self, x: Array, u: Array) -> Array:
+        found = fft.rfft(self._frames(self.spectrum.signal(x, u)), n=self.spectrum.points, axis=1)
+        turned = found[:, self.spectrum.bins] * self._turns.astype(found.dtype)
+        pairs = np.stack([turned.real, turned.imag], axis=-1)
+        pairs[:, self.spectrum.real, 1] = 0.0  # and not rounding of a factor of one
+        return self.spectrum.grouped(pairs.reshape(-1, 2))
+
+    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        base, pairs = self.spectrum, self._window_pairs(weights)
+        k = np.arange(base.points // 2 + 1)
+        factor = np.where((k == 0) | (2 * k == base.points), 1.0, 0.5)
+        spectra = np.zeros((len(self.starts), len(k)), dtype=np.result_type(pairs, np.complex64))
+        spectra[:, base.bins] = (pairs[..., 0] + 1j * pairs[..., 1]) * np.conj(self._turns.astype(spectra.dtype))
+        frames = fft.irfft(base.points * factor * spectra, n=base.points, axis=1)
+        return base.spread(self._added(frames[:, : base.samples] * base.window, shapes), shapes)
+
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        base, L = self.spectrum, self.spectrum.samples
+        times = self.starts[:, None] + np.arange(L)
+        angle = 2 * np.pi * (times[:, None, :] * base.bins[:, None] % base.points) / base.points
+        waves = np.stack([np.cos(angle), -np.sin(angle)], axis=2) * base.window
+        waves[:, base.real, 1] = 0.0
+        waves = waves.reshape(len(self.starts), -1, L)
+        waves = waves[:, base.kept] if base.together else waves
+        here = np.broadcast_to(times[:, None] >= 0, waves.shape)
+        row = np.broadcast_to(np.arange(waves.size // L).reshape(*waves.shape[:2], 1), waves.shape)[here]
+        column = np.broadcast_to(times[:, None], waves.shape)[here]
+        of_y = sp.csr_array((waves[here], (row, column)), shape=(waves.size // L, base.length(horizon)))
+        of_x, of_u = signal_rows(of_y, base.C, horizon + 1, n), signal_rows(of_y, base.D, horizon, m)
+        return joined_rows(of_x, of_u), self.values(np.zeros((horizon + 1, n)), np.zeros((horizon, m))).ravel()
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        y = self.spectrum.magnitudes().signal(np.abs(x), np.abs(u))
+        norms = np.linalg.norm(self._frames(y, np.abs(self.past)), axis=1)
+        return np.broadcast_to(np.repeat(norms, self.spectrum.shape[0])[:, None], self.shape)
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        total = np.abs(self._window_pairs(weights)).sum(axis=(1, 2))
+        frames = total[:, None] * np.abs(self.spectrum.window)
+        return self.spectrum.magnitudes().spread(self._added(frames, shapes), shapes)
+
+    def spectrum_form(self, n: int, m: int) -> SpectrumForm | None:
+        if len(self.starts) > 1:
+            return None
+        form, first = self.spectrum.spectrum_form(n, m), int(self.starts[0])
+        window = np.append(np.zeros(max(first, 0)), form.window[max(-first, 0) :])
+        return None if len(window) > form.points else SpectrumForm(form.row, window, form.points, form.bins, form.kept)
+
+    def pairs(self, values: Array) -> Array:
+        return self._window_pairs(values).reshape(-1, 2)
+
+    @property
+    def _turns(self) -> ComplexArray:
+        """Return exp(-2 pi i j s / N) in extended precision, (windows, bins)."""
+        base = self.spectrum
+        return np.exp(-2j * PI * (np.outer(self.starts, base.bins) % base.points) / base.points)
+
+    def _window_pairs(self, values: Array) -> Array:
+        """Return (Re, Im) of every bin of every window, (windows, bins, 2)."""
+        return self.spectrum.pairs(values).reshape(len(self.starts), -1, 2)
+
+    def _frames(self, y: Array, past: Array | None = None) -> Array:
+        """Return the windows of the past and of y, times their weights, (windows, samples)."""
+        whole = np.concatenate([self.past if past is None else past, y])
+        frames = sliding_window_view(whole, self.spectrum.samples)[len(self.past) + self.starts]
+        return frames * self.spectrum.window
+
+    def _added(self, frames: Array, shapes: Shapes) -> Array:
+        """Return the sum of windows over each time from 0 on."""
+        P, samples = len(self.past), self.spectrum.length(shapes[1][0])
+        signal = np.zeros(P + samples, dtype=frames.dtype)
+        np.add.at(signal, P + self.starts[:, None] + np.arange(frames.shape[1]), frames)
+        return signal[P:]
+
+
+def signal_rows(of_y: sp.csr_array, row: Array | None, samples: int, columns: int) -> sp.csr_array:
+    """Return rows on y_t = row'v_t, (rows, some samples), as rows on v, (rows, samples * columns)."""
+    if row is None:
+        return sp.csr_array((of_y.shape[0], samples * columns))
+    return pad_columns(sp.csr_array(sp.kron(of_y, row[None])), samples * columns)

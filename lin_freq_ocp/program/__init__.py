@@ -1,0 +1,1 @@
+"""The linear program of a problem: rows and their sparse form, units, and the solvers that take it."""

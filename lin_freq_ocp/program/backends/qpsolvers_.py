@@ -1,0 +1,77 @@
+"""Every solver that qpsolvers finds installed: min 1/2 z'P z + q'z, G z <= h, A z = b; P z + q + G'z_G + A'y = 0."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import qpsolvers
+import scipy.sparse as sp
+
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
+from lin_freq_ocp.program.program import Program
+
+# How each solver spells its tolerance; one that is not here runs with its own
+SETTINGS: dict[str, Callable[[float], dict[str, object]]] = {
+    "clarabel": lambda tolerance: dict.fromkeys(("tol_feas", "tol_gap_abs", "tol_gap_rel"), tolerance),
+    "piqp": lambda tolerance: dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs"), tolerance),
+    "proxqp": lambda tolerance: {
+        **dict.fromkeys(("eps_abs", "eps_duality_gap_abs", "eps_duality_gap_rel"), tolerance),
+        "check_duality_gap": True,
+    },
+    "scs": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iters": 200_000},
+    "osqp": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": 200_000, "polishing": True},
+}
+# How each solver spells its time limit; one that is not here has none
+TIME_LIMITS = {
+    "clarabel": "time_limit",
+    "osqp": "time_limit",
+    "highs": "time_limit",
+    "daqp": "time_limit",
+    "scs": "time_limit_secs",
+}
+
+
+def solver(member: str) -> Solver:
+    """Return a solver function that calls qpsolvers with ``member``."""
+    if member not in qpsolvers.available_solvers:
+        raise MissingExtraError(
+            f"backend 'qpsolvers:{member}': not installed. "
+            f"Installed: {', '.join(sorted(qpsolvers.available_solvers))}. "
+            f"Install it with: pip install 'qpsolvers[{member}]'."
+        )
+
+    return partial(_solve, member)
+
+
+def _solve(member: str, program: Program, tolerance: float, time_limit: float | None) -> Solution:
+    form = program.standard()
+    typed = sp.csc_matrix if member in qpsolvers.sparse_solvers else (lambda matrix: np.asarray(matrix.todense()))
+    count = form.equations
+    inequalities = (typed(form.A[count:]), form.b[count:]) if form.inequalities else (None, None)
+    equations = (typed(form.A[:count]), form.b[:count]) if count else (None, None)
+    problem = qpsolvers.Problem(typed(program.P), program.q, *inequalities, *equations)
+    settings = SETTINGS[member](tolerance) if member in SETTINGS else {}
+    if time_limit is not None:
+        if member not in TIME_LIMITS:
+            raise UnsupportedError(f"time_limit: backend 'qpsolvers:{member}' cannot stop at one; leave it out.")
+        settings[TIME_LIMITS[member]] = time_limit
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # qpsolvers warns of conversions; residuals tell what matters
+        start = now()
+        try:
+            answer = qpsolvers.solve_problem(problem, member, None, False, **settings)
+        except qpsolvers.exceptions.QPError as error:
+            return Solution(Claim.FAILED, None, None, str(error))
+    late = time_limit is not None and now() - start >= time_limit
+    missed = Claim.TIME_LIMIT if late else Claim.FAILED
+    parts = [answer.x, answer.y if count else np.zeros(0), answer.z if form.inequalities else np.zeros(0)]
+    x, y, z = (np.full(1, np.nan) if part is None else np.asarray(part) for part in parts)
+    if not all(np.isfinite(part).all() for part in (x, y, z)):
+        return Solution(missed, None, None, "no solution")
+    claim = Claim.SOLVED if answer.found else missed
+    return Solution(claim, x, form.dual(len(program.lower), np.append(y, z)), f"found: {answer.found}")

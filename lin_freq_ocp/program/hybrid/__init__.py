@@ -1,0 +1,1 @@
+"""Relaxations and mixed-integer programs of problems with modes."""

@@ -1,0 +1,375 @@
+"""The convex relaxation of a piecewise-affine problem whose modes are restricted to a mask (T, modes).
+
+Where one mode is left, its map and region are rows on (x_t, u_t). Where several are, y_{t,i} is the share of mode i in
+(x_t, u_t) and delta_{t,i} >= 0 its weight (the perspective formulation: Moehle and Boyd 2015, Marcucci and Tedrake
+2019), in the boxes of ``analysis.mode_reach``:
+
+    SUM     x_t = sum_i y_x,  u_t = sum_i y_u,  sum_i delta_i = 1
+    MAP     x_{t+1} = sum_i A_i y_x + B_i y_u + d_i delta_i
+    REGION  G_i y_x + H_i y_u <= h_i delta_i
+    BOX     lower_i delta_i <= y_i <= upper_i delta_i
+    CONE    cost sum_i delta_i c_t(y_i / delta_i) by epigraphs: 2 epsilon_i delta_i >= |L y_i|^2, L'L the Hessian
+
+It is the convex hull of graph and cost of each stage.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, UNBOUNDED, ModeReach, Reach
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.hybrid.rows import (
+    Groups,
+    Lagrangian,
+    ModeColumns,
+    RowTemplate,
+    Sense,
+    StageBounds,
+    StageDuals,
+    hessian_roots,
+    mode_rows,
+    mode_stages,
+)
+from lin_freq_ocp.program.program import Block, StandardForm
+from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.units import common_scaling
+
+COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
+SMALL_OBJECTIVE = 0.1  # solvers end at errors relative to the objective or to 1: below, the cost gets other units
+LARGE_OBJECTIVE = 1e3  # in units of a smaller cost, from which errors are as large as those units were to avoid
+LARGEST_LEVEL = 1e6  # of these units: a smaller cost is that of rounding errors
+FIXED = 1e-9  # a box narrower than this, in natural units, is an equation: interior-point methods need an interior
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """The relaxation of one reach, with its columns of the template; the rows are those of the form."""
+
+    form: StandardForm
+    reach: Reach
+    columns: Indices
+
+    def duals(self, y: Array, eta_C: float) -> Duals:
+        """Return the duals of the standard form by rows of the template."""
+        return Duals(self.form.row, self.form.sign * y, eta_C)
+
+
+@dataclass(frozen=True, eq=False)
+class Duals:
+    """The duals y of a member, P z + q + A'y = 0, by its rows of the template; eta_C = 0 for a Farkas ray."""
+
+    rows: Indices
+    y: Array
+    eta_C: float
+
+
+class ModeRelaxation:
+    """The relaxations of one problem with piecewise-affine dynamics and a convex cost."""
+
+    bounds_where_several = False  # whether (x_t, u_t) has its own bounds where shares have them, too
+
+    def __init__(self, problem: OptimalControlProblem, level: float = 1.0):
+        self.problem, self.reach, self._level = problem, ModeReach(problem), level
+        T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(piecewise_affine(problem).modes)
+        hosts = [
+            LinearTranscription(replace(problem, dynamics=piecewise_affine(problem).along(np.full(T, mode))))
+            for mode in range(modes)
+        ]
+        self._host, units = hosts[0], common_scaling(hosts)
+        self._scaling = replace(units, cost=COST_SHARE * level * units.cost)
+        self._program = self._host.program.scaled(self._scaling)
+        states = (T + 1) * n
+        sizes = np.concatenate([units.columns[:n], units.columns[states : states + m]])
+        self._stages, self._n = mode_stages(problem, sizes), n
+        self._at = ModeColumns(T, modes, n, m, len(self._program.q))
+        template = RowTemplate()
+        self._add_host_rows(template)
+        self._x_boxes, self._u_boxes = _box_rows(template, self._at.x), _box_rows(template, self._at.y[:, n:])
+        self._add_rows(template, np.sqrt(units.cost) * hessian_roots(problem.quadratic, sizes, T))
+        self._template = template.finished(self._at.count)
+        hessian = sp.coo_array(sp.csc_array(sp.triu(self._program.P)))
+        self._hessian = hessian.data, *(np.asarray(part, dtype=np.int32) for part in hessian.coords)
+        self._price = np.zeros(self._at.count)
+        self._price[: len(self._program.q)] = self._program.q
+        self._price[self._at.epsilon] = COST_SHARE * level
+        self._stage = np.full(self._at.count, -1)
+        self._stage[self._at.y] = np.arange(T)[:, None]
+
+    def member(self, reach: Reach) -> Member:
+        """Return the relaxation of the modes that a reach allows; UnsupportedError if a signal is not bounded."""
+        single = reach.allowed.sum(axis=1) == 1
+        many = reach.allowed & ~single[:, None]
+        values, right = self._template.values.copy(), self._template.right.copy()
+        rows, columns = np.zeros(len(right), dtype=bool), np.ones(self._at.count, dtype=bool)
+        for part in self._host_rows:
+            part.of(rows)[:] = True
+        self._take_boxes(rows, right, reach, single | self.bounds_where_several)
+        one, finite = reach.allowed & single[:, None], np.isfinite(self._stages.limits)
+        self._rows.one_map.take(rows, one)
+        self._rows.one_region.take(rows, one, finite)
+        self._rows.weight_sum.take(rows, ~single)
+        self._rows.weight.take(rows, many)
+        self._take_several(rows, values, right, reach, many)
+        self._several_columns(columns, many)
+        part, kept = self._template.member(rows, columns, values, right), np.flatnonzero(columns)
+        form = StandardForm(
+            P=self._hessian_of(single, len(kept)),
+            q=self._price[kept],
+            A=part.A,
+            b=part.b,
+            equations=part.equations,
+            inequalities=part.inequalities,
+            cones=tuple(self._cone_sizes[rows[self._cone_heads]].tolist()),  # all rows of a cone are taken, or none
+            row=part.row,
+            sign=part.sign,
+        )
+        return Member(form, reach, kept)
+
+    def for_cost(self, cost: float) -> Self:
+        """Return the same relaxations in units in which the objective of this cost is not far below 1.
+
+        Units of a smaller cost, kept from an earlier solve, are left as well.
+        """
+        objective = abs(self.objective(cost))
+        small, large = self._level < LARGEST_LEVEL, self._level > 1
+        if not ((small and objective < SMALL_OBJECTIVE) or (large and objective > LARGE_OBJECTIVE)):
+            return self
+        level = self._level / max(objective, 1 / LARGEST_LEVEL)
+        return type(self)(self.problem, min(max(level, 1.0), LARGEST_LEVEL))
+
+    @property
+    def level(self) -> float:
+        """Return by how much the objective of members is larger than it would be of itself."""
+        return self._level
+
+    def moved(self, problem: OptimalControlProblem) -> Self:
+        """Return the relaxations of a problem that differs in the point where it starts alone."""
+        found = copy(self)
+        found.problem, found.reach = problem, ModeReach(problem)
+        return found
+
+    @property
+    def state_curvature(self) -> Array:
+        """Return the largest diagonal of the cost's Hessian for each state, (n,)."""
+        stage = np.abs(self.problem.quadratic.stage_hessians()).max(axis=0).diagonal()[: self._n]
+        return np.maximum(stage, np.abs(np.diagonal(self.problem.quadratic.P)))
+
+    @cached_property
+    def _lagrangian(self) -> Lagrangian | None:
+        """The cost and the rows over all times; None for a problem with terms that are not equations of x and u."""
+        program, form, at, scale = self._program, self._sides, self._at, self._scaling.cost
+        T, k = at.y.shape
+        if form.inequalities or form.cones or len(program.q) > at.x.size + T * (k - self._n):
+            return None
+        dense, units = form.A.toarray(), self._stages.units
+        rows, price = np.zeros((len(dense), T + 1, k)), np.zeros((T + 1, k))
+        for part, of_host in ((rows, dense), (price, self._price)):
+            part[..., :T, :], part[..., T, : self._n] = of_host[..., at.y], of_host[..., at.x[T]]
+        cost, last = self.problem.quadratic, units[: self._n]
+        hessians = np.broadcast_to(cost.stage_hessians(), (T, k, k)) * np.outer(units, units)
+        return Lagrangian(scale * hessians, scale * cost.P * np.outer(last, last), price, rows, form.b)
+
+    @cached_property
+    def _bounds(self) -> StageBounds | None:
+        """What duals prove."""
+        return None if self._lagrangian is None else StageBounds(self._stages, self._lagrangian)
+
+    def phi(self, reach: Reach, duals: Duals) -> tuple[Array, float] | None:
+        """Return what duals with eta_C = 1 prove of a reach, as costs: of every mode (T, modes), and beyond stages.
+
+        The bound is the sum over stages of the least of its modes, and the rest (see rows.py).
+        """
+        if self._bounds is None:
+            return None
+        full, rows = self._filled(duals), self._rows
+        region = np.maximum(rows.one_region.of(full) + rows.share_region.of(full), 0.0)
+        links, others = self._scaled_adjoint(full), self._host_rows[0].of(full).ravel()
+        found, rest = self._bounds.phi(reach, StageDuals(links, others, region.reshape(self._stages.limits.shape)))
+        return found / self._scaling.cost, self.cost(rest)
+
+    @property
+    def proves(self) -> bool:
+        """Whether duals of any kind give a bound."""
+        return self._bounds is not None
+
+    def proven(self, reach: Reach, duals: Duals) -> float:
+        """Return the bound on the cost that duals with eta_C = 1 prove of a reach."""
+        found = self.phi(reach, duals)
+        return -np.inf if found is None else float(found[0].min(axis=1).sum()) + found[1]
+
+    def objective(self, cost: float) -> float:
+        """Return the objective of a member of a cost."""
+        return (cost - self._host.program.constant) * self._scaling.cost
+
+    def cost(self, objective: float) -> float:
+        """Return the cost of an objective of a member."""
+        return objective / self._scaling.cost + self._host.program.constant
+
+    def point(self, member: Member, z: Array) -> tuple[Trajectory, Array]:
+        """Return (x, u), in which x need not follow from u, and the weights delta, (T, modes)."""
+        full = np.zeros(self._at.count)
+        full[member.columns] = z
+        host = self._scaling.primal(full[: len(self._program.q)])
+        weights = np.where((member.reach.allowed.sum(axis=1) == 1)[:, None], member.reach.allowed, full[self._at.delta])
+        return self._host.trajectory(host), weights
+
+    def violation(self, trajectory: Trajectory, sequence: Indices) -> float:
+        """Return the largest violation of a constraint by a trajectory in a mode sequence (T,).
+
+        It is in natural units, and relative to the largest signal if that is above 1.
+        """
+        z, stages, problem = self._scaling.scaled_primal(self._host.point(trajectory)), self._stages, self.problem
+        at, y = (np.arange(len(sequence)), sequence), z[self._at.y][..., None]
+        missed = (stages.maps[at] @ y)[..., 0] + stages.offsets[at] - z[self._at.x[1:]]
+        beyond = (stages.rows[at] @ y)[..., 0] - stages.limits[at]
+        of_x = problem.state_tube.violation(trajectory.x) / stages.units[: self._n]
+        of_u = problem.control_tube.violation(trajectory.u) / stages.units[self._n :]
+        others = self._shared.residuals(z, np.zeros(len(self._shared.lower))).primal
+        largest = max(np.abs(missed).max(), beyond.max(initial=0.0), of_x.max(), of_u.max())
+        return float(max(largest / max(1.0, np.abs(z[: self._host.signals]).max()), others))
+
+    def multipliers(self, duals: Duals) -> ModeMultipliers:
+        """Return the multipliers of the duals of a member."""
+        full, rows = self._filled(duals), self._rows
+        region = rows.one_region.of(full) + rows.share_region.of(full)
+        of_equations, of_inequalities, of_cones = (full[part.rows].ravel() for part in self._host_rows)
+        sides = np.concatenate([of_equations, of_inequalities, -of_cones])
+        own = self._own_multipliers(sides, self._scaled_adjoint(full), duals.eta_C)
+        region = region.reshape(self._stages.limits.shape) / self._stages.norms / self._scaling.cost
+        return ModeMultipliers(own, region)
+
+    def _own_multipliers(self, sides: Array, adjoint: Array, eta_C: float) -> Multipliers:
+        """Return the multipliers of the theorem from duals of the host rows and the adjoint (T, n), natural units."""
+        program = self._program
+        host = self._sides.dual(len(program.lower), sides)
+        host[program.rows[Block.DYNAMICS]] = adjoint.ravel()
+        return self._host.multipliers(self._scaling.dual(host), eta_C)
+
+    def adjoint(self, duals: Duals) -> Array:
+        """Return eta alone, (T, n)."""
+        return self._scaled_adjoint(self._filled(duals)) * self._adjoint_units
+
+    @property
+    def _adjoint_units(self) -> Array:
+        of_dynamics = self._scaling.rows[self._program.rows[Block.DYNAMICS]]
+        return of_dynamics.reshape(self.problem.horizon, self._n) / self._scaling.cost
+
+    def _filled(self, duals: Duals) -> Array:
+        full = np.zeros(len(self._template.right))
+        full[duals.rows] = duals.y
+        return full
+
+    def _scaled_adjoint(self, full: Array) -> Array:
+        rows, shape = self._rows, self._stages.offsets.shape
+        return rows.one_map.of(full).reshape(shape).sum(axis=1) + rows.share_map.of(full)
+
+    def _add_host_rows(self, template: RowTemplate) -> None:
+        """Add the rows of the host program beyond dynamics and boxes: spectra and terms."""
+        program, others = self._program, np.ones(len(self._program.lower), dtype=bool)
+        for block in (Block.DYNAMICS, Block.STATE_SET, Block.CONTROL_SET):
+            others[program.rows[block]] = False
+        lower, upper = np.where(others, program.lower, -np.inf), np.where(others, program.upper, np.inf)
+        self._shared = replace(program, lower=lower, upper=upper)
+        form = self._sides = self._shared.standard()
+        ends = form.equations, form.equations + form.inequalities
+        A, b = sp.csr_array(form.A), np.split(form.b, ends)
+        parts = (Sense.EQUATION, A[: ends[0]]), (Sense.INEQUALITY, A[ends[0] : ends[1]]), (Sense.CONE, -A[ends[1] :])
+        groups: list[Groups] = []
+        for (sense, matrix), right in zip(parts, (b[0], b[1], -b[2]), strict=True):
+            entries = sp.coo_array(matrix)
+            row, column = (np.asarray(part, dtype=np.intp) for part in entries.coords)
+            groups.append(template.add(sense, right[None], (row, column[None], entries.data[None])))
+        self._host_rows = tuple(groups)
+        self._cone_sizes = np.array(form.cones, dtype=np.intp)
+        self._cone_heads = self._host_rows[2].rows.ravel()[np.cumsum(self._cone_sizes) - self._cone_sizes]
+
+    def _add_rows(self, template: RowTemplate, roots: Array) -> None:
+        self._rows = mode_rows(template, self._stages, self._at, roots)
+        own = self._rows.cone.rows
+        self._cone_heads = np.append(self._cone_heads, own[:, 0])
+        self._cone_sizes = np.append(self._cone_sizes, np.full(len(own), own.shape[1]))
+
+    def _take_boxes(self, rows: Mask, right: Array, reach: Reach, bounded: Mask) -> None:
+        """Take the bounds of x_t and u_t at times ``bounded``, where shares do not have them, and of x_T."""
+        stages, n, tube = self._stages, self._n, self.problem.control_tube
+        u_lower, u_upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
+        x_ref = np.vstack([stages.references[:, :n], stages.last_reference])
+        u_ref, of_x, of_u = stages.references[:, n:], stages.units[:n], stages.units[n:]
+        for groups, low, high, taken in (
+            (self._x_boxes, (reach.lower - x_ref) / of_x, (reach.upper - x_ref) / of_x, np.append(bounded, True)),
+            (self._u_boxes, (u_lower - u_ref) / of_u, (u_upper - u_ref) / of_u, bounded),
+        ):
+            equal = high - low <= FIXED
+            for group, value, mask in zip(
+                groups,
+                (high, -low, (low + high) / 2),
+                (~equal & (high < UNBOUNDED), ~equal & (low > -UNBOUNDED), equal),
+                strict=True,
+            ):
+                group.of(rows)[:] = mask & taken[:, None]
+                group.of(right)[:] = value
+
+    def _several_columns(self, columns: Mask, many: Mask) -> None:
+        """Take the variables of modes where several are left."""
+        columns[self._at.delta] = columns[self._at.epsilon] = many
+        columns[self._at.share] = many[..., None]
+
+    def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
+        """Take the rows of modes where several are left, and fill in what depends on the reach."""
+        several, groups = np.asarray(many.any(axis=1)), self._rows
+        lower, upper = self._bounded(reach.mode_lower, many), self._bounded(reach.mode_upper, many)
+        equal = upper - lower <= FIXED
+        groups.share_sum.take(rows, several)
+        groups.share_map.take(rows, several)
+        groups.share_region.take(rows, many, np.isfinite(self._stages.limits))
+        k = lower.shape[-1]
+        for part, bound, mask in (
+            (groups.share_upper, -upper, ~equal),
+            (groups.share_lower, lower, ~equal),
+            (groups.share_equal, -(lower + upper) / 2, equal),
+        ):
+            part.take(rows, many, mask)
+            part.coefficients(values)[:, k:] = bound.reshape(-1, k)
+        groups.cone.take(rows, many)
+
+    def _bounded(self, bounds: Array, needed: Mask) -> Array:
+        """Return bounds (T, modes, k) in natural units; UnsupportedError where one is needed and missing."""
+        bounded = np.abs(bounds) < UNBOUNDED
+        missing = ~bounded & needed[..., None]
+        if missing.any():
+            t, _, j = (int(i) for i in np.argwhere(missing)[0])
+            name = (*self.problem.state_names, *self.problem.control_names)[j]
+            raise UnsupportedError(
+                f"{name}: unbounded at t = {t}, where several modes are possible; the search over modes needs bounds "
+                "that states and controls, or the reach from the initial state, have."
+            )
+        return self._stages.scaled(np.where(bounded, bounds, 0.0))
+
+    def _hessian_of(self, single: Mask, count: int) -> sp.csc_array:
+        """Return the cost of variables without shares; the columns of the host come first, and are all kept."""
+        values, row, column = self._hessian
+        stage = self._stage[row]
+        keep = (stage < 0) | single[stage]
+        pointers = np.append(np.int32(0), np.cumsum(np.bincount(column[keep], minlength=count), dtype=np.int32))
+        return sp.csc_array((values[keep], row[keep], pointers), shape=(count, count))
+
+
+def _box_rows(template: RowTemplate, columns: Indices) -> tuple[Groups, ...]:
+    """Add upper, lower and equal rows for signals (times, components)."""
+    row = np.arange(columns.shape[1])
+    return tuple(
+        template.add(sense, np.zeros(columns.shape), (row, columns, sign))
+        for sense, sign in ((Sense.INEQUALITY, 1.0), (Sense.INEQUALITY, -1.0), (Sense.EQUATION, 1.0))
+    )

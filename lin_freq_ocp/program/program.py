@@ -1,0 +1,314 @@
+"""Convex programs, quadratic or conic, with named rows and the residuals of their solutions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+
+# The gap is relative to the sum |terms| of the objective, but not to less than these parts of it
+TYPICAL_SHARE = 1e-3  # at a typical point
+UNIT_SHARE = 1e-13  # where all variables are 1
+CONIC_UNIT_SHARE = 1e-6  # the same with cones, where a point is as an interior-point method leaves it
+
+
+class Block(Enum):
+    """Names of row blocks."""
+
+    DYNAMICS = "dynamics"
+    STATE_SET = "state set"
+    CONTROL_SET = "control set"
+    TERMS = "terms"
+    STATE_SPECTRUM = "state spectrum"
+    CONTROL_SPECTRUM = "control spectrum"
+    MODES = "modes"
+    REGIONS = "mode regions"
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of (z, y), each relative to the size of its own terms (at least 1).
+
+    ``primal`` is the largest violation of lower <= A z <= upper; ``dual`` the largest entry of P z + q + A'y and of
+    duals with the wrong sign; ``gap`` the first-order error of the objective: violations times duals, complementarity,
+    and slopes times variables, relative to the sum of the objective's terms.
+    """
+
+    primal: float
+    dual: float
+    gap: float
+
+    @property
+    def worst(self) -> float:
+        """Return the largest of the three."""
+        return max(self.primal, self.dual, self.gap)
+
+
+@dataclass(frozen=True, eq=False)
+class StandardForm:
+    """Minimise 1/2 z'P z + q'z subject to A z + s = b, s in cones, with the inverse map of duals.
+
+    P is the upper triangle. Rows in this order: ``equations`` (s = 0), ``inequalities`` (s >= 0), second-order cones
+    (s_0 >= |(s_1, ...)|) with so many rows each, from these rows of the program with these signs.
+    """
+
+    P: sp.csc_array
+    q: Array
+    A: sp.csc_array
+    b: Array
+    equations: int
+    inequalities: int
+    cones: tuple[int, ...]
+    row: Indices
+    sign: Array
+
+    def dual(self, rows: int, y: Array) -> Array:
+        """Return one dual per row of the program, upper minus lower, shape (rows,)."""
+        duals = np.zeros(rows)
+        np.add.at(duals, self.row, self.sign * y)
+        return duals
+
+    def dual_objective(self, z: Array, y: Array) -> float:
+        """Return -1/2 z'P z - b'y: a lower bound if y is in the dual cone and P z + q + A'y = 0."""
+        half = self.P @ z - 0.5 * self.P.diagonal() * z
+        return float(-z @ half - self.b @ y)
+
+
+@dataclass(frozen=True, eq=False)
+class SingleBounds:
+    """The rows of a program outside cones, with those on one variable as its bounds ``below`` and ``above``.
+
+    ``violation`` is the violation of rows without variables, and of contradicting bounds.
+    """
+
+    below: Array
+    above: Array
+    A: sp.csr_array
+    lower: Array
+    upper: Array
+    violation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Minimise 1/2 z'P z + q'z + constant subject to lower <= A z <= upper, and A z - lower in a cone in cone rows.
+
+    The dual y of a row is positive at its upper and negative at its lower bound: P z + q + A'y = 0. In cone rows,
+    s = A z - lower has s_0 >= |(s_1, ...)|, and y lies in the polar cone: -y_0 >= |(y_1, ...)|; upper is infinite.
+
+    Attributes
+    ----------
+    P : sparse (variables, variables), symmetric; q : (variables,); constant : float
+    A : sparse (rows, variables); lower, upper : (rows,)
+    rows : mapping from Block to slice
+    cones : tuple of slice
+        The rows of every second-order cone; any other row stands alone.
+    binaries : indices of variables that are 0 or 1
+    """
+
+    P: sp.csc_array
+    q: Array
+    constant: float
+    A: sp.csc_array
+    lower: Array
+    upper: Array
+    rows: Mapping[Block, slice]
+    cones: tuple[slice, ...] = ()
+    binaries: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    @property
+    def equality(self) -> Mask:
+        """Which rows are equations."""
+        return self.lower == self.upper
+
+    @cached_property
+    def in_cones(self) -> Indices:
+        """The rows of all cones, one cone after the other."""
+        return np.concatenate([np.arange(cone.start, cone.stop) for cone in self.cones] or [np.zeros(0, dtype=int)])
+
+    @cached_property
+    def alone(self) -> Mask:
+        """Which rows are in no cone."""
+        alone = np.ones(len(self.lower), dtype=bool)
+        alone[self.in_cones] = False
+        return alone
+
+    def without_bounds_beyond(self, size: float) -> Program | None:
+        """Return the program without bounds farther than ``size`` from zero; None if there are none."""
+        above = self.alone & np.isfinite(self.upper) & (self.upper > size) & ~self.equality
+        below = self.alone & np.isfinite(self.lower) & (self.lower < -size) & ~self.equality
+        if not (above.any() or below.any()):
+            return None
+        return replace(self, lower=np.where(below, -np.inf, self.lower), upper=np.where(above, np.inf, self.upper))
+
+    def standard(self) -> StandardForm:
+        """Return the program in the form of interior-point methods."""
+        equal = self.equality
+        above = ~equal & np.isfinite(self.upper)
+        below = ~equal & np.isfinite(self.lower) & self.alone
+        parts = *(np.flatnonzero(rows) for rows in (equal, above, below)), self.in_cones
+        row, sign = np.concatenate(parts), np.repeat([1.0, 1.0, -1.0, -1.0], [len(part) for part in parts])
+        A = self.A[row]
+        A.sort_indices()
+        A.data *= sign[A.indices]
+        return StandardForm(
+            P=_upper_triangle(self.P),
+            q=self.q,
+            A=A,
+            b=np.where(sign > 0, self.upper[row], -self.lower[row]),
+            equations=len(parts[0]),
+            inequalities=len(parts[1]) + len(parts[2]),
+            cones=tuple(cone.stop - cone.start for cone in self.cones),
+            row=row,
+            sign=sign,
+        )
+
+    def single_bounds(self) -> SingleBounds:
+        """Return the rows outside cones, those on one variable as its bounds."""
+        A = sp.csr_array(self.A)
+        count = np.diff(A.indptr)
+        single = self.alone & (count == 1)
+        below, above = np.full(len(self.q), -np.inf), np.full(len(self.q), np.inf)
+        first = A.indptr[:-1][single]
+        column, value = A.indices[first], A.data[first]
+        limits = np.sort([self.lower[single] / value, self.upper[single] / value], axis=0)
+        np.maximum.at(below, column, limits[0])
+        np.minimum.at(above, column, limits[1])
+        empty, rest = self.alone & (count == 0), self.alone & (count > 1)
+        violation = np.concatenate([below - above, self.lower[empty], -self.upper[empty]]).max(initial=0.0)
+        above = np.maximum(below, above)
+        return SingleBounds(below, above, sp.csr_array(A[rest]), self.lower[rest], self.upper[rest], float(violation))
+
+    def scaled(self, scaling: Scaling) -> Program:
+        """Return the program in other units."""
+        D, E = sp.diags_array(scaling.columns), sp.diags_array(scaling.rows)
+        return replace(
+            self,
+            P=sp.csc_array(scaling.cost * (D @ self.P @ D)),
+            q=scaling.cost * scaling.columns * self.q,
+            constant=scaling.cost * self.constant,
+            A=sp.csc_array(E @ self.A @ D),
+            lower=scaling.rows * self.lower,
+            upper=scaling.rows * self.upper,
+        )
+
+    def objective(self, z: Array) -> float:
+        """Return 1/2 z'P z + q'z + constant."""
+        return float(0.5 * z @ (self.P @ z) + self.q @ z + self.constant)
+
+    def residuals(self, z: Array, y: Array, sizes: Array | float = 1.0) -> Residuals:
+        """Return the residuals of a point and duals; ``sizes`` (variables,) are those of a typical point."""
+        if not (np.isfinite(z).all() and np.isfinite(y).all()):
+            return Residuals(np.inf, np.inf, np.inf)
+        Pz, Az, Aty = self.P @ z, self.A @ z, self.A.T @ y
+        violation = np.where(self.alone, np.maximum(np.maximum(self.lower - Az, Az - self.upper), 0.0), 0.0)
+        above = Az - self.lower
+        outside = max((_outside_cone(above[cone]) for cone in self.cones), default=0.0)
+        outside_polar = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
+        bound, carried = self._bound_of(y)
+        impossible = ~carried & (y != 0)
+        slope, apart = Pz + self.q + Aty, bound - Az
+        with np.errstate(over="ignore", invalid="ignore"):  # divergence gives large residuals
+            wrong = float(np.abs(y[self.alone]) @ np.abs(apart[self.alone]) + np.abs(slope) @ np.abs(z))
+            wrong += sum(abs(float(y[cone] @ apart[cone])) for cone in self.cones)
+            rounding = CONIC_UNIT_SHARE if self.cones else UNIT_SHARE
+            ones = np.ones(len(z))
+            least = TYPICAL_SHARE * self._magnitude(sizes * ones), rounding * self._magnitude(ones)
+            total = max(self._magnitude(np.abs(z)), *least)
+        size = np.abs(Pz).max(initial=0), np.abs(Aty).max(initial=0), np.abs(self.q).max(initial=0)
+        return Residuals(
+            primal=float(max(violation.max(initial=0), outside) / max(1.0, np.abs(Az).max(initial=0))),
+            dual=float(
+                max(np.abs(slope).max(initial=0), np.abs(y[impossible]).max(initial=0), outside_polar) / max(1.0, *size)
+            ),
+            gap=wrong / total if total > 0 else wrong,
+        )
+
+    def dual_objective(self, z: Array, y: Array) -> float:
+        """Return -1/2 z'P z - (support of y) + constant: a lower bound if P z + q + A'y = 0."""
+        return float(-0.5 * z @ (self.P @ z) - y @ self._bound_of(y)[0] + self.constant)
+
+    def _bound_of(self, y: Array) -> tuple[Array, Mask]:
+        """Return the bound that each dual belongs to, 0 if it is infinite, and whether it is finite."""
+        bound = np.where((y > 0) & self.alone, self.upper, self.lower)
+        finite = np.isfinite(bound)
+        return np.where(finite, bound, 0.0), finite
+
+    def _magnitude(self, z: Array) -> float:
+        """Return the sum of the absolute terms of the objective, for z >= 0."""
+        return float(0.5 * z @ (abs(self.P) @ z) + np.abs(self.q) @ z)
+
+    def infeasibility_residual(self, y: Array) -> float:
+        """Return the residual of y as a Farkas proof: A'y = 0, scaled to a support of -1; inf if that is >= 0.
+
+        Duals of missing bounds, or outside the polar of a cone, count likewise.
+        """
+        bound, carried = self._bound_of(y)
+        support = float((y * bound).sum())
+        if support >= 0:
+            return np.inf
+        outside = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
+        lost = np.abs(y[~carried]).max(initial=0.0)
+        return float(max(np.abs(self.A.T @ y).max(initial=0.0), lost, outside)) / -support
+
+    def descent_ray_residual(self, z: Array) -> float:
+        """Return the residual of z as a ray of descent: P z = 0, A z recedes, scaled to q'z = -1; inf if q'z >= 0."""
+        slope = float(self.q @ z)
+        if slope >= 0:
+            return np.inf
+        z = z / -slope
+        Az = self.A @ z
+        has_lower = np.isfinite(self.lower) & self.alone
+        leaving = np.maximum(np.where(np.isfinite(self.upper), Az, 0.0), np.where(has_lower, -Az, 0.0))
+        outside = max((_outside_cone(Az[cone]) for cone in self.cones), default=0.0)
+        return float(max(np.abs(self.P @ z).max(initial=0), leaving.max(initial=0.0), outside))
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """Change of units z = columns * z', row i times rows[i], cost times ``cost``; and its exact inverse.
+
+    The rows of one cone have the same factor.
+    """
+
+    columns: Array
+    rows: Array
+    cost: float
+
+    def primal(self, z: Array) -> Array:
+        """Return z in the program's own units."""
+        return self.columns * z
+
+    def dual(self, y: Array) -> Array:
+        """Return y in the program's own units."""
+        return self.rows * y / self.cost
+
+    def scaled_primal(self, z: Array) -> Array:
+        """Return z, in the program's own units, in the new ones."""
+        return z / self.columns
+
+    def scaled_dual(self, y: Array) -> Array:
+        """Return y, in the program's own units, in the new ones."""
+        return y * self.cost / self.rows
+
+
+def _upper_triangle(matrix: sp.csc_array) -> sp.csc_array:
+    """Return the upper triangle; scipy's takes several times as long."""
+    columns = matrix.shape[1]
+    column = np.repeat(np.arange(columns), np.diff(matrix.indptr))
+    kept = matrix.indices <= column
+    pointers = np.append(0, np.cumsum(np.bincount(column[kept], minlength=columns)))
+    triangle = sp.csc_array((matrix.data[kept], matrix.indices[kept], pointers), shape=matrix.shape)
+    triangle.sort_indices()
+    return triangle
+
+
+def _outside_cone(s: Array) -> float:
+    """Return by how much |(s_1, ...)| exceeds s_0."""
+    return max(float(np.linalg.norm(s[1:]) - s[0]), 0.0)

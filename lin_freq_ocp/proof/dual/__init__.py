@@ -1,1 +1,0 @@
-"""The section DUAL of a proof for one mode."""

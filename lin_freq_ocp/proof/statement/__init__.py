@@ -1,1 +1,0 @@
-"""The section PROBLEM of a proof."""

@@ -1,0 +1,122 @@
+"""certify() for dynamics with modes: multipliers where modes meet, and changes of one mode (flips) that improve."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain
+
+from lin_freq_ocp.base.arrays import Indices
+from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet, modes_along
+from lin_freq_ocp.certificate.rays import Direction, descent_direction
+from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.methods.hybrid.search.multipliers import candidates, weighted
+from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+MOST_FLIPS = 16  # flips that are verified, the steepest first: each takes a fit of multipliers
+
+
+def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate:
+    """Judge a trajectory of dynamics with modes with the best multipliers that are found, ordered by ``_rank``.
+
+    Every flip that they name is tried: the judge checks a direction of descent in the mode sequence with the flip.
+    """
+    best, _ = best_multipliers(problem, trajectory)
+    problem = problem.affine_at(trajectory)
+    if not best.failed and _facts(best).flip_stationary:
+        return best
+    facts, descent = _verified(problem, trajectory, _facts(best))
+    abnormal = _abnormal(problem, trajectory) if best.failed and best.feasible else None
+    return replace(best, borders=facts, descent=descent) if abnormal is None else replace(abnormal, descent=descent)
+
+
+def best_multipliers(
+    problem: OptimalControlProblem, trajectory: Trajectory, first: Multipliers | None = None
+) -> tuple[Certificate, Multipliers]:
+    """Return the best multipliers that are found, and the certificate with them; ``first`` are judged before others.
+
+    NumericalError if ``first`` is not given, and no fit could be solved.
+    """
+    best: tuple[Certificate, Multipliers] | None = None
+    for multipliers in chain([] if first is None else [first], _candidates(problem, trajectory, first is not None)):
+        certificate = judge(problem, trajectory, multipliers)
+        if best is None or _rank(certificate) > _rank(best[0]):
+            best = certificate, multipliers
+        if not best[0].failed and _facts(best[0]).flip_stationary:
+            break
+        if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
+            break  # no others can help
+    assert best is not None  # candidates yields, or raises
+    return best
+
+
+def _candidates(problem: OptimalControlProblem, trajectory: Trajectory, optional: bool) -> Iterator[Multipliers]:
+    try:
+        yield from candidates(problem.affine_at(trajectory), trajectory)
+    except NumericalError:
+        if not optional:
+            raise
+
+
+def _facts(certificate: Certificate) -> SwitchingFacts:
+    facts = facts_where_modes_meet(certificate)
+    assert facts is not None  # the dynamics have modes
+    return facts
+
+
+def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
+    facts = _facts(certificate)
+    stationary = not certificate.failed, facts.flip_stationary, facts.elsewhere
+    return *stationary, -len(facts.flips), -certificate.worst.relative
+
+
+def _abnormal(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate | None:
+    """Return the certificate of abnormal multipliers that satisfy all conditions, if they are found."""
+    sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
+    found = abnormal_multipliers(problem.with_modes(sequence), trajectory)
+    if found is None:
+        return None
+    certificate = judge(problem, trajectory, weighted(problem, trajectory, sequence, found))
+    return None if certificate.failed else certificate
+
+
+def _verified(
+    problem: OptimalControlProblem, trajectory: Trajectory, facts: SwitchingFacts
+) -> tuple[SwitchingFacts, Direction | None]:
+    """Return the facts with the result of every flip, and the steepest direction of descent that was verified."""
+    sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
+    improves, direction = _tried(problem, trajectory, sequence)
+    directions, flips = [direction], list[Flip]()
+    for flip in facts.flips[:MOST_FLIPS]:
+        if flip.mode != sequence[flip.time]:
+            flipped = sequence.copy()
+            flipped[flip.time] = flip.mode
+            answer, direction = _tried(problem, trajectory, flipped)
+            directions.append(direction)
+        else:
+            answer = improves
+        flips.append(flip._replace(improves=answer))
+    found = [direction for direction in directions if direction is not None]
+    rest = facts.flips[MOST_FLIPS:]
+    return replace(facts, flips=(*flips, *rest)), min(found, key=lambda direction: direction.slope, default=None)
+
+
+def _tried(
+    problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices
+) -> tuple[bool | None, Direction | None]:
+    """Return whether a mode sequence improves on the trajectory to first order, and the direction along which it does.
+
+    None: neither a direction of descent nor multipliers of its own were found.
+    """
+    linear = problem.with_modes(sequence)
+    try:
+        fit = fit_multipliers(linear, trajectory)
+    except NumericalError:
+        return None, None
+    direction = descent_direction(linear, trajectory, fit.descent)
+    if direction is not None:
+        return True, direction
+    return (False if judge(linear, trajectory, fit.multipliers).pmp == "satisfied" else None), None

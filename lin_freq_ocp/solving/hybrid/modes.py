@@ -1,0 +1,349 @@
+"""The methods for piecewise-affine dynamics: search, solve the best sequence alone, judge the point and the tree.
+
+The tree is the evidence of the outcome. In a control loop, a search leaves its relaxations and a cover of the sequences
+to that of the next step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Indices
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
+from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.methods.candidate import require_convex
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode
+from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
+from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
+from lin_freq_ocp.methods.hybrid.search.search import GAP, SearchLimits, SearchOutcome, SearchProgress, refined
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
+from lin_freq_ocp.solving.kept import SearchCache
+from lin_freq_ocp.solving.method import Request
+from lin_freq_ocp.solving.outcome import Evidence, Outcome
+
+
+@dataclass(frozen=True, eq=False)
+class TreeEvidence(Evidence):
+    """The nodes of a search, with the multipliers that prove its leaves, and the bound that the judge verified."""
+
+    tree: ModeTree
+    bound: TreeBound
+
+    @property
+    def lower_bound(self) -> float:
+        """Return the bound of the tree."""
+        return self.bound.value
+
+    def verified(self, problem: OptimalControlProblem) -> Bound | None:
+        """Check all nodes once more."""
+        return tree_bound(problem, self.tree).bound_for(problem)
+
+    def raised(self, constant: float) -> TreeEvidence:
+        """Return the same tree with bounds higher by a constant."""
+        bound = self.bound
+        return replace(self, bound=replace(bound, value=bound.value + constant, bounds=bound.bounds + constant))
+
+    def with_multipliers(self, restated: Callable[[Multipliers], Multipliers]) -> TreeEvidence:
+        """Return the tree with the multipliers of all proofs restated."""
+
+        def node_restated(node: ModeNode) -> ModeNode:
+            if node.proof is None:
+                return node
+            return replace(node, proof=replace(node.proof, multipliers=restated(node.proof.multipliers)))
+
+        return replace(self, tree=replace(self.tree, nodes=tuple(map(node_restated, self.tree.nodes))))
+
+    def __str__(self) -> str:
+        return f"tree      {len(self.tree.nodes)} nodes, {self.bound.leaves} leaves, each checked"
+
+
+def tree_of(outcome: Outcome) -> TreeEvidence | None:
+    """Return the search tree of an outcome, if it has one."""
+    return outcome.evidence if isinstance(outcome.evidence, TreeEvidence) else None
+
+
+class KeptTree(SearchCache):
+    """The relaxations of a search, and a cover of the sequences of the next step."""
+
+    def __init__(self):
+        self._of: OptimalControlProblem | None = None  # from which the problem of a step differs in its start alone
+        self._relaxation: ModeRelaxation | None = None
+        self._cover: Sequence[CoverNode] = ()
+        self._base: OptimalControlProblem | None = None
+        self.solved = 0
+
+    def begins(self, base: OptimalControlProblem | None) -> None:
+        """Say from which problem the next differs in its start alone; None if in more."""
+        self._base = base
+
+    def search(
+        self,
+        problem: OptimalControlProblem,
+        limits: SearchLimits,
+        progress: Callable[[SearchProgress], None] | None,
+        start: Indices | None,
+    ) -> SearchOutcome:
+        """Search from what the step before has left, and keep what this leaves."""
+        kept, cover = self._relaxation, self._cover
+        if kept is not None and self._base is not None and self._base is self._of:
+            search = TreeSearch(problem, limits, progress, kept.moved, compiled_from=0)
+        else:
+            search = TreeSearch(problem, limits, progress, compiled_from=0)
+            cover = [replace(node, duals=None) for node in cover]  # theirs are the units of other data
+        self._cover, self.solved = (), 0  # should this one fail
+        outcome = search.run(start, cover=cover)
+        self.solved = outcome.nodes
+        self._of, self._relaxation, self._cover = self._base, search.final_relaxation, search.cover_after_step()
+        return outcome
+
+
+SEQUENCE_BACKEND = "clarabel"  # solves the best sequence, accurately, for its multipliers
+LEAST_TIME = 0.25  # seconds for the best sequence, and for the leaves, when the search has used all the time
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The options of a search of our own over mode sequences, and the way from its end to an outcome."""
+
+    gap: float = GAP
+    node_limit: int | None = None
+
+    shorthand: ClassVar[str]
+    takes_start: ClassVar[bool]
+
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Search, and judge the best sequence's trajectory and the tree."""
+        require_convex(problem)
+        limits = _limits(self.gap, self.node_limit, request)
+        started = now()
+        found = self._searched(problem, limits, request)
+        seconds = {"setup": found.setup, "solve": now() - started - found.setup}
+        return _judged(problem, self.shorthand, found, self.gap, seconds, started + request.time_limit)
+
+    def _searched(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class BranchAndBound(_Search):
+    """Branch and bound over mode sequences (piecewise-affine dynamics; docs/mode_search.md).
+
+    Attributes
+    ----------
+    gap : float
+        Relative gap (J - D)/S to prove.
+    node_limit : int, optional
+        Relaxations to solve at most.
+    executor : concurrent.futures.Executor, optional
+        Searches sub-trees with its workers. The answer does not depend on how many there are.
+
+    Examples
+    --------
+    >>> problem = lfo.library.pendulum_with_wall(horizon=4)
+    >>> lfo.solve(problem, lfo.solvers.BranchAndBound(gap=1e-4)).status
+    'optimal'
+    """
+
+    executor: Executor | None = None
+
+    shorthand: ClassVar[str] = "branch_and_bound"
+    takes_start: ClassVar[bool] = True
+
+    def _searched(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
+        first = None if request.start is None else request.start.sequence
+        if self.executor is not None:
+            return search_in_parts(problem, limits, self.executor, request.progress, first)
+        if isinstance(request.tree, KeptTree):
+            return request.tree.search(problem, limits, request.progress, first)
+        return TreeSearch(problem, limits, progress=request.progress).run(first)
+
+
+@dataclass(frozen=True)
+class Enumeration(_Search):
+    """All mode sequences, one after the other (piecewise-affine dynamics, short horizons).
+
+    Attributes
+    ----------
+    gap, node_limit
+        As for ``BranchAndBound``.
+
+    Examples
+    --------
+    >>> problem = lfo.library.pendulum_with_wall(horizon=4)
+    >>> lfo.solve(problem, lfo.solvers.Enumeration()).status
+    'optimal'
+    """
+
+    shorthand: ClassVar[str] = "enumerate"
+    takes_start: ClassVar[bool] = False
+
+    def _searched(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
+        return enumerate_sequences(problem, limits, request.progress)
+
+
+@dataclass(frozen=True)
+class MixedInteger:
+    """A mixed-integer solver's mode sequence, which branch and bound then proves or improves.
+
+    Attributes
+    ----------
+    backend : str
+        "auto" (SCIP), "scip" or "daqp".
+    gap, node_limit
+        As for ``BranchAndBound``, which follows.
+
+    Examples
+    --------
+    >>> lfo.solvers.MixedInteger(backend="daqp").gap
+    1e-06
+    """
+
+    backend: str = "auto"
+    gap: float = GAP
+    node_limit: int | None = None
+
+    shorthand: ClassVar[str] = "miqp"
+    takes_start: ClassVar[bool] = False
+
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Search, beginning with the solver's sequence; the message names a claim that proves wrong."""
+        require_convex(problem)
+        backend = "scip" if self.backend == "auto" else self.backend
+        limits = _limits(self.gap, self.node_limit, request)
+        end = now() + limits.seconds
+        claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
+        left = max(limits.seconds - sum(claim.seconds.values()), LEAST_TIME)
+        clock = now()
+        outcome = TreeSearch(problem, replace(limits, seconds=left), progress=request.progress).run(claim.sequence)
+        late = now() > end  # the search's own limit was what was left
+        if late and outcome.message and not outcome.interrupted:
+            outcome = replace(outcome, message=f"time limit of {limits.seconds:g} s")
+        seconds = {**claim.seconds, "solve": claim.seconds["solve"] + now() - clock}
+        result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
+        found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
+        certificate, agreed = result.certificate, False
+        if claim.cost is not None and certificate is not None:
+            agreed = abs(claim.cost - certificate.cost) <= max(limits.gap, AGREEMENT) * certificate.cost_scale
+        if result.status == Status.OPTIMAL and not agreed:
+            return replace(result, message=f"{backend} ended with {found} ('{claim.message}'), the optimum is {proven}")
+        return result
+
+
+def _limits(gap: float, node_limit: int | None, request: Request) -> SearchLimits:
+    return SearchLimits(gap, request.time_limit, node_limit or SearchLimits.nodes)
+
+
+def _judged(
+    problem: OptimalControlProblem,
+    method: str,
+    outcome: SearchOutcome,
+    gap: float,
+    seconds: dict[str, float],
+    end: float,
+) -> Outcome:
+    clock = now()
+    left = max(end - clock, LEAST_TIME)
+    end = clock + left
+    point = None if outcome.sequence is None else _point(problem, outcome.sequence, None if left == np.inf else left)
+    trajectory, multipliers, certificate = (None, None, None) if point is None else point
+    proof = tree_bound(problem, outcome.tree, end)
+    unproven = now() > end
+    needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
+    if unproven and not outcome.interrupted:
+        outcome = replace(outcome, message=f"{outcome.message or 'time limit'}; not all leaves were proven in time")
+    for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, the second is solved more accurately
+        if not outcome.message and not proof.value >= needed:
+            weak = np.flatnonzero(proof.bounds < needed)
+            better = refined(problem, outcome.tree, weak, end, kind)
+            found = tree_bound(problem, better, end)
+            if found.value > proof.value:
+                outcome, proof = replace(outcome, tree=better), found
+    if certificate is not None:
+        certificate = replace(certificate, bound=proof.bound_for(problem))
+    status, message = _status(outcome, certificate, proof, gap)
+    return Outcome(
+        problem=problem,
+        status=status,
+        method=method,
+        backend=None,
+        seconds={**seconds, "certify": now() - clock},
+        trajectory=trajectory,
+        multipliers=multipliers,
+        certificate=certificate,
+        message=message,
+        interrupted=outcome.interrupted,
+        sequence=outcome.sequence,
+        evidence=TreeEvidence(outcome.tree, proof),
+    )
+
+
+def _point(
+    problem: OptimalControlProblem, sequence: Indices, time_limit: float | None
+) -> tuple[Trajectory, Multipliers, Certificate] | None:
+    """Return the first answer for a mode sequence alone that the judge calls feasible, else the first of all."""
+    first = None
+    for candidate in convex_candidates(problem.with_modes(sequence), SEQUENCE_BACKEND, None, time_limit):
+        if candidate.trajectory is None or candidate.multipliers is None:
+            continue
+        for trajectory in _at_levels(problem, sequence, candidate.trajectory):
+            weights = weighted(problem, trajectory, sequence, candidate.multipliers)
+            certificate, multipliers = best_multipliers(problem, trajectory, weights)
+            found = trajectory, multipliers, certificate
+            if certificate.feasible:
+                return found
+            first = first or found
+    return first
+
+
+def _at_levels(problem: OptimalControlProblem, sequence: Indices, found: Trajectory) -> Iterator[Trajectory]:
+    """Yield a solver's trajectory, with the controls that the modes fix exactly at their levels.
+
+    First with the states that follow, then, from a free start, with the solver's: unstable dynamics magnify rounding.
+    """
+    controls = problem.dynamics.controls_of(sequence)
+    if controls is None:
+        yield found
+        return
+    yield simulate(problem, controls, problem.initial_box.project(found.x[0]))
+    if not problem.initial_box.fixed.all():
+        yield Trajectory(found.x, controls)
+
+
+def _status(
+    outcome: SearchOutcome, certificate: Certificate | None, proof: TreeBound, gap: float
+) -> tuple[Status, str]:
+    """Return the status of the result, and why it is not optimal."""
+    if certificate is None:
+        if outcome.message:
+            return Status.LIMIT, outcome.message
+        if outcome.sequence is None and proof.value == np.inf:
+            message = f"proven by a search tree: its leaves hold no trajectory, {proof.leaves} in all"
+            return Status.INFEASIBLE, message
+        return Status.NUMERICAL_ERROR, "no trajectory was found, and that there is none is not proven"
+    status = certificate.status_within(gap)
+    if status == Status.OPTIMAL and not outcome.interrupted:
+        return status, ""
+    if outcome.message:
+        return Status.LIMIT, outcome.message
+    if not certificate.feasible:
+        message = f"the best mode sequence, solved alone, does not satisfy: {certificate.worst.name}"
+        return Status.NUMERICAL_ERROR, message
+    return status, f"the search closed its tree, of which only the bound {proof.value:.12g} is proven"

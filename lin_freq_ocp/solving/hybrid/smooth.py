@@ -1,0 +1,262 @@
+"""The method for piecewise-smooth dynamics: search, polish by Newton's method, judge, and bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Indices
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
+from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
+from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
+from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.methods.candidate import require_convex
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
+from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
+from lin_freq_ocp.methods.hybrid.smooth.newton import newton
+from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.starts import Start
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
+from lin_freq_ocp.solving.method import Request
+from lin_freq_ocp.solving.outcome import Outcome
+
+LOCAL = "no global bound was asked for"
+UNBOUNDED = "no global bound was found in time"
+EXCLUDED = "proven by dynamic programming with intervals: no trajectory exists"
+
+GLOBAL_GAP = 1e-4  # default of the relative gap to prove
+GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short horizons, and not too long to wait for
+# Part of its cost by which a start may be below the answer: the judge's tolerance allows violations as large.
+SAVED_BY_TOLERANCE = 1e-6
+FEASIBILITY_LOSS = 1.0  # of each step, where no cost is known and only the existence of a trajectory is asked for
+
+Judged = tuple[Trajectory, Multipliers, Certificate]
+
+
+@dataclass(frozen=True)
+class Nonsmooth:
+    """Local optima of mode sequences, the best refined by a semismooth Newton method (docs/nonsmooth.md).
+
+    Attributes
+    ----------
+    global_bound : bool
+        Whether a global lower bound is computed, by dynamic programming with intervals; up to three states.
+    gap : float, optional
+        Relative gap (J - D)/S at which the bound is good enough, 1e-4 by default.
+
+    Raises
+    ------
+    UnsupportedError
+        If a gap is given without a global bound.
+
+    Examples
+    --------
+    >>> problem = lfo.library.norm_dynamics(horizon=3)
+    >>> lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False)).status
+    'locally_optimal'
+    """
+
+    global_bound: bool = True
+    gap: float | None = None
+
+    shorthand: ClassVar[str] = "nonsmooth"
+    takes_start: ClassVar[bool] = True
+
+    def __post_init__(self):
+        if not isinstance(self.global_bound, bool):
+            raise UnsupportedError(f"global_bound: got {self.global_bound!r}; expected True or False.")
+        if self.gap is not None and not self.global_bound:
+            raise UnsupportedError(f"gap: got {self.gap!r} without a global bound; leave it out, or ask for the bound.")
+
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Search for local optima, judge the best, and bound the cost from below."""
+        require_convex(problem)
+        started = now()
+        search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
+        solved = now()
+        best = search.best
+        found = None if best is None or not best.feasible else polished(problem, best)
+        found = found if request.start is None else _not_above(problem, request.start, found)
+        status, message = _status(search, found)
+        if self.global_bound:
+            limited = request.time_limit < np.inf
+            left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
+            found, status, message = self._bounded(search, found, left, status, message)
+        trajectory, multipliers, certificate = (None, None, None) if found is None else found
+        return Outcome(
+            problem=problem,
+            status=status,
+            method="nonsmooth",
+            backend=None,
+            seconds={"setup": 0.0, "solve": solved - started, "certify": now() - solved},
+            trajectory=trajectory,
+            multipliers=multipliers,
+            certificate=certificate,
+            message=message,
+            interrupted=search.interrupted,
+            sequence=None if trajectory is None else _modes(problem, trajectory),
+        )
+
+    def _bounded(
+        self, search: LocalSearch, found: Judged | None, left: float, status: Status, message: str
+    ) -> tuple[Judged | None, Status, str]:
+        """Return the answer, or a better answer that the bound leads to, with its status and message."""
+        if status == Status.LOCALLY_OPTIMAL and found is not None:
+            bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, now() + left)
+            message = bounding.run() if left > 0 else UNBOUNDED
+            return bounding.found, bounding.found[2].status_within(bounding.gap), message
+        if found is None and not search.message and left > 0 and _excluded(search.problem, left):
+            return None, Status.INFEASIBLE, EXCLUDED
+        return found, status, message
+
+
+def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
+    """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves both."""
+    affine = problem.affine_at(local.trajectory)
+    first = weighted(affine, local.trajectory, local.sequence, local.multipliers)
+    certificate, multipliers = best_multipliers(problem, local.trajectory, first)
+    found = local.trajectory, multipliers, certificate
+    if certificate.pmp == "satisfied" and is_smooth(problem):
+        return found
+    try:
+        run = newton(problem, local.trajectory, multipliers, local.sequence)
+    except UnsupportedError:
+        return found
+    after = judge(problem, run.trajectory, run.multipliers)
+    refined = run.trajectory, run.multipliers, after
+    return min(found, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
+
+
+def _not_above(problem: OptimalControlProblem, start: Start, found: Judged | None) -> Judged | None:
+    """Return the answer, or the start itself where that is a trajectory of less cost."""
+    if start.trajectory is None:
+        return found
+    certificate = judge(problem, start.trajectory, no_multipliers(problem))
+    saved = found[2].cost - certificate.cost if found is not None and found[2].feasible else np.inf
+    if not certificate.feasible or saved <= SAVED_BY_TOLERANCE * abs(certificate.cost):
+        return found
+    certificate, multipliers = best_multipliers(problem, start.trajectory, no_multipliers(problem))
+    return start.trajectory, multipliers, certificate
+
+
+def no_multipliers(problem: OptimalControlProblem) -> Multipliers:
+    """Return multipliers of which only that of the cost is not zero."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    eta, mu, nu = np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m))
+    return Multipliers(1.0, eta, mu, nu, np.zeros((T // 2 + 1, m)), np.zeros(((T + 1) // 2 + 1, n)))
+
+
+@dataclass
+class _Bounding:
+    """The global bound of an answer, and better answers that it leads to; ``run`` it once."""
+
+    search: LocalSearch
+    found: Judged
+    gap: float
+    deadline: float
+    best: float = -float("inf")
+    sets: str = ""
+
+    def __post_init__(self):
+        self._known = {_modes(self.search.problem, self.found[0]).tobytes()}
+
+    def run(self) -> str:
+        """Bound until the gap is proven or the time is over; return the message of the answer."""
+        message = ""
+        if cost_is_never_negative(self.search.problem):
+            self.best, self.sets = 0.0, NEVER_NEGATIVE
+        try:
+            while not self._proven and self._improve():
+                pass
+        except UnsupportedError as error:
+            message = str(error)
+        except OutOfTimeError:
+            pass
+        except KeyboardInterrupt:
+            self.search.interrupted = True
+        if self.best == -float("inf"):
+            return message or UNBOUNDED
+        trajectory, multipliers, certificate = self.found
+        bound = Bound(self.best, RIGOROUS, sets=self.sets)
+        self.found = trajectory, multipliers, replace(certificate, bound=bound)
+        return "" if self._proven else message or f"the global bound leaves a gap of {self.found[2].gap:.1e}"
+
+    @property
+    def _wanted(self) -> float:
+        return self.gap * self.found[2].cost_scale
+
+    @property
+    def _proven(self) -> bool:
+        return self.found[2].cost - self.best <= self._wanted
+
+    def _improve(self) -> bool:
+        """Whether a path of the bound leads to a better answer, which is taken."""
+        _, multipliers, certificate = self.found
+        levels = value_bounds(
+            self.search.problem,
+            multipliers,
+            certificate.cost,
+            self._wanted,
+            self.deadline,
+            self._report,
+            certificate.cost_scale,
+        )
+        for level in levels:
+            if level.value > self.best:
+                self.best, self.sets = level.value, "dynamic programming over cells of the states, with intervals"
+            if self._proven:
+                return False
+            if level.path is None or level.sequence is None or level.sequence.tobytes() in self._known:
+                continue
+            self._known.add(level.sequence.tobytes())
+            if self.search.look_near(level.path, level.sequence) and self.search.best is not None:
+                better = polished(self.search.problem, self.search.best)
+                if better[2].pmp == "satisfied":
+                    self.found = better
+                    return True
+        return False
+
+    def _report(self, level: int, share: float) -> None:
+        if self.search.progress is not None:
+            cost = self.found[2].cost
+            self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
+
+
+def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
+    """Whether intervals prove, without the frequency constraints, that there is no trajectory: D is infinite."""
+    try:
+        deadline = now() + seconds
+        levels = value_bounds(
+            problem, no_multipliers(problem), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS
+        )
+        return any(level.value == np.inf for level in levels)
+    except (UnsupportedError, OutOfTimeError):
+        return False
+
+
+def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
+    return piecewise_smooth(problem).sequence_of(trajectory.x, trajectory.u)
+
+
+def _status(search: LocalSearch, found: Judged | None) -> tuple[Status, str]:
+    """Return the status of the result without a bound, and the message."""
+    if search.message and (found is None or search.interrupted):
+        return Status.LIMIT, search.message
+    if found is None:
+        nearest = ", where the dynamics are not defined"
+        if search.best is not None:
+            nearest = f"; the nearest violates dynamics by {search.best.violation:.1e}"
+        return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
+    status = found[2].status_within(0.0)
+    if status == Status.NUMERICAL_ERROR:
+        return status, f"the point found does not satisfy the maximum principle: {found[2].worst.name}"
+    return status, LOCAL

@@ -1,1 +1,0 @@
-"""Methods for switched dynamics of their own kind."""

@@ -1,0 +1,359 @@
+"""Problems with known optimal costs, to run against a solver of one's own, and a check of terms of one's own.
+
+``conformance_cases()`` yields the problems, and ``check(case, solver)`` measures the answer of a solver to one of them.
+``check_terms(problem)`` says what is wrong with costs, sets, rows and frequency constraints that you have written.
+
+Examples
+--------
+>>> from lin_freq_ocp.testing import check, conformance_cases
+>>> def my_solver(problem):  # OptimalControlProblem -> Trajectory, or None if infeasible
+...     return lfo.solve(problem, throw=False).trajectory
+>>> reports = [check(case, my_solver) for case in conformance_cases("linear")]
+>>> [report.message for report in reports if not report.passed]
+[]
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import scipy.sparse as sp
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.problem.reformulations import RATE_LIMIT
+from lin_freq_ocp.problem.terms.penalty import Penalty
+from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.program.backends.base import Claim, backend
+from lin_freq_ocp.program.program import Program
+
+__all__ = ["Case", "Report", "check", "check_terms", "conformance_cases"]
+
+Kind = Literal["linear", "piecewise affine", "piecewise smooth"]
+Solver = Callable[[lfo.OptimalControlProblem], lfo.Trajectory | None]  # None: infeasible, or no answer
+TOLERANCE = 1e-6  # relative error of a cost
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A problem and its optimal cost.
+
+    Attributes
+    ----------
+    name : str
+    problem : OptimalControlProblem
+    cost : float or None
+        inf: infeasible; None: not known, and only feasibility is judged.
+    accuracy : float
+        Relative error of the known cost.
+    """
+
+    name: str
+    problem: lfo.OptimalControlProblem
+    cost: float | None
+    accuracy: float = 1e-9
+
+
+@dataclass(frozen=True)
+class Report:
+    """The judgement of a solver's answer to a case.
+
+    Attributes
+    ----------
+    name : str
+        Of the case.
+    cost : float or None
+        Of the trajectory that the solver returned.
+    passed : bool
+    message : str
+        What is wrong, if anything.
+    """
+
+    name: str
+    cost: float | None
+    passed: bool
+    message: str = ""
+
+
+def check(case: Case, solver: Solver, tolerance: float = TOLERANCE) -> Report:
+    """Ask a solver, measure its trajectory with ``certify``, and compare the cost with the known optimum.
+
+    Parameters
+    ----------
+    case : Case
+    solver : callable
+        OptimalControlProblem -> Trajectory, or None for an infeasible problem.
+    tolerance : float
+        Relative error of the cost that is allowed.
+
+    Returns
+    -------
+    Report
+
+    Examples
+    --------
+    >>> case = next(conformance_cases("linear"))
+    >>> check(case, lambda problem: lfo.solve(problem).trajectory).passed
+    True
+    """
+    trajectory = solver(case.problem)
+    if trajectory is None:
+        return Report(case.name, None, case.cost == np.inf, "" if case.cost == np.inf else "no trajectory")
+    certificate = lfo.certify(case.problem, trajectory)
+    cost = certificate.cost
+    if not certificate.feasible:
+        return Report(case.name, cost, False, f"not feasible: {certificate.worst.name}")
+    if case.cost is None:
+        return Report(case.name, cost, True)
+    error = (cost - case.cost) / max(1.0, abs(case.cost)) if np.isfinite(case.cost) else -np.inf
+    message = "" if abs(error) <= max(tolerance, case.accuracy) else f"relative error of the cost {error:.1e}"
+    return Report(case.name, cost, not message, message)
+
+
+# Linear problems: those of a file, by name, and the pendulum of the library
+INSTANCES: dict[str, dict[str, Any]] = {
+    data["name"]: data for data in json.loads(Path(__file__).with_name("reference.json").read_text())["instances"]
+}
+STATED = [name for name in INSTANCES if not INSTANCES[name]["soft_u"]]  # by boxes and stop bands, without a mask
+MASKED = 1e-6  # relative error of the known cost of the problem with a mask, dint200_soft
+PENDULUM: dict[str, tuple[dict[str, object], float]] = {  # keyword arguments, optimal cost
+    "paper, constrained": ({}, 3199.18631986),
+    "paper, classical": ({"cutoff": None}, 2852.70530277),
+    "to rest, constrained": ({"initial_state": (0.05, 0.05, 0, 0), "terminal_state": (0, 0, 0, 0)}, 359.660659090),
+    "to rest, classical": (
+        {"initial_state": (0.05, 0.05, 0, 0), "terminal_state": (0, 0, 0, 0), "cutoff": None},
+        356.560725193,
+    ),
+    "slow sampling, constrained": ({"sampling_time": 0.1}, 135.081414040),
+    "slow sampling, classical": ({"sampling_time": 0.1, "cutoff": None}, 127.758711896),
+}
+# Problems with modes: system, arguments and optimal cost, None if it is not known (docs/hybrid_systems.md)
+PRINTED = 1e-7  # relative error of these costs, by their digits
+NEAR: dict[str, object] = {"initial_state": (1, 1), "terminal_cost": False}
+PIECEWISE_AFFINE: dict[str, tuple[str, dict[str, object], float | None]] = {
+    "rotation, T = 6": ("switched_rotation", {"horizon": 6}, 159.320358),
+    "rotation, T = 6, freq": ("switched_rotation", {"horizon": 6, "control_spectrum": "freq"}, 161.197114),
+    "rotation, T = 10": ("switched_rotation", {"horizon": 10, **NEAR}, 2.8378768),
+    "rotation, T = 10, bin 5": ("switched_rotation", {"horizon": 10, "control_spectrum": [5], **NEAR}, 2.8944270),
+    "pendulum, T = 6": ("pendulum_with_wall", {"horizon": 6}, 34.990971),
+    "pendulum, T = 10, freq": ("pendulum_with_wall", {"horizon": 10, "control_spectrum": "freq"}, None),
+    "buck, T = 6": ("buck_affine", {"horizon": 6}, 32.681386),
+    "buck, T = 8, freq": ("buck_affine", {"horizon": 8, "control_spectrum": "freq"}, None),
+    "absolute value, T = 8": ("absolute_value", {"horizon": 8}, -2.8),
+    "network, T = 4, freq": ("max_min_network", {"horizon": 4, "control_spectrum": "freq"}, None),
+}
+# Problems with kinks: Examples 2 and 3 of the paper, solved by dynamic programming, by enumeration with a local solver
+# and by a global solver; for T = 20 by this project alone
+FREE_END: dict[str, object] = {"terminal_state": None}
+PIECEWISE_SMOOTH: dict[str, tuple[str, dict[str, object], float]] = {
+    "norm from (0, 1), T = 3": ("norm_dynamics", {"initial_state": (0.0, 1.0), "horizon": 3}, 1.0),
+    "norm from (1, 0), T = 3": ("norm_dynamics", {"initial_state": (1.0, 0.0), "horizon": 3}, 1.959023692803284),
+    "norm from (1, 0), T = 10": ("norm_dynamics", {"initial_state": (1.0, 0.0)}, 2.382234308047054),
+    "norm from (1, 1), T = 10": ("norm_dynamics", {"initial_state": (1.0, 1.0)}, 3.644688839725019),
+    "buck, T = 3": ("buck_converter", {"horizon": 3}, 17.345547997984184),
+    "buck, T = 4": ("buck_converter", {"horizon": 4}, 22.36493035150289),
+    "buck, T = 8": ("buck_converter", {"horizon": 8}, 44.67772239475926),
+    "buck to I_ref, T = 4": ("buck_converter", {"horizon": 4, "terminal_state": [1.0]}, 22.400633302541934),
+    "buck, T = 8, bins 3 to 5": ("buck_converter", {"control_spectrum": [3, 4, 5]}, 44.69913880875864),
+    "buck, T = 15": ("buck_converter", {"horizon": 15}, 83.66744364376612),
+    "buck, T = 20": ("buck_converter", {"horizon": 20}, 111.447689650827),
+    "buck, T = 20, bins 7 to 10": ("buck_converter", {"horizon": 20, "control_spectrum": [7, 8, 9, 10]}, 111.45769391),
+    "buck, wrong sign at 0": (
+        "buck_converter",
+        {"horizon": 2, "initial_state": [0.9351278729299871], **FREE_END},
+        11.554464138730564,
+    ),
+    "buck, wrong sign inside": (
+        "buck_converter",
+        {"horizon": 3, "initial_state": [0.8281718171540953], **FREE_END},
+        17.080332697458882,
+    ),
+    "buck as posed, T = 8": ("buck_converter", {"v_min": None, "v_max": None}, 11.221825808084372),
+    "buck on the border, T = 4": (
+        "buck_converter",
+        {"horizon": 4, "terminal_price": -40.0, **FREE_END},
+        -17.5993666975,
+    ),
+}
+
+
+def conformance_cases(kind: Kind | None = None) -> Iterator[Case]:
+    """Yield problems with known optimal costs.
+
+    Parameters
+    ----------
+    kind : {"linear", "piecewise affine", "piecewise smooth"}, optional
+        Of the dynamics; default: all.
+
+    Yields
+    ------
+    Case
+
+    Examples
+    --------
+    >>> len(list(conformance_cases("linear"))) > 10
+    True
+    """
+    if kind in (None, "linear"):
+        for name in INSTANCES:
+            accuracy = 1e-9 if name in STATED else MASKED
+            yield Case(name, reference_problem(name), INSTANCES[name]["optimal_value"], accuracy)
+        for name, (keywords, cost) in PENDULUM.items():
+            yield Case(f"pendulum, {name}", lfo.library.PROBLEMS["pendulum"](**keywords), cost)
+        yield Case("pendulum, too weak", lfo.library.pendulum(control_bound=0.01), np.inf)
+    for table, of_kind in ((PIECEWISE_AFFINE, "piecewise affine"), (PIECEWISE_SMOOTH, "piecewise smooth")):
+        if kind in (None, of_kind):
+            for name, (system, keywords, cost) in table.items():
+                yield Case(name, lfo.library.by_name(system)(**keywords), cost, PRINTED)
+
+
+def reference_problem(name: str, **changes: Any) -> lfo.OptimalControlProblem:
+    """Return the problem of an instance; ``changes`` replace entries of its data."""
+    data = INSTANCES[name] | changes
+    T = data["T"]
+    bounds = lfo.Box([-bound for bound in data["xmax"]], data["xmax"])
+    last = bounds if data["xT"] is None else lfo.sets.Everything()
+    A, B = time_varying(T) if name == "ltv200" else (data["A"], data["B"])
+    return lfo.OptimalControlProblem(
+        dynamics=lfo.LinearDynamics(A, B),
+        horizon=T,
+        cost=lfo.QuadraticCost(Q=data["Q"], R=data["R"], P=data["PT"]),
+        control_set=lfo.Box(data["ulo"], data["uhi"]),
+        state_set=[lfo.sets.Everything(), *[bounds] * (T - 1), last],
+        initial_state=data["x0"],
+        terminal_state=data["xT"],
+        control_spectrum=[
+            *(lfo.stop_band(bins=bins, component=j) for j, bins in enumerate(data["stop_u"]) if bins),
+            *(lfo.MagnitudeBound(mask["c"], bins=mask["k"], component=int(j)) for j, mask in data["soft_u"].items()),
+        ],
+        name=name,
+    )
+
+
+def time_varying(T: int) -> tuple[Array, Array]:
+    """Return A (T, 2, 2) and B (T, 2, 1) of the time-varying instance."""
+    t = np.arange(T)
+    A, B = np.zeros((T, 2, 2)), np.zeros((T, 2, 1))
+    A[:, 0, 0] = 1
+    A[:, 0, 1] = 0.02 + 0.005 * np.sin(2 * np.pi * t / 200)
+    A[:, 1, 0] = -0.02 * np.cos(2 * np.pi * t / 100)
+    A[:, 1, 1] = 1 - 0.002 * t / 200
+    B[:, 1, 0] = 0.02 * (1 + 0.3 * np.sin(2 * np.pi * t / 50))
+    return A, B
+
+
+SIZES = (0.1, 1.0, 10.0)  # of random signals, in units of the optimal ones: inside and outside of limits
+STEP = 1e-6  # of differences, relative to the values
+ROUNDING = 1e-9  # error of sums, relative to their terms
+ACCURACY = 1e-4  # error of differences and of solvers, relative to the compared values
+Point = tuple[Array, Array]  # x (T+1, n) and u (T, m)
+
+
+def check_terms(problem: lfo.OptimalControlProblem, seed: int = 0) -> list[str]:
+    """Return what is wrong with the terms of a problem, in words; nothing if they keep their protocols.
+
+    Of every term h(L(x, u)) rows and adjoint of L are compared with its values, slopes of h with differences, its conic
+    form with its cost, the Fenchel-Young gap with what other points gain, and all of them with those of the problem
+    ``rate_limited``. The optimum must be proven.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        With linear dynamics, a solution, and the terms in question.
+    seed : int
+        Of the random trajectories.
+
+    Returns
+    -------
+    list of str
+
+    Examples
+    --------
+    >>> check_terms(lfo.library.quadcopter(horizon=20))
+    []
+    """
+    rng, result = np.random.default_rng(seed), lfo.solve(problem, throw=False)
+    unproven = [] if result.status == "optimal" else [f"the optimum is not proven: {result.status}, {result.message}"]
+    if result.trajectory is None or not result.primal:
+        return unproven
+    best, faults = (result.trajectory.x, result.trajectory.u), dict.fromkeys(unproven)
+    for size in SIZES:
+        x, u = (size * np.abs(part).max() * rng.standard_normal(part.shape) for part in best)
+        for t, value in problem.fixed_ends.items():
+            x[t] = value
+        for term in problem.terms:
+            for fault in (*_map_faults(term, (x, u), rng), *_penalty_faults(term, (x, u), best, rng)):
+                faults[f"{term.name}: {fault}"] = None
+        faults |= dict.fromkeys(_rate_limit_faults(problem, x, u))
+    return list(faults)
+
+
+def _map_faults(term: Term, point: Point, rng: np.random.Generator) -> Iterator[str]:
+    (x, u), weights = point, rng.standard_normal(term.shape)
+    v, offset = term.map.values(x, u), term.map.values(np.zeros_like(x), np.zeros_like(u))
+    error = ROUNDING * (term.map.sizes(x, u) + np.abs(offset))
+    L, c = term.map.rows(len(u), x.shape[1], u.shape[1])
+    if (np.abs((L @ np.concatenate([x.ravel(), u.ravel()]) + c).reshape(v.shape) - v) > error).any():
+        yield "rows of the map differ from its values"
+    of_x, of_u = term.map.pull_back(weights, (x.shape, u.shape))
+    if abs((weights * (v - offset)).sum() - (of_x * x).sum() - (of_u * u).sum()) > (np.abs(weights) * error).sum():
+        yield "pull_back is not the adjoint of values"
+
+
+def _penalty_faults(term: Term, sample: Point, best: Point, rng: np.random.Generator) -> Iterator[str]:
+    penalty, v, w, sizes = term.penalty, term.map.values(*sample), term.map.values(*best), term.map.sizes(*best)
+    change, weights = np.abs(v).max() * rng.standard_normal(v.shape), rng.standard_normal(v.shape)
+    for name, function, slope in (
+        ("slope", lambda at: penalty.cost(at).sum(keepdims=True), np.array([penalty.slope(v, change, 0.0)])),
+        ("excess_slope", penalty.excess, penalty.excess_slope(v, change, 0.0)),
+    ):
+        limited = np.isfinite(function(v))
+        backward, value, near, forward = (function(v + step * change)[limited] for step in (-1.0, 0.0, STEP, 1.0))
+        rise = (near - value) / STEP
+        if (np.abs(slope[limited] - rise) > ACCURACY * (np.abs(forward - backward) + np.abs(rise)).sum()).any():
+            yield f"{name} is not that of differences"
+    expected = np.inf if penalty.violation(v).any() else penalty.cost(v).sum()
+    if not np.isclose(_conic_value(penalty, v), expected, rtol=ACCURACY, atol=ACCURACY * penalty.unbounded(change)[1]):
+        yield "the conic form has another value than the cost"
+    for eta_C in (0.0, 1.0):
+        # At fixed multipliers no point, w among them, gains more than the Fenchel-Young gap
+        point, multipliers = w if np.isinf(expected) else v, penalty.subgradient(weights, eta_C)
+        gain = eta_C * (penalty.cost(point) - penalty.cost(w)).sum() + (multipliers * (w - point)).sum()
+        scale = eta_C * (penalty.cost(point) + penalty.cost(w)).sum()
+        scale += (np.abs(multipliers) * (sizes + np.abs(point))).sum()
+        gap = penalty.gap(point, multipliers, eta_C)
+        if min(gap.min(), gap.sum() - gain) < -ACCURACY * scale:
+            yield "the gap is less than what another point gains"
+
+
+def _conic_value(penalty: Penalty, v: Array) -> float:
+    """Return the least price of slacks with which values fit into the conic form; inf if they fit with none."""
+    form = penalty.conic(*v.shape)
+    values, last = np.append(v.ravel(), 0.0)[form.entries], np.eye(len(form.prices) + 1)[-1]
+    # One more variable, with a square and no row: the program is not empty where the form has no slacks
+    A = sp.csc_array(sp.hstack([form.slacks, sp.csc_array((len(values), 1))]))
+    prices, lower, upper = np.append(form.prices, 0.0), form.lower - values, form.upper - values
+    program = Program(sp.csc_array(sp.diags_array(last)), prices, 0.0, A, lower, upper, {}, form.cones)
+    solution = backend("clarabel")(program, ROUNDING, None)
+    return float(prices @ solution.z) if solution.claim is Claim.SOLVED and solution.z is not None else np.inf
+
+
+def _rate_limit_faults(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> Iterator[str]:
+    """Yield the kinds of terms whose cost or violation changes where rate limits append states to the problem."""
+    limited, augmented = lfo.rate_limited(problem, 1.0), np.hstack([x, np.vstack([0 * u[:1], u])])
+    for kind in dict.fromkeys(term.kind for term in problem.terms):
+        totals = [
+            np.sum([[term.cost(states, u).sum(), term.violation(states, u).sum()] for term in terms], axis=0)
+            for terms, states in ((_of_kind(problem, kind), x), (_of_kind(limited, kind), augmented))
+        ]
+        if not np.allclose(*totals, rtol=ROUNDING, atol=0.0):
+            yield f"{kind}: it is another one in rate_limited"
+
+
+def _of_kind(problem: lfo.OptimalControlProblem, kind: TermKind) -> list[Term]:
+    return [term for term in problem.terms if term.kind == kind and term.name != RATE_LIMIT]

@@ -1,1 +1,0 @@
-"""Numbers, names and tables as text and as HTML."""

@@ -1,1 +1,0 @@
-"""Linear problems as sparse convex programs, and their duals as multipliers."""

@@ -1,1 +1,0 @@
-"""Piecewise-affine problems as mixed-integer programs and as convex relaxations."""

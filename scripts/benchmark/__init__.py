@@ -1,0 +1,1 @@
+"""Benchmarks, one file each: ``main(arguments)`` prints its tables. They are started by scripts/benchmark.py."""

@@ -1,0 +1,121 @@
+"""What a node of our search over modes takes, and what the means that make the search fast are worth.
+
+Called by modes.py. Figures are seconds of the process.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+from rich.table import Table
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate.hybrid.tree import tree_bound
+from lin_freq_ocp.methods.hybrid.search import branch_and_bound
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.node import Relaxed
+from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, SearchLimits, relaxed
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.hybrid.mode_reach import Reach
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+
+Build = Callable[[], lfo.OptimalControlProblem]
+
+
+def part_seconds(work: Callable[[], object], times: int = 20) -> float:
+    """Return seconds of the process that a call takes."""
+    started = time.process_time()
+    for _ in range(times):
+        work()
+    return (time.process_time() - started) / times
+
+
+def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
+    """Return what a node takes: in a search of so many with the check of its tree, and the parts at the root."""
+    parts = "reach of 8, each", "set-up", "compiled", "by Clarabel", "bound of its duals"
+    table = Table("milliseconds", "a node, everything in it", "of it the check", *parts, "relaxations")
+    for name, build in cases.items():
+        problem = build()
+        started = time.process_time()
+        outcome = BranchAndBound(problem, SearchLimits(nodes=count)).run()
+        searched = time.process_time()
+        tree_bound(problem, outcome.tree)
+        ended, solved = time.process_time(), max(outcome.nodes, 1)
+        relaxation = PathRelaxation(problem)
+        everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
+        root = relaxation.reach.from_start(everything)
+        assert root is not None
+        answer, member = relaxed(relaxation, root, compiled=True), relaxation.path_member(root)
+        assert isinstance(answer.duals, PathDuals)
+        assert member is not None
+        duals = answer.duals
+        set_up, bound, *solves = (
+            part_seconds(work)
+            for work in (
+                partial(relaxation.path_member, root),
+                partial(relaxation.path_bound, member, duals),
+                partial(relaxed, relaxation, root, TOLERANCES, compiled=True),
+                partial(relaxed, relaxation, root, TOLERANCES),
+            )
+        )
+        reach = part_seconds(partial(relaxation.reach.after, root, 0, [root.allowed[0]] * 8)) / 8
+        alone = (solve - set_up for solve in solves)
+        seconds = ((ended - started) / solved, (ended - searched) / solved, reach, set_up, *alone, bound)
+        table.add_row(name, *(f"{1e3 * part:.2f}" for part in seconds), f"{outcome.nodes}")
+    return table
+
+
+def by_clarabel(
+    relaxation: ModeRelaxation, reach: Reach, tolerances: tuple[float, ...], end: float, cutoff: float, _compiled: bool
+) -> Relaxed:
+    """Solve a relaxation as if there were no compiled code."""
+    return relaxed(relaxation, reach, tolerances, end, cutoff)
+
+
+def to_the_end(
+    relaxation: ModeRelaxation, reach: Reach, tolerances: tuple[float, ...], end: float, _cutoff: float, compiled: bool
+) -> Relaxed:
+    """Solve a relaxation as if the cutoff decided nothing."""
+    return relaxed(relaxation, reach, tolerances, end, None, compiled)
+
+
+class WithoutImages(PathRelaxation):
+    """Edges whose images may leave the box of the mode that follows."""
+
+    images = False
+
+
+VARIANTS: dict[str, tuple[type[ModeRelaxation], dict[str, object]]] = {
+    "all": (PathRelaxation, {}),
+    "shares of modes instead of paths": (ModeRelaxation, {}),
+    "images not bounded": (WithoutImages, {}),
+    "by Clarabel": (PathRelaxation, {"relaxed": by_clarabel}),
+    "solved to the end": (PathRelaxation, {"relaxed": to_the_end}),
+}
+"""Our search without each of its means: the relaxation, and what is changed in ``branch_and_bound``."""
+
+
+def layers(cases: Mapping[str, Build], limit: float, gap: float, times: int = 3) -> Table:
+    """Return the least seconds of the process, and relaxations, of our search and without each of its means."""
+    least = dict[tuple[str, str], tuple[float, int]]()
+    for _ in range(times):
+        for variant, (relaxation, changed) in VARIANTS.items():
+            before = {name: getattr(branch_and_bound, name) for name in changed}
+            for name, value in changed.items():
+                setattr(branch_and_bound, name, value)
+            for case, build in cases.items():
+                started = time.process_time()
+                outcome = BranchAndBound(build(), SearchLimits(gap, limit), relaxation=relaxation).run()
+                found = time.process_time() - started, outcome.nodes
+                least[variant, case] = min(least.get((variant, case), found), found)
+            for name, value in before.items():
+                setattr(branch_and_bound, name, value)
+    table = Table("seconds, relaxations", *cases)
+    for variant in VARIANTS:
+        cells = (least[variant, case] for case in cases)
+        table.add_row(variant, *(f"{seconds:.2f}, {nodes}" for seconds, nodes in cells))
+    return table

@@ -1,0 +1,130 @@
+"""Closed loops with disturbances: no step fails, and no bound is broken by more than the disturbance explains.
+
+Part of scripts/verify.py. Every control must lie in its set, and every next state without the disturbance of its step
+in the state set, unless the step was softened and says so; windows of applied controls must keep their mask where no
+step was softened.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from benchmark.loop_cases import pendulum, random_plant, windowed
+from rich.console import Console
+from rich.table import Table
+
+import lin_freq_ocp as lfo
+from verify.seeded import check_all
+
+STEPS = 100
+"""Of a loop."""
+
+NOISE = 5e-3
+"""Largest disturbance of a step, relative to the size of each state."""
+
+TOLERANCE = 1e-6
+"""Excess over a bound that is allowed, relative to the sizes of the states, or to the bounds of the controls."""
+
+SOFT = {"state_set": 1e3, "control_spectrum": 1e2}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A loop: its problem, the sizes of its states, and what may give way."""
+
+    kind: str
+    problem: lfo.OptimalControlProblem
+    sizes: np.ndarray
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What was found of one loop; excesses are relative."""
+
+    kind: str
+    steps: int
+    softened: int
+    control_excess: float
+    state_excess: float
+    window_excess: float
+    stopped: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether it ran to its end within all bounds."""
+        worst = max(self.control_excess, self.state_excess, self.window_excess)
+        return not self.stopped and worst <= TOLERANCE
+
+
+def case_of(seed: int) -> Case:
+    """Return the loop of a seed, of four kinds in turn."""
+    if seed % 4 == 0:
+        return Case("pendulum, bounds", pendulum(60), np.array([0.15, 0.1, 0.5, 0.5]))
+    if seed % 4 == 1:
+        return Case("pendulum, low pass", pendulum(60, low_pass=True), np.array([0.15, 0.1, 0.5, 0.5]))
+    if seed % 4 == 2:
+        return Case("windows", windowed(40), np.array([1.0, 0.5]))
+    problem = random_plant(seed, 20)
+    return Case("random plants", problem, problem.state_tube.upper[1] / 3)
+
+
+def run(case: Case, seed: int) -> Findings:
+    """Run a loop with its disturbance, and measure how far every bound is exceeded without it."""
+    rng, problem = np.random.default_rng(seed), case.problem
+    noise = NOISE * case.sizes * rng.uniform(-1, 1, (STEPS, problem.state_dim))
+    start = problem.initial_box.lower * rng.uniform(0.3, 1.0)
+    loop = lfo.RecedingHorizon(problem, soft=SOFT).run(start, STEPS, disturbance=noise)
+    planned = loop.states[1:] - noise[: len(loop.steps)]
+    hard = np.array([source == "plan" for source in loop.sources], dtype=bool)
+    controls, states = problem.control_tube, problem.state_boxes
+    of_u = np.maximum(controls.lower[0] - loop.controls, loop.controls - controls.upper[0]) / controls.upper[0]
+    of_x = np.maximum(states.lower[1] - planned, planned - states.upper[1])[hard] / case.sizes
+    return Findings(
+        case.kind,
+        len(loop.steps),
+        int((~hard).sum()),
+        float(of_u.max(initial=0.0)),
+        float(of_x.max(initial=0.0)),
+        0.0 if case.kind != "windows" else window_excess(problem, loop.controls, hard),
+        loop.stopped,
+    )
+
+
+def window_excess(problem: lfo.OptimalControlProblem, controls: np.ndarray, hard: np.ndarray) -> float:
+    """Return the largest excess of a window that no softened step has decided, relative to its limit."""
+    (given,) = problem.control_spectrum if isinstance(problem.control_spectrum, list) else (problem.control_spectrum,)
+    whole = np.concatenate([given.past, controls])[:, 0]
+    ended = np.concatenate([np.ones(len(given.past), dtype=bool), hard])
+    bins = given.bound.band.at(given.length, None, "")
+    weights, worst = given.bound.samples(given.length, ""), 0.0
+    for begin in range(0, len(whole) - given.length + 1, given.hop):
+        if ended[begin + given.length - 1]:
+            spectrum = np.abs(np.fft.rfft(weights * whole[begin : begin + given.length]))[bins]
+            worst = max(worst, float(spectrum.max() / given.bound.limit - 1))
+    return worst
+
+
+def check(seed: int) -> Findings:
+    """Run the loop of a seed."""
+    return run(case_of(seed), seed)
+
+
+def verify(console: Console, steps: range, processes: int) -> bool:
+    """Run loops of so many steps in all, and print what was found; return whether all passed."""
+    loops = -(-len(steps) // STEPS)
+    found = check_all(check, range(steps.start, steps.start + loops), processes, "closed loops")
+    table = Table("loop", "loops", "steps", "softened", title="closed loops with disturbances")
+    for column in ("control excess", "state excess", "window excess", "failed"):
+        table.add_column(column, justify="right")
+    for kind in [*dict.fromkeys(one.kind for one in found), "all"]:
+        some = [one for one in found if kind in (one.kind, "all")]
+        worst = [max(getattr(one, f"{what}_excess") for one in some) for what in ("control", "state", "window")]
+        counts = len(some), sum(one.steps for one in some), sum(one.softened for one in some)
+        failed = sum(not one.passed for one in some)
+        table.add_row(kind, *map(str, counts), *(f"{value:.1e}" for value in worst), str(failed))
+    console.print(table)
+    for one in found:
+        if not one.passed:
+            console.print(one)
+    return all(one.passed for one in found)

@@ -1,0 +1,319 @@
+"""Minimum time against brute force: linear programs of all horizons, where zeros can be appended and where not."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.batch.minimum_time import Verdict, obstacles, problem_at_horizon, search_horizons
+from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
+
+LAST = 14  # largest horizon of the random problems
+
+
+def random_problem(seed):
+    """Return a problem of two states; with an even seed its end stays put, and zero is an admissible control.
+
+    With an odd seed its end is a state that is reached after some steps.
+    """
+    random = np.random.default_rng(seed)
+    A, B, x = random.normal(size=(2, 2)), random.normal(size=(2, 1)), random.normal(size=2)
+    A *= random.uniform(0.8, 1.1) / np.linalg.norm(A, 2)
+    stays = seed % 2 == 0
+    low, high = random.uniform(-0.3, -0.1 if stays else 0.2), random.uniform(0.2, 0.4)
+    end = np.zeros(2) if stays else x
+    for u in () if stays else random.uniform(low, high, random.integers(2, 9)):
+        end = A @ end + B[:, 0] * u
+    return lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, B), LAST, lfo.QuadraticCost(R=1.0), lfo.Box(low, high), None, x, end
+    )
+
+
+def feasible(problem, horizon):
+    """Whether a linear program over the controls alone has a solution, as HiGHS sees it."""
+    A, B, x = problem.dynamics.A, problem.dynamics.B, problem.initial_state.lower
+    for _ in range(horizon):
+        x = A @ x
+    effect = np.hstack([np.linalg.matrix_power(A, horizon - 1 - t) @ B for t in range(horizon)])
+    bounds = [(float(problem.control_set.lower), float(problem.control_set.upper))] * horizon
+    found = linprog(np.zeros(horizon), A_eq=effect, b_eq=problem.terminal_state.lower - x, bounds=bounds)
+    return found.status == 0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_least_horizons_are_those_of_brute_force(seed):
+    problem = random_problem(seed)
+    every = [T for T in range(1, LAST + 1) if feasible(problem, T)]
+    found = lfo.minimum_time(problem, horizons=(1, LAST), throw=False)
+    assert found.horizon == (every[0] if every else None)
+    assert found.monotone == (seed % 2 == 0)
+    assert found.proven
+    assert all((T in every) == (verdict == "feasible") for T, verdict in found.verdicts.items())
+    if found.monotone and every:
+        assert every == list(range(every[0], LAST + 1))
+    if found.horizon is not None and found.horizon > 1:
+        assert found.ray is found.rays[found.horizon - 1]
+
+
+def test_the_random_problems_have_all_kinds_of_answers():
+    least = [next((T for T in range(1, LAST + 1) if feasible(random_problem(seed), T)), None) for seed in range(12)]
+    for parity in (0, 1):
+        assert len(set(least[parity::2])) >= 4
+    gaps = [[feasible(random_problem(seed), T) for T in range(1, LAST + 1)] for seed in range(1, 12, 2)]
+    assert any(one < before for found in gaps for before, one in pairwise(found))
+
+
+def test_bisection_would_miss_a_horizon_where_feasibility_is_not_monotone():
+    """x changes its sign at every step and no control moves it: an end of 1 is met at even horizons only."""
+    swinging = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[-1.0]], [[1.0]]), 4, lfo.QuadraticCost(R=1.0), lfo.Box(-0.1, 0.1), None, [1.0], [1.0]
+    )
+    solve = partial(lambda horizon: lfo.solve(replace(swinging, horizon=horizon), throw=False))
+    assert search_horizons(1, 5, True, solve).horizon is None
+    found = lfo.minimum_time(swinging, horizons=(1, 5))
+    assert (found.horizon, found.monotone) == (2, False)
+    assert found.reason == "with a control of zero the state does not stay at every admissible end (x_0)"
+
+
+# --- the conditions
+
+
+def integrator(horizon=6, **fields):
+    """Return a double integrator that comes to rest at 0."""
+    given = {
+        "dynamics": lfo.LinearDynamics([[1.0, 1.0], [0.0, 1.0]], [[0.0], [1.0]], sampling_time=1.0),
+        "cost": lfo.QuadraticCost(R=1.0),
+        "control_set": lfo.Box(-1, 1),
+        "initial_state": [3.0, 0.0],
+        "terminal_state": [0.0, 0.0],
+    }
+    return lfo.OptimalControlProblem(horizon=horizon, **given | fields)
+
+
+def conditions(**fields):
+    return obstacles(partial(problem_at_horizon, integrator(**fields)), 2, 9, same_data=True)
+
+
+def mask(**options):
+    return lfo.MagnitudeBound(1.0, band=lfo.low_pass(1.0), **options)
+
+
+MONOTONE = {
+    "nothing more": {},
+    "any place of rest": {"terminal_state": lfo.Box([-1, 0], [1, 0])},
+    "rows": {"stage_rows": lfo.StageRows([[1.0, 0.0]], [[1.0]], [5.0])},
+    "soft rows": {"stage_rows": lfo.StageRows([[0.0, 0.0]], [[1.0]], [-1.0], penalty=2.0)},
+    "a mask of the control": {"control_spectrum": mask(every_frequency=True)},
+    "residual vibration": {"control_spectrum": lfo.ResidualVibration((0.5, 1.0), (0.0, 0.1), 0.5)},
+    "a soft mask at bins": {"control_spectrum": mask(penalty=1.0)},
+    "a mask of states": {"state_spectrum": mask(every_frequency=True)},
+    "a mask of outputs": {"output_spectrum": OutputSpectrum([[1.0, 2.0]], [[1.0]], mask(every_frequency=True))},
+    "periodic ends at rest": {"terminal_state": lfo.Periodic() & lfo.Box([-9, 0], [9, 0])},
+    "balls": {"control_set": lfo.sets.Ball(1.0), "state_set": lfo.sets.Ball(9.0)},
+}
+
+
+@pytest.mark.parametrize("name", MONOTONE)
+def test_zeros_can_be_appended(name):
+    assert conditions(**MONOTONE[name]) == []
+
+
+ONE = {"terminal_state": [1.0, 0.0]}
+OBSTACLES = {
+    "does not stay": {"terminal_state": lfo.Box([0, -1], [0, 1])},
+    "(x_0)": {"dynamics": lfo.LinearDynamics([[1.0, 1.0], [0.0, 1.0]], [[0.0], [1.0]], [0.1, 0.0])},
+    "zero is not an admissible": {"control_set": lfo.Box(0.1, 1)},
+    "control at all later times": {"control_set": lfo.sets.Ball(0.5, [1.0])},
+    "'stage rows' does not hold": {"stage_rows": lfo.StageRows([[0.0, 0.0]], [[1.0]], [-0.1])},
+    "stop band": {"control_spectrum": lfo.low_pass(1.0)},
+    "state_spectrum: a stop band": {"state_spectrum": lfo.low_pass(1.0)},
+    "mask on u_0: it is about bins": {"control_spectrum": mask()},
+    "energy bound on u_0": {"control_spectrum": EnergyBound(9.0, band=lfo.low_pass(1.0))},
+    "window": {"control_spectrum": mask(every_frequency=True, window="hann")},
+    "mask on x_0: the sample that is appended": {"state_spectrum": mask(every_frequency=True, component=0), **ONE},
+    "mask on y_0: the sample": {
+        "output_spectrum": OutputSpectrum([[1.0, 2.0]], None, mask(every_frequency=True)),
+        **ONE,
+    },
+}
+
+
+@pytest.mark.parametrize("words", OBSTACLES)
+def test_a_condition_that_fails_is_named(words):
+    failing = conditions(**OBSTACLES[words])
+    assert len(failing) == 1
+    assert words in failing[0]
+
+
+def shrinking(horizon):
+    """Return a problem with less force at longer horizons: feasible at 4 .. 6 only."""
+    return integrator(horizon, control_set=lfo.Box(-1, 1) if horizon < 7 else lfo.Box(-0.01, 0.01))
+
+
+def test_functions_whose_data_depend_on_the_horizon_are_not_monotone():
+    found = lfo.minimum_time(shrinking, horizons=(1, 9))
+    assert (found.horizon, found.monotone, found.proven) == (4, False, True)
+    assert found.reason == "control_set: not the same in the first steps at the horizons 1 and 9"
+    steady = lfo.minimum_time(integrator, horizons=(1, 9))
+    assert (steady.horizon, steady.monotone) == (4, True)
+
+
+def per_time(horizon):
+    """Return a problem whose state bounds widen with time."""
+    bound = np.column_stack([np.full(horizon + 1, 9.0), np.arange(1.0, horizon + 2)])
+    return integrator(horizon, state_set=lfo.Box(-bound, bound))
+
+
+def test_bounds_that_move_are_not_monotone():
+    assert lfo.minimum_time(per_time, horizons=(2, 9)).reason == "state_set: it depends on time"
+
+
+# --- what the search does with horizons that are not decided
+
+
+class Found:
+    """An outcome of a horizon."""
+
+    interrupted = False
+    ray = None
+
+    def __init__(self, horizon, verdict):
+        self.problem, self.primal = integrator(horizon), verdict == "feasible"
+        self.status = lfo.results.Status.INFEASIBLE if verdict == "infeasible" else lfo.results.Status.LIMIT
+
+
+@pytest.mark.parametrize("monotone", [True, False])
+def test_undecided_horizons_are_neither_feasible_nor_infeasible(monotone):
+    kinds = {T: "infeasible" if T < 5 else "undecided" if T < 9 else "feasible" for T in range(1, 17)}
+    search = search_horizons(1, 16, monotone, lambda horizon: Found(horizon, kinds[horizon]))
+    assert search.horizon == 9
+    assert search.of(Verdict.UNDECIDED) == [5, 6, 7, 8]
+    assert 4 in search.of(Verdict.INFEASIBLE)
+
+
+def test_a_range_of_undecided_horizons_is_no_infeasible_one(monkeypatch):
+    def stopped(problem, *options, **more):
+        outcome = lfo.solve(problem, "convex", throw=False)
+        return replace(outcome, status=lfo.results.Status.LIMIT, certificate=None, infeasibility=None)
+
+    monkeypatch.setattr("lin_freq_ocp.api.minimum_time.solve_judged", stopped)
+    found = lfo.minimum_time(integrator, horizons=(1, 9), throw=False)
+    assert (found.horizon, found.proven, found.ray) == (None, False, None)
+    assert found.proof == "nothing is proven of 1 to 9"
+    with pytest.raises(lfo.errors.LimitError):
+        lfo.minimum_time(integrator, horizons=(1, 9))
+
+
+def test_ctrl_c_keeps_what_is_decided():
+    def stop(horizon, verdict):
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+        seen.append((horizon, verdict))
+
+    seen = []
+    found = lfo.minimum_time(integrator, horizons=(1, 100), progress=stop)
+    assert found.interrupted
+    assert seen[0] == (100, "feasible")
+    assert len(found.verdicts) == 3
+    assert found.horizon == min(T for T, verdict in found.verdicts.items() if verdict == "feasible")
+    assert not found.proven
+    assert "nothing is proven of" in found.proof
+
+
+# --- ends of the range, and bad input
+
+
+def test_ends_of_the_range():
+    at_once = lfo.minimum_time(integrator(), horizons=(5, 9))
+    assert (at_once.horizon, at_once.ray, at_once.proven) == (5, None, True)
+    assert at_once.proof == "5 is feasible; shorter horizons were not asked for"
+    with pytest.raises(lfo.errors.InfeasibleError, match="No horizon from 1 to 3 is feasible: 3 is proven") as caught:
+        lfo.minimum_time(integrator(), horizons=(1, 3))
+    assert caught.value.result.problem.horizon == 3
+    assert caught.value.result.ray is not None
+    never = lfo.minimum_time(integrator(), horizons=(1, 3), throw=False)
+    assert (never.horizon, never.proven, never.ray is never.rays[3]) == (None, True, True)
+    assert "none is known to be feasible" in str(never)
+
+
+@pytest.mark.parametrize("horizons", [(5, 4), (0, 4), (1, 2, 3), 7, (1.0, 4), (True, 4), "12"])
+def test_ranges_that_are_none_are_refused(horizons):
+    with pytest.raises(lfo.errors.ProblemError, match="horizons: got"):
+        lfo.minimum_time(integrator, horizons=horizons)
+
+
+def test_problems_that_cannot_be_stated_at_another_horizon_are_refused():
+    with pytest.raises(lfo.errors.ProblemError, match=r"control_set: .*horizon 9; give a function of the horizon"):
+        lfo.minimum_time(integrator(control_set=[lfo.Box(-1, 1)] * 6), horizons=(3, 9))
+    with pytest.raises(lfo.errors.ProblemError, match=r"problem\.horizon: got no parameter of that name"):
+        lfo.minimum_time(lambda steps: integrator(steps), horizons=(3, 9))
+    with pytest.raises(lfo.errors.ProblemError, match="a problem of the horizon 9"):
+        lfo.minimum_time(lambda horizon: integrator(6), horizons=(3, 9))
+    with pytest.raises(lfo.errors.ProblemError, match="an OptimalControlProblem"):
+        lfo.minimum_time(7, horizons=(3, 9))
+
+
+def test_a_numerical_ray_is_no_proof():
+    """Without bounds on the control, a mask at every frequency excludes trajectories of practical size alone."""
+    h = 0.1
+    dynamics = lfo.LinearDynamics([[1.0, h], [0.0, 1.0]], [[h * h / 2], [h]], sampling_time=h)
+    mask = lfo.MagnitudeBound(3.0, band=lfo.low_pass(cutoff_hz=0.4), every_frequency=True)
+    cost = lfo.QuadraticCost(R=1.0)
+    free = lfo.OptimalControlProblem(dynamics, 30, cost, None, None, [0, 0], [1, 0], control_spectrum=mask)
+    found = lfo.minimum_time(free, (28, 29))
+    assert (found.horizon, found.proven, list(found.rays)) == (29, False, [28])
+    assert found.proof.endswith(
+        "a numerical ray excludes every trajectory of practical size at 28; nothing more is proven of 28"
+    )
+    bounded = lfo.minimum_time(replace(free, control_set=lfo.Box(-9, 9)), (28, 29))
+    assert (bounded.horizon, bounded.proven) == (29, True)
+    assert "28 is proven infeasible by a ray" in bounded.proof
+
+
+def narrow(horizon):
+    """Return a move against a mask between two frequencies, between which few horizons have a bin."""
+    mask = lfo.MagnitudeBound(0.02, band=lfo.spectrum.notch(1.4, 0.2))
+    dynamics, bounds = lfo.LinearDynamics([[1.0]], [[1.0]]), lfo.Box(-1.0, 1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", lfo.errors.BandWarning)
+        return lfo.OptimalControlProblem(
+            dynamics, horizon, lfo.QuadraticCost(R=1.0), bounds, None, [0.0], [2.5], control_spectrum=mask
+        )
+
+
+@pytest.mark.parametrize("longest", [9, 10, 11])
+def test_a_mask_without_bins_holds_and_horizons_are_then_solved_one_by_one(longest):
+    with_bins = [T for T in range(1, longest + 1) if narrow(T).terms]
+    assert 0 < len(with_bins) < longest
+    found = lfo.minimum_time(narrow, horizons=(1, longest))
+    every = [T for T in range(1, longest + 1) if lfo.solve(narrow(T), throw=False).primal]
+    assert (found.horizon, found.proven, found.monotone) == (every[0], True, False)
+
+
+NARROW = lfo.spectrum.notch(1.4, 0.1)  # of the horizons to 11, 9 alone has a bin there
+WIDE = lfo.MagnitudeBound(9.0, band=lfo.low_pass(2.5), every_frequency=True)
+WITHOUT_BINS = {
+    "stop band": {"control_spectrum": NARROW},
+    "mask": {"control_spectrum": lfo.MagnitudeBound(0.02, band=NARROW)},
+    "energy": {"state_spectrum": EnergyBound(0.02, band=lfo.spectrum.notch(1.25, 0.02))},  # 10 samples at 9 steps
+    "mask beside another": {"control_spectrum": [WIDE, lfo.MagnitudeBound(0.02, band=NARROW)]},
+    "mask of an output": {"output_spectrum": OutputSpectrum(None, [[1.0]], lfo.MagnitudeBound(0.02, band=NARROW))},
+    "stop band beside a mask of outputs": {"output_spectrum": OutputSpectrum(None, [[1.0]], [WIDE, NARROW])},
+}
+
+
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
+@pytest.mark.parametrize("name", WITHOUT_BINS)
+def test_bins_at_a_horizon_before_the_longest_are_an_obstacle(name):
+    """A horizon without a bin is feasible where the next one, with a bin, may not be."""
+    problem = replace(integrator(11), **WITHOUT_BINS[name])
+    assert obstacles(partial(problem_at_horizon, problem), 1, 11, same_data=True)
+    soft = replace(integrator(11), control_spectrum=[WIDE, lfo.MagnitudeBound(0.02, band=NARROW, penalty=1.0)])
+    assert obstacles(partial(problem_at_horizon, soft), 1, 11, same_data=True) == []

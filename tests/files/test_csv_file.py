@@ -1,0 +1,42 @@
+"""Trajectories as CSV: names, units and every digit."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.files.solution_files import save_csv
+from lin_freq_ocp.library import pendulum
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+
+def test_the_csv_has_names_units_and_every_digit(tmp_path):
+    problem = pendulum(horizon=10, cutoff=None)
+    rng = np.random.default_rng(1)
+    trajectory = Trajectory(rng.normal(size=(11, 4)), rng.normal(size=(10, 1)))
+    save_csv(tmp_path / "run.csv", problem, trajectory)
+    with (tmp_path / "run.csv").open(newline="", encoding="utf-8") as stream:
+        head, *rows = csv.reader(stream)
+    assert head == [
+        *("t", "time [s]", "position [m]", "angle [rad]", "speed [m/s]", "angular speed [rad/s]", "force [N]")
+    ]
+    assert [int(row[0]) for row in rows] == list(range(11))
+    assert float(rows[10][1]) == pytest.approx(0.1)
+    assert (np.array([row[2:6] for row in rows], dtype=float) == trajectory.x).all()
+    assert [float(row[6]) for row in rows[:-1]] == trajectory.u[:, 0].tolist()
+    assert rows[-1][6] == ""
+
+
+def test_the_csv_has_no_clock_without_a_sampling_time(tmp_path):
+    dynamics = LinearDynamics([[1.0]], [[1.0]])
+    problem = OptimalControlProblem(dynamics=dynamics, horizon=1, cost=QuadraticCost())
+    save_csv(tmp_path / "run.csv", problem, Trajectory([[1.0], [1.5]], [[0.5]]))
+    assert (tmp_path / "run.csv").read_text().split() == ["t,x_0,u_0", "0,1.0,0.5", "1,1.5,"]
+    with pytest.raises(ProblemError, match="trajectory"):
+        save_csv(tmp_path / "run.csv", problem, Trajectory([[1.0], [1.5], [1.0]], [[0.5], [0.5]]))

@@ -1,0 +1,190 @@
+"""Local optima of smooth dynamics: costs of IPOPT, bad starts, limits, and what is said where there is no answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.clocks import Clock
+from lin_freq_ocp import library
+from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.methods.hybrid.smooth import interior_point
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier, End
+from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch
+from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+
+KNOWN = [
+    (library.pendulum_swing_up, {}, 42.59133929494813),
+    (library.pendulum_swing_up, {"cutoff_hz": 3.0}, 42.87866289168880),
+    (library.cart_pole, {}, 29.04954319688315),
+    (library.cart_pole, {"cutoff_hz": 8.0}, 29.05153674115086),
+    (library.planar_quadrotor, {}, 17.23373467304576),
+    (library.planar_quadrotor, {"cutoff_hz": 5.0}, 17.38156473398363),
+]
+"""Costs that IPOPT finds from constant controls, by scripts/benchmark.py nonlinear."""
+
+
+def pendulum(horizon=40, **changes):
+    """Return a pendulum that is lifted a little, with other sets and costs."""
+    plain = library.pendulum_swing_up(horizon=horizon, sampling_time=0.1)
+    given = {"control_set": lfo.Box(-5, 5), "initial_state": [0.0, 0.0], "terminal_state": [0.4, 0.0], **changes}
+    return OptimalControlProblem(plain.dynamics, horizon, given.pop("cost", plain.cost), **given)
+
+
+def logarithmic(initial, terminal):
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(
+        lambda x, u: [x[0] + 0.1 * np.log(x[0]) + 0.1 * u[0]], state_dim=1, control_dim=1
+    )
+    box = lfo.Box(-5, 5)
+    return OptimalControlProblem(
+        dynamics, 20, lfo.QuadraticCost(Q=1.0, R=1.0), box, initial_state=[initial], terminal_state=[terminal]
+    )
+
+
+@pytest.mark.parametrize(("build", "arguments", "cost"), KNOWN)
+def test_the_local_optimum_of_ipopt_is_found_and_certified(build, arguments, cost):
+    result = lfo.solve(build(**arguments), global_bound=False)
+    assert (result.status, result.message) == ("locally_optimal", "no global bound was asked for")
+    assert result.cost == pytest.approx(cost, rel=1e-9)
+    assert result.certificate.worst.relative <= 1e-9
+    assert result.options["global_bound"] is False
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"terminal_state": None},
+        {"initial_state": lfo.Box([-0.1, -0.1], [0.1, 0.1])},
+        {"terminal_state": lfo.sets.Ball(0.1, [0.4, 0.0])},
+        {"state_set": lfo.sets.Soft(lfo.Box([-1.0, -0.2], [1.0, 0.2]), 3.0)},
+        {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0))},
+        {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0), oversampling=4)},
+        {"cost": lfo.costs.L1Cost(u=1.0) + lfo.QuadraticCost(Q=1.0, R=0.1)},
+    ],
+)
+def test_all_sets_costs_and_spectra_are_taken(changes):
+    result = lfo.solve(pendulum(**changes), global_bound=False)
+    assert result.status == "locally_optimal"
+    assert result.certificate.worst.relative <= 1e-6
+
+
+def test_loops_that_are_not_compiled_lead_to_the_same_answer():
+    problem = pendulum(control_spectrum=lfo.low_pass(cutoff_hz=2.0))
+    start = lfo.simulate(problem, np.zeros((40, 1)))
+    model = SmoothModel.at(problem, start)
+    answer = Barrier(model, loops(False)).run(model.assembly.point(start))
+    assert answer.end is End.OPTIMAL
+    expected = lfo.solve(problem, global_bound=False).control
+    np.testing.assert_allclose(model.trajectory(answer.point.y).u, expected, atol=1e-8)
+
+
+def test_wide_bands_take_the_side_that_keeps_coefficients(monkeypatch):
+    problem = pendulum(control_spectrum=lfo.low_pass(cutoff_hz=2.0))
+    expected = lfo.solve(problem, global_bound=False).control
+    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.interior_point.FEW_ROWS", -1)
+    np.testing.assert_allclose(lfo.solve(problem, global_bound=False).control, expected, atol=1e-8)
+
+
+def test_a_start_alone_is_followed_and_near_an_optimum_takes_few_steps(monkeypatch):
+    problem = library.cart_pole(horizon=40, sampling_time=0.05)
+    result = lfo.solve(problem, global_bound=False)
+    search = LocalSearch(problem, start=None).run()
+    assert search.tried >= 2
+    steps: list[int] = []
+    run = Barrier.run
+
+    def counted(self, y):
+        answer = run(self, y)
+        steps.append(answer.steps)
+        return answer
+
+    monkeypatch.setattr(Barrier, "run", counted)
+    again = lfo.solve(problem, start=result, global_bound=False)
+    assert again.cost == pytest.approx(result.cost, rel=1e-9)
+    assert len(steps) == 1
+    assert steps[0] <= 20
+
+
+def test_where_no_trajectory_exists_the_nearest_is_measured():
+    result = lfo.solve(library.pendulum_swing_up(horizon=5), global_bound=False, throw=False)
+    assert (result.status, result.trajectory) == ("numerical_error", None)
+    assert "no trajectory was found from" in result.message
+    assert "the nearest violates dynamics by" in result.message
+
+
+def test_steps_to_where_the_map_is_not_defined_are_shortened():
+    result = lfo.solve(logarithmic(2.0, 0.3), global_bound=False)
+    assert result.status == "locally_optimal"
+    assert result.trajectory.x[:-1].min() > 0
+
+
+def test_a_map_that_is_not_defined_at_any_start_is_said():
+    result = lfo.solve(logarithmic(-2.0, 0.5), global_bound=False, throw=False)
+    assert result.status == "numerical_error"
+    assert "where the dynamics are not defined" in result.message
+
+
+def test_a_time_limit_ends_the_iteration():
+    with use_clock(Clock(1.0)):
+        result = lfo.solve(library.cart_pole(), global_bound=False, time_limit=10.0, throw=False)
+    assert (result.status, result.message) == ("limit", "time limit of 10 s")
+
+
+def test_ctrl_c_keeps_the_best_trajectory(monkeypatch):
+    problem, calls = pendulum(), []
+    best = interior_point.smooth_optimum(problem, lfo.simulate(problem, np.zeros((40, 1))), warm=False)[0]
+    derivatives = SmoothModel.derivatives
+
+    def interrupted(self, y):
+        calls.append(y)
+        if len(calls) == 40:  # of a later start
+            raise KeyboardInterrupt
+        return derivatives(self, y)
+
+    monkeypatch.setattr(SmoothModel, "derivatives", interrupted)
+    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.local_search.SMOOTH_STARTS", 5)
+    result = lfo.solve(problem, global_bound=False, throw=False)
+    assert len(calls) == 40
+    assert (result.status, result.interrupted, result.message) == ("limit", True, "interrupted")
+    assert result.cost == pytest.approx(best.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["casadi", "function"])
+def test_functions_are_as_good_as_formulas(kind):
+    if kind == "casadi":
+        casadi = pytest.importorskip("casadi")
+        f = lfo.from_casadi(lambda x, u: [x[0] + 0.1 * x[1], x[1] + 0.1 * (u[0] - casadi.sin(x[0]))], 2, 1)
+    else:
+
+        def jacobian(x, u):
+            return [[1.0, 0.1, 0.0], [-0.1 * np.cos(x[0]), 1.0, 0.1]]
+
+        f = lfo.DifferentiableFunction(
+            lambda x, u: [x[0] + 0.1 * x[1], x[1] + 0.1 * (u[0] - np.sin(x[0]))], jacobian, outputs=2
+        )
+    formulas = lfo.PiecewiseSmoothDynamics.from_formulas(
+        lambda x, u: [x[0] + 0.1 * x[1], x[1] + 0.1 * (u[0] - np.sin(x[0]))], 2, 1
+    )
+    others = lfo.PiecewiseSmoothDynamics([lfo.dynamics.SmoothMode(f)], 2, 1)
+    costs = []
+    for dynamics in (formulas, others):
+        problem = OptimalControlProblem(
+            dynamics, 30, lfo.QuadraticCost(Q=0.1, R=1.0), initial_state=[0, 0], terminal_state=[2.0, 0]
+        )
+        costs.append(lfo.solve(problem, global_bound=False).cost)
+    assert costs[1] == pytest.approx(costs[0], rel=1e-9)
+
+
+def test_a_long_horizon_begins_on_a_straight_line(monkeypatch):
+    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.local_search.LONGEST_REPLAY", 10)
+    search, problem = LocalSearch(pendulum()), pendulum()
+    monkeypatch.setattr(
+        "lin_freq_ocp.methods.hybrid.smooth.local_search.simulate", lambda *given: pytest.fail("replayed")
+    )
+    found = search.run().best
+    assert found is not None
+    monkeypatch.undo()
+    assert found.cost == pytest.approx(lfo.solve(problem, global_bound=False).cost, rel=1e-9)

@@ -1,0 +1,78 @@
+"""The null-space solver against the equations of kkt/system.py, and against the range-space solver."""
+
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from lin_freq_ocp.methods.structured.kkt.null_space import (
+    Coefficients,
+    NullSpaceSolver,
+    Slacks,
+    break_times,
+    sort_rows,
+    unit_scale,
+)
+from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
+from methods.structured.linear_systems import random_system, solved
+
+GROWTHS = (0.0, 12.0, -5.0)
+
+
+@pytest.fixture(params=["compiled", "arrays"])
+def chosen(request):
+    if request.param == "compiled" and find_spec("numba") is None:
+        pytest.skip("numba is not installed")
+    return loops(request.param == "compiled")
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("others", [False, True], ids=["bands", "all rows"])
+def test_it_solves_the_system_of_a_step(chosen, seed, others):
+    system = random_system(seed, GROWTHS[seed % 3], others)
+    _, left = solved(NullSpaceSolver(system[0], chosen, DenseReduced), *system)
+    assert left < 1e-11
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_both_solvers_agree(chosen, seed):
+    system = random_system(seed)
+    kept, _ = solved(NullSpaceSolver(system[0], chosen, DenseReduced), *system)
+    stopped, _ = solved(range_space_solver(system[0], chosen), *system)
+    for a, b in zip(kept, stopped, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-7 * max(1.0, np.abs(b).max(initial=0.0)))
+
+
+def test_restarts_hold_unstable_dynamics(chosen):
+    system = random_system(3, growth=80.0, T=100)
+    assert len(break_times(system[0].A, 100.0)) > 10
+    _, left = solved(NullSpaceSolver(system[0], chosen, DenseReduced), *system)
+    assert left < 1e-9
+
+
+@pytest.mark.parametrize("T", [12, 13])
+def test_coefficients_are_an_orthonormal_basis_of_what_the_bands_leave(T):
+    stages, *_ = random_system(5, T=T)
+    bands, rest = sort_rows(stages)
+    assert bands
+    assert rest
+    slacks = Slacks(stages, [band.entry for band in bands])
+    basis = Coefficients(stages, bands, slacks.controls)
+    N = basis.synthesis(np.eye(basis.count)).reshape(-1, basis.count)
+    np.testing.assert_allclose(N.T @ N, np.eye(basis.count), atol=1e-13)
+    f = np.arange(1.0, stages.coupling.count + 1)
+    w = np.zeros((T + 1, stages.B.shape[2]))
+    w[:, slacks.controls] = basis.particular(f) + basis.synthesis(np.ones((1, basis.count)))[:, :, 0]
+    signals = np.concatenate([np.zeros((T + 1, stages.states)), w], axis=1)[:, stages.coupling.channels, None]
+    families = list(stages.coupling.families())
+    for band in bands:
+        rows = next(rows for rows, at in families if np.array_equal(at, band.rows))
+        np.testing.assert_allclose(rows.forward(signals)[:, 0], f[band.rows])
+
+
+@pytest.mark.parametrize("T", [6, 7])
+def test_scale_of_the_dft(T):
+    pairs = np.fft.rfft(np.eye(T), axis=1).view(float) * unit_scale(T)
+    np.testing.assert_allclose(pairs @ pairs.T, np.eye(T), atol=1e-14)

@@ -1,0 +1,77 @@
+"""Figures of held spectra and residual vibrations: what is drawn, and below which limit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.pages.figures.continua import held_figure, vibrations_figure
+from lin_freq_ocp.pages.figures.figures import comparison_data
+from lin_freq_ocp.pages.report.page import draw, render
+
+FREE = lfo.library.double_integrator(horizon=60, sampling_time=0.04, cutoff_hz=None, speed_bound=None)
+HELD = lfo.MagnitudeBound([[3, 1.0], [20, 0.5]], band=lfo.low_pass(cutoff_hz=3.0), every_frequency=True, hold=True)
+CALM = lfo.ResidualVibration(frequency=(0.9, 1.1), damping=(0.0, 0.1), limit=0.02)
+
+
+@pytest.fixture(scope="module")
+def held():
+    return lfo.compare(replace(FREE, control_spectrum=HELD), [])
+
+
+def lines(ax):
+    return {line.get_label(): line for line in ax.get_lines()}
+
+
+def test_a_held_spectrum_is_drawn_beyond_nyquist_below_its_limit(held):
+    (ax,) = held_figure(comparison_data(held)).axes
+    drawn = lines(ax)
+    assert {"classical", "constrained", "limit", "Nyquist"} <= set(drawn)
+    f, values = drawn["constrained"].get_data()
+    assert f[-1] > 44
+    u = held.constrained.control[:, 0]
+    expected = np.abs(np.sinc(0.04 * f) * (np.exp(-2j * np.pi * 0.04 * np.outer(f, np.arange(60))) @ u))
+    np.testing.assert_allclose(values, expected, rtol=1e-6, atol=1e-9)
+    bounded = f >= 3.0
+    assert (values <= np.interp(f, [3, 20], [1.0, 0.5]) * (1 + 1e-6))[bounded].all()
+    assert drawn["Nyquist"].get_xdata()[0] == pytest.approx(12.5)
+    assert drawn["limit"].get_ydata()[0] == pytest.approx(1.0)
+
+
+def test_the_page_shows_it_and_says_that_filters_do_not_apply(held):
+    drawings = draw(held)
+    (drawing,) = (one for one in drawings if one.name == "held_spectra")
+    assert 'aria-label="Spectra of held signals below their limits"' in drawing.inline
+    page = render(held, drawings)
+    assert "is not about bins" in page
+    assert "held_spectra-" in page
+
+
+def test_a_box_without_shapers_is_drawn_all_the_same():
+    longer = replace(FREE, horizon=80, control_set=[FREE.control_set] * 80)
+    comparison = lfo.compare(replace(longer, control_spectrum=CALM), [])
+    assert comparison.moves is None
+    data = comparison_data(comparison)
+    assert held_figure(data) is None
+    (ax,) = vibrations_figure(data).axes
+    f, values = lines(ax)["constrained"].get_data()
+    assert values[(f >= 0.9) & (f <= 1.1)].max() <= 0.02 * (1 + 1e-6)
+    (limit,) = (one for one in ax.collections if one.get_label() == "limit")
+    assert limit.get_segments()[0] == pytest.approx(np.array([[0.9, 0.02], [1.1, 0.02]]))
+    drawings = draw(comparison)
+    assert "vibration" in {one.name for one in drawings}
+    assert "Residual vibration over the natural frequency" in render(comparison, drawings)
+
+
+@pytest.mark.parametrize(("constraint", "words"), [(CALM, "; its limit is not about bins"), (None, "")])
+def test_the_panel_of_the_spectrum_says_that_there_is_no_band(constraint, words):
+    longer = replace(FREE, horizon=80, control_spectrum=constraint)
+    ax = lfo.solve(longer).plot().axes[1]
+    assert f"no stop band here{words}" in [one.get_text() for one in ax.texts]
+
+
+def test_without_any_nothing_is_drawn():
+    data = comparison_data(lfo.compare(FREE, []))
+    assert held_figure(data) is None
+    assert vibrations_figure(data) is None

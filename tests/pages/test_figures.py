@@ -1,0 +1,177 @@
+"""Figures draw the data of a comparison, and nothing else."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.compared_pages import case, price_axes
+from lin_freq_ocp.api.compare import compare
+from lin_freq_ocp.api.solve import solve
+from lin_freq_ocp.base.errors import SolveError
+from lin_freq_ocp.pages.figures.figures import (
+    comparison_data,
+    comparison_figure,
+    gap_figure,
+    phase_pairs,
+    result_figure,
+    states_figure,
+)
+from lin_freq_ocp.pages.figures.plot_data import MOST_POINTS, STYLES, thin_out, view
+from lin_freq_ocp.pages.report import findings, proof
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.measures import padded_spectrum
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+
+
+def test_every_control_has_its_panels():
+    figure = comparison_figure(case("two controls"))
+    assert len(figure.axes) == 6
+    assert figure.axes[2].get_ylabel() == "pull \\$b\\$"
+    assert figure.axes[0].get_xlabel() == "step t"
+    assert figure.axes[1].get_xlabel() == "frequency [rad/sample]"
+    assert "no stop band here" in [one.get_text() for one in figure.axes[3].texts]
+
+
+def test_panels_draw_the_data():
+    comparison = case("pendulum")
+    trajectory = comparison.constrained.trajectory
+    assert trajectory is not None
+    figure = comparison_figure(comparison)
+    blue = STYLES["constrained"].color
+    control, spectrum, portrait, _ = figure.axes
+    (drawn,) = (line for line in control.lines if line.get_color() == blue)
+    np.testing.assert_array_equal(drawn.get_ydata()[:-1], trajectory.u[:, 0])
+    np.testing.assert_allclose(drawn.get_xdata(), 0.01 * np.arange(241))
+    lines = {line.get_marker(): line for line in spectrum.lines if line.get_color() == blue}
+    magnitude, floor = np.abs(np.fft.rfft(trajectory.u[:, 0])), lines["v"].get_ydata()[0]
+    np.testing.assert_allclose(lines["o"].get_ydata(), magnitude[magnitude >= floor])
+    np.testing.assert_allclose(lines["v"].get_xdata(), np.flatnonzero(magnitude < floor) / 2.4)
+    assert set(range(97, 121)) <= set(np.round(2.4 * lines["v"].get_xdata()).astype(int))
+    between = padded_spectrum(trajectory.u)[1][:, 0]
+    inside = (lines["None"].get_xdata() > 97 / 2.4) & (lines["None"].get_xdata() < 50)
+    assert comparison.constrained_measures is not None
+    peak = lines["None"].get_ydata()[inside].max()
+    assert peak == pytest.approx(comparison.constrained_measures.stopband_peak)
+    assert lines["None"].get_ydata().max() == between.max()
+    curve = next(line for line in portrait.lines if line.get_color() == blue)
+    np.testing.assert_array_equal(curve.get_xydata(), trajectory.x[:, [0, 2]])
+
+
+def test_a_trajectory_that_flies_off_does_not_squeeze_the_others():
+    comparison = case("pendulum")
+    trajectory = comparison.constrained.trajectory
+    assert trajectory is not None
+    _, _, position, angle = comparison_figure(comparison).axes
+    low, high = angle.get_xlim()
+    assert np.ptp(trajectory.x[:, 1]) > 0.8 * (high - low)
+    assert any("leaves the picture; ends 16.7 rad and 74.7 rad/s away" in one.get_text() for one in angle.texts)
+    assert any("ends 0.813 m" in one.get_text() for one in position.texts)
+
+
+def test_view_keeps_trajectories_and_near_overlays():
+    main, far, near = np.array([0.0, 1.0]), np.array([0.0, 9.0]), np.array([-0.4, 0.0])
+    bounds = np.array([-np.inf, 1.5, 40.0])
+    seen = view([main], [far], bounds)
+    assert seen.outside
+    assert seen.low < 0
+    assert 1.5 < seen.high < 2
+    seen = view([main], [near], bounds)
+    assert not seen.outside
+    assert seen.low < -0.4
+    constant = view([np.array([3.0, 3.0])], [], np.array([]))
+    assert constant.low < 3 < constant.high
+
+
+def test_without_a_brick_wall_the_first_filter_is_shown():
+    comparison = case("pendulum")
+    alone = replace(comparison, filtered=comparison.filtered[3:4])
+    trace = comparison_data(alone).traces[1]
+    assert (trace.label, trace.detail) == ("filtered", "moving average")
+    assert trace.trajectory is comparison.filtered[3].replay.trajectory
+    nothing = replace(comparison, filtered=())
+    assert findings.finding(nothing).filtering == ""
+    assert [trace.label for trace in comparison_data(nothing).traces] == ["classical", "constrained"]
+
+
+def test_result_figure_shows_one_solution():
+    result = case("state band").constrained
+    figure = result.plot()
+    assert len(figure.axes) == 5
+    assert result_figure(replace(result, status="limit")).legends[0].get_texts()[0].get_text() == "best point"
+    with pytest.raises(SolveError, match="without a trajectory"):
+        result_figure(case("infeasible").constrained)
+
+
+@pytest.mark.parametrize(("n", "panels"), [(1, 3), (2, 5), (3, 7), (4, 8), (5, 9), (9, 6)])
+def test_any_number_of_states_can_be_drawn(n: int, panels: int):
+    problem = OptimalControlProblem(
+        LinearDynamics(0.9 * np.eye(n) + 0.1 * np.eye(n, k=1), np.ones((n, 1))),
+        horizon=6,
+        cost=QuadraticCost(Q=1.0, R=1.0),
+        state_set=[Box(-2 - 0.1 * t, 2) for t in range(7)],
+        initial_state=np.ones(n),
+    )
+    result = solve(problem)
+    figure = result_figure(result)
+    assert len(figure.axes) == panels
+    assert len(phase_pairs(n)) == {1: 0, 2: 1}.get(n, 2)
+    assert len(states_figure(comparison_data(compare(problem))).axes) == n
+    assert (
+        "state: x_0",
+        "bounds that depend on time: lower -2.6 to -2, upper 2; starts at 1; ends anywhere",
+    ) in problem_facts(problem)
+
+
+def test_positions_are_paired_with_their_speeds():
+    assert phase_pairs(4) == [(0, 2), (1, 3)]
+    assert phase_pairs(8) == [(0, 4), (1, 5)]
+    assert phase_pairs(3) == [(0, 1), (1, 2)]
+    assert phase_pairs(1) == []
+
+
+def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
+    comparison = case("pendulum")
+    result = comparison.constrained
+    assert result.multipliers is not None
+    assert result.certificate is not None
+    (ax,) = price_axes(comparison)
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), np.abs(result.multipliers.rho_u[97:, 0]))
+    np.testing.assert_allclose(ax.lines[0].get_xdata(), np.arange(97, 121) / 2.4)
+    figure = gap_figure(comparison_data(comparison), result.certificate)
+    assert figure is not None
+    gaps = result.certificate.stage_gaps
+    assert gaps is not None
+    points, lower_edge = figure.axes[0].lines[:2]
+    np.testing.assert_array_equal(points.get_ydata(), gaps[gaps > 1e-6 * gaps.max()])
+    assert len(lower_edge.get_ydata()) == len(gaps) - len(points.get_ydata())
+    unbounded = replace(result.certificate, bound=None)
+    assert gap_figure(comparison_data(comparison), unbounded) is None
+    assert proof.parts_of_the_gap(unbounded) == ""
+
+
+def test_long_signals_keep_their_extremes():
+    t = np.arange(50_000.0)
+    y = np.sin(t / 7) + (t == 31_234) * 5
+    x, thin = thin_out(t, y)
+    assert len(thin) <= MOST_POINTS + 2
+    assert thin.max() == y.max()
+    assert x[thin.argmax()] == 31_234
+    assert (x[0], x[-1]) == (0, 49_999)
+    assert np.all(np.diff(x) > 0)
+    same = thin_out(t[:10], y[:10])
+    assert same[1] is not None
+    np.testing.assert_array_equal(same[0], t[:10])
+
+
+def test_plotting_libraries_are_imported_late():
+    code = "import sys, lin_freq_ocp; print({'matplotlib', 'jinja2', 'lin_freq_ocp.pages.report'} & set(sys.modules))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "set()"

@@ -1,0 +1,49 @@
+"""Joint rows in measures, tables and pages."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.stage_rows import cart
+from lin_freq_ocp.files.summary import comparison_summary
+from lin_freq_ocp.pages.report.findings import finding
+from lin_freq_ocp.pages.report.page import draw, render
+from lin_freq_ocp.pages.report.tables import certificate_rows, comparison_rows
+from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.measures import measure
+
+
+def test_violations_are_measured_and_shown():
+    """At least 0.45 at t = 5, which the brick wall, smoothing the start, misses."""
+    e = [[0.55, -0.45 if t == 5 else np.inf] for t in range(24)]
+    rows = lfo.StageRows([[0.0, 1.0], [0.0, -1.0]], [[0.05], [-0.05]], e, name="traction [N]")
+    problem = cart(stage_rows=rows, control_spectrum=lfo.stop_band(bins=range(4, 13)))
+    comparison = lfo.compare(problem, filters=["brickwall"])
+    assert comparison.classical_measures.stage_violation < 1e-8
+    brick_wall = comparison.filtered[0].replay.measures
+    x, u = comparison.filtered[0].replay.trajectory.x, comparison.filtered[0].replay.trajectory.u
+    excess = 0.45 - x[5, 1] - 0.05 * u[5, 0]
+    assert brick_wall.stage_violation == pytest.approx(excess)
+    assert excess > 1e-3
+    assert measure(cart(), comparison.classical.trajectory).stage_violation is None
+    summary = json.loads(json.dumps(comparison_summary(comparison)))
+    assert summary["filtered"]["brickwall"]["stage_violation"] == pytest.approx(excess)
+    group = next(group for group in comparison_rows(comparison).groups if group.title == "Beyond the joint rows by")
+    (row,) = group.rows
+    assert (row.label, row.unit) == ("traction", "N")
+    assert [cell.passed for cell in row.cells] == [True, False, True]
+    assert float(row.cells[1].text) == pytest.approx(excess, rel=1e-3)
+    assert "violates traction by" in str(finding(comparison))
+    assert ("rows: traction [N]", "2 rows C x + D u ≤ e, which depend on time") in problem_facts(problem)
+    shown = [row for row in certificate_rows(problem, comparison.constrained.certificate) if row.label == "S-z"]
+    assert shown[0].name == "rows hold: traction [N]"
+    drawings = draw(comparison)
+    page = render(comparison, drawings)
+    assert "rows hold: traction" in page
+    assert "that joint rows hold" in page
+    without = lfo.compare(cart(), filters=[])
+    assert "that joint rows hold" not in render(without, drawings)

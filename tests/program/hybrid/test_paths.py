@@ -1,0 +1,150 @@
+"""Path relaxations: tighter than shares of modes, proven by any duals, the same by compiled code and by Clarabel."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+import lin_freq_ocp as lfo
+from helpers.modes import random_problem
+from lin_freq_ocp.certificate.hybrid.tree import tree_bound
+from lin_freq_ocp.methods.hybrid.search import node as path_node
+from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
+from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, relaxed
+from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+
+FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
+FIELDS = {
+    "plain": {},
+    "band": {"control_spectrum": lfo.stop_band(bins=[1])},
+    "full": {"cost": FULL},
+    "free": {"initial_state": None},
+    "end": {"terminal_state": [0.2, 0.1]},
+    "one state without cost": {"cost": lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=1.0, x_ref=[0.5, 0.0])},
+}
+
+
+@pytest.fixture(params=["compiled", "by Clarabel"])
+def compiled(request):
+    if request.param == "compiled":
+        pytest.importorskip("numba", reason="the extra fast is not installed")
+        from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
+
+        paths.KERNELS.prepare()
+        compiled_is_there.cache_clear()
+        assert compiled_is_there()
+    return request.param == "compiled"
+
+
+def root(problem, kind=PathRelaxation):
+    relaxation = kind(problem)
+    everything = np.ones((problem.horizon, len(problem.dynamics.modes)), dtype=bool)
+    return relaxation, relaxation.reach.from_start(everything)
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, compiled):
+    problem = random_problem(4, horizon=5, **FIELDS[name])
+    relaxation, reach = root(problem)
+    answer = relaxed(relaxation, reach, compiled=compiled)
+    assert isinstance(answer.duals, PathDuals)
+    close = 1e-2 if name == "full" else 1e-6  # a Hessian that is not diagonal is bounded from below by one that is
+    proven = relaxation.path_bound(relaxation.path_member(reach), answer.duals)
+    assert proven == pytest.approx(answer.bound, rel=close)
+    node = ModeNode(-1, -1, reach.allowed, answer.bound, relaxation.path_multipliers(answer.duals))
+    assert tree_bound(problem, ModeTree((node,))).value == pytest.approx(answer.bound, rel=close)
+    best, shares = lfo.solve(problem).cost, relaxed(*root(problem, ModeRelaxation)).bound
+    assert shares - 1e-6 * abs(best) <= answer.bound <= best + 1e-6 * abs(best)
+
+
+def test_paths_leave_less_open_than_shares():
+    problem = lfo.library.buck_affine(horizon=10, control_spectrum="freq")
+    best = lfo.solve(problem).cost
+    shares, paths = (best - relaxed(*root(problem, kind)).bound for kind in (ModeRelaxation, PathRelaxation))
+    assert 0 < paths < 0.5 * shares
+
+
+@pytest.mark.parametrize("name", ["plain", "band"])
+def test_any_duals_prove_less_than_any_trajectory_costs(name):
+    problem = random_problem(1, horizon=4, **FIELDS[name])
+    relaxation, reach = root(problem)
+    best, rng, member = lfo.solve(problem).cost, np.random.default_rng(0), relaxation.path_member(reach)
+    duals = relaxed(relaxation, reach).duals
+    for size in (0.01, 0.1, 1.0):
+        factor = {part: 1 + size * rng.normal() for part in ("vertices", "images", "coupled")}
+        moved = replace(
+            duals,
+            regions=np.abs(duals.regions + size * rng.normal(size=duals.regions.shape)),
+            **{part: factor[part] * (getattr(duals, part) + size * rng.normal()) for part in factor},
+        )
+        assert relaxation.path_bound(member, moved) <= best + 1e-9 * abs(best)
+        node = ModeNode(-1, -1, reach.allowed, 0.0, relaxation.path_multipliers(moved))
+        judged = tree_bound(problem, ModeTree((node,))).value
+        assert judged <= best + 1e-9 * abs(best)
+
+
+def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(compiled):
+    relaxation, reach = root(random_problem(2, horizon=6, kinks=2))
+    exact = relaxed(relaxation, reach).bound
+    for cutoff in (exact - 0.3 * abs(exact), exact + 0.3 * abs(exact)):
+        rough = relaxed(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled)
+        assert (rough.bound > cutoff) == (exact > cutoff)
+        assert rough.bound <= exact + 1e-6 * abs(exact)
+        assert rough.bound == pytest.approx(exact, rel=1e-2) or rough.bound > cutoff
+
+
+@pytest.mark.parametrize("name", ["plain", "band", "free"])
+def test_the_bound_of_compiled_code_is_that_of_its_multipliers(name):
+    pytest.importorskip("numba", reason="the extra fast is not installed")
+    relaxation, reach = root(random_problem(2, horizon=6, kinks=2, **FIELDS[name]))
+    exact, member = relaxed(relaxation, reach).bound, relaxation.path_member(reach)
+    for cutoff in (exact - abs(exact), exact - 0.1 * abs(exact), exact + 0.1 * abs(exact), exact + 5 * abs(exact)):
+        answer = relaxed(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled=True)
+        assert answer.bound == pytest.approx(relaxation.path_bound(member, answer.duals), rel=1e-9)
+        assert answer.bound < exact - 1e-3 * abs(exact)  # it ended early
+        assert (answer.bound > cutoff) == (exact > cutoff)
+
+
+def test_what_has_no_trajectory_is_proven_empty(compiled):
+    problem = random_problem(0, horizon=4, terminal_state=[2, 2], control_spectrum=lfo.stop_band(bins=[1]))
+    relaxation, reach = root(problem)
+    answer = relaxed(relaxation, reach, compiled=compiled)
+    assert answer.bound == np.inf
+    node = ModeNode(-1, -1, reach.allowed, np.inf, relaxation.path_multipliers(answer.duals))
+    assert tree_bound(problem, ModeTree((node,))).value == np.inf
+
+
+@pytest.mark.parametrize("name", ["buck_affine", "switched_rotation", "pendulum_with_wall"])
+def test_searches_agree_with_and_without_compiled_code(name, compiled, monkeypatch):
+    monkeypatch.setattr(path_node, "compiled_is_there", lambda: compiled)
+    given = {"initial_state": (-6, 7)} if name == "switched_rotation" else {}
+    problem = lfo.library.by_name(name)(horizon=8, control_spectrum="freq", **given)
+    result = lfo.solve(problem)
+    assert result.status == "optimal"
+    assert abs(result.gap) < 1e-6
+    assert result.cost == pytest.approx(lfo.solve(problem, method="enumerate").cost, rel=1e-6)
+
+
+def test_where_edges_of_many_modes_are_many_shares_have_to_do():
+    relaxation, reach = root(random_problem(0, horizon=6, kinks=3))
+    assert relaxation.path_member(reach) is None
+    assert np.isfinite(relaxed(relaxation, reach).bound)
+    relaxation, reach = root(random_problem(0, horizon=3, kinks=3))  # the reach leaves few
+    assert relaxation.path_member(reach) is not None
+
+
+def test_a_small_cost_gets_units_in_which_its_tree_is_proven():
+    """Weights of a Riccati equation, a thousand times those of the stages; a cost a ten-thousandth of what is usual."""
+    base = lfo.library.cart_pole_with_walls(12, damping=10.0, initial_state=(0.43, -0.05, 0.3, 0.0))
+    free = next(mode.linear for mode in piecewise_affine(base).modes if mode.name == "free")
+    Q, R = 0.0025 * np.eye(4), 0.0025 * np.eye(1)
+    problem = replace(base, cost=lfo.QuadraticCost(Q, R, P=solve_discrete_are(free.A, free.B, Q, R)))
+    result = lfo.solve(problem)
+    relaxation = PathRelaxation(problem)
+    assert relaxation.objective(result.cost) < 0.1 <= relaxation.for_cost(result.cost).objective(result.cost)
+    assert result.status == "optimal"
+    assert abs(result.gap) < 1e-6

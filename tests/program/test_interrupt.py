@@ -1,0 +1,116 @@
+"""Ctrl-C during a solve: the solver stops at a point, and the handler is given back."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from helpers.programs import SOLVABLE, ask, is_accepted, long_program
+from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base.interrupts import interrupts_noted
+from lin_freq_ocp.methods.convex import sparse_program as convex
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.program.backends.base import Claim, Solution
+from lin_freq_ocp.program.program import Program
+
+PATIENCE = 600.0  # seconds, after which something hangs
+posix = pytest.mark.skipif(os.name != "posix", reason="a process cannot send itself Ctrl-C there")
+
+
+def interrupt_when_listening(before: Any, stop: threading.Event, sent: threading.Event) -> None:
+    """Send this process a Ctrl-C as soon as somebody else than ``before`` would receive it."""
+    while not stop.is_set():
+        if signal.getsignal(signal.SIGINT) is not before:
+            os.kill(os.getpid(), signal.SIGINT)
+            sent.set()
+            return
+        time.sleep(1e-4)
+
+
+@posix
+def test_ctrl_c_stops_the_solver_at_a_point_and_gives_the_handler_back():
+    """The solver looks at the clock after each iteration, and there waits until Ctrl-C was sent."""
+    asked = long_program(300)
+    before = signal.getsignal(signal.SIGINT)
+    stop, sent = threading.Event(), threading.Event()
+    sender = threading.Thread(target=interrupt_when_listening, args=(before, stop, sent))
+    sender.start()
+    try:
+        with use_clock(lambda: float(not sent.wait(PATIENCE))):
+            solution = ask("clarabel", asked)
+    finally:
+        stop.set()
+        sender.join()
+    assert signal.getsignal(signal.SIGINT) is before
+    assert solution.claim is Claim.INTERRUPTED
+    assert solution.z.shape == asked.q.shape
+    assert np.isfinite(solution.z).all()
+    assert not is_accepted(asked, solution)
+    assert is_accepted(SOLVABLE["upper"].program, ask("clarabel", SOLVABLE["upper"].program))  # and the next one runs
+
+
+@pytest.mark.parametrize("solve", [1, 2])
+def test_ctrl_c_is_remembered_in_whichever_solve_it_came(solve, monkeypatch):
+    """A solve in revised units is a second one: stopping that one is stopping, too."""
+    problem = OptimalControlProblem(
+        LinearDynamics([[1.0]], [[1.0]]), 4, QuadraticCost(R=1.0), initial_state=[1.0], terminal_state=[0.0]
+    )
+    calls: list[Claim] = []
+
+    def interrupted_later(asked: Program, tolerance: float, time_limit: float | None) -> Solution:
+        answer = ask("clarabel", asked)
+        claim = Claim.INTERRUPTED if len(calls) + 1 == solve else answer.claim
+        calls.append(claim)
+        return replace(answer, claim=claim)
+
+    monkeypatch.setattr(convex, "backend", lambda name: interrupted_later)
+    monkeypatch.setattr(convex, "ACCURATE", -1.0)
+    monkeypatch.setattr(convex, "revised_scaling", lambda transcription, scaling, z: scaling)
+    candidate = solve_convex(problem, "clarabel", None, None)
+    assert calls[-1] is Claim.INTERRUPTED
+    assert candidate.interrupted
+    assert candidate.trajectory is not None
+
+
+@posix
+def test_interrupts_are_noted_and_not_raised():
+    before = signal.getsignal(signal.SIGINT)
+    with interrupts_noted() as noted:
+        assert not noted.is_set()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert noted.wait(PATIENCE)
+    assert signal.getsignal(signal.SIGINT) is before
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_the_handler_is_given_back_after_an_error_too():
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(ZeroDivisionError), interrupts_noted():
+        _ = 1 / 0
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_outside_the_main_thread_nothing_is_installed():
+    before = signal.getsignal(signal.SIGINT)
+    seen: list[Any] = []
+
+    def work() -> None:
+        with interrupts_noted() as noted:
+            seen.append((signal.getsignal(signal.SIGINT), noted.is_set()))
+        seen.append(ask("clarabel", SOLVABLE["upper"].program).claim)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [(before, False), Claim.SOLVED]

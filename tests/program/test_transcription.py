@@ -1,0 +1,218 @@
+"""The program against its problem: rows, cost and multipliers."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from helpers.transcribed import M, N, each_problem, small_problem
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.backends.base import backend
+from lin_freq_ocp.program.program import Block
+from lin_freq_ocp.program.real_rows import real_rows
+from lin_freq_ocp.program.transcription import LinearTranscription
+
+
+def random_trajectory(problem: OptimalControlProblem, seed: int) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    T = problem.horizon
+    return Trajectory(rng.normal(size=(T + 1, N)), rng.normal(size=(T, M)))
+
+
+def at(values: np.ndarray, t: int, ndim: int) -> np.ndarray:
+    """Return what holds at time t, of something that may be given one per time."""
+    return values if values.ndim == ndim else values[t]
+
+
+@each_problem
+def test_trajectory_and_point_are_inverse(problem):
+    transcription = LinearTranscription(problem)
+    trajectory = random_trajectory(problem, 1)
+    z = transcription.point(trajectory)
+    assert z.shape == transcription.program.q.shape
+    back = transcription.trajectory(z)
+    np.testing.assert_allclose(back.x, trajectory.x, rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(back.u, trajectory.u, rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(transcription.point(back), z, rtol=1e-14, atol=1e-14)
+    origin, one = transcription.trajectory(0 * z), transcription.trajectory(z)
+    units = transcription.column_units(np.array([2.0, 3.0, 5.0]), np.array([7.0, 11.0]))
+    scaled = transcription.trajectory(units * z)
+    np.testing.assert_allclose(scaled.x - origin.x, (one.x - origin.x) * [2, 3, 5], atol=1e-12)
+    np.testing.assert_allclose(scaled.u - origin.u, (one.u - origin.u) * [7, 11], atol=1e-12)
+
+
+@each_problem
+def test_objective_is_the_cost(problem):
+    transcription = LinearTranscription(problem)
+    program = transcription.program
+    assert abs(program.P - program.P.T).max() < 1e-13
+    for seed in range(4):
+        trajectory = random_trajectory(problem, seed)
+        z = transcription.point(trajectory)
+        assert program.objective(z) == pytest.approx(problem.cost.value(trajectory.x, trajectory.u), rel=1e-12)
+        gradient = np.concatenate([part.ravel() for part in problem.cost.gradient(trajectory.x, trajectory.u)])
+        np.testing.assert_allclose(program.P @ z + program.q, gradient, atol=1e-11)
+
+
+@each_problem
+def test_rows_are_the_constraints_under_their_names(problem):
+    transcription = LinearTranscription(problem)
+    program, T = transcription.program, problem.horizon
+    assert sorted(i for rows in program.rows.values() for i in range(rows.start, rows.stop)) == list(
+        range(program.A.shape[0])
+    )
+    trajectory = random_trajectory(problem, 3)
+    x, u = trajectory.x, trajectory.u
+    value = program.A @ transcription.point(trajectory)
+
+    def of(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rows = program.rows[block]
+        return value[rows], program.lower[rows], program.upper[rows]
+
+    found, lower, upper = of(Block.DYNAMICS)
+    missed = []
+    for t in range(T):
+        A, B, d = problem.dynamics.at(t)
+        missed.append(x[t + 1] - A @ x[t] - B @ u[t] - d)
+    np.testing.assert_array_equal(lower, upper)
+    np.testing.assert_allclose((found - lower).reshape(T, N), missed, atol=1e-12)
+
+    for block, tube, signal in ((Block.STATE_SET, problem.state_tube, x), (Block.CONTROL_SET, problem.control_tube, u)):
+        found, lower, upper = of(block)
+        expected = [
+            (signal[t, i] - tube.lower[t, i], tube.upper[t, i] - signal[t, i])
+            for t in range(len(signal))
+            for i in range(signal.shape[1])
+            if np.isfinite(tube.lower[t, i]) or np.isfinite(tube.upper[t, i])
+        ]
+        assert 0 < len(expected)
+        np.testing.assert_allclose(np.column_stack([found - lower, upper - found]), expected, atol=1e-13)
+
+    found, lower, upper = of(Block.TERMS)
+    left = [
+        at(rows.e, t, 1)[i] - at(rows.C, t, 2)[i] @ x[t] - at(rows.D, t, 2)[i] @ u[t]
+        for rows in problem.stage_rows
+        for t in range(T)
+        for i in range(rows.rows)
+        if np.isfinite(at(rows.e, t, 1)[i])
+    ]
+    assert len(left) == 2 * T + sum(t % 3 > 0 for t in range(T))
+    assert (lower == -np.inf).all()
+    np.testing.assert_allclose(upper - found, left, atol=1e-12)
+
+    for block, stop, signal in (
+        (Block.STATE_SPECTRUM, problem.state_stop, x),
+        (Block.CONTROL_SPECTRUM, problem.control_stop, u),
+    ):
+        found, lower, upper = of(block)
+        np.testing.assert_array_equal(lower, upper)
+        length = len(signal)
+        full = np.array([[stop[min(k, length - k), j] for j in range(stop.shape[1])] for k in range(length)])
+        assert len(found) == full.sum() > 0
+        energy = np.abs(np.fft.fft(signal, axis=0)) ** 2
+        assert ((found - lower) ** 2).sum() == pytest.approx(energy[full].sum() / length, rel=1e-11)
+
+
+@each_problem
+def test_feasible_points_of_the_program_are_those_of_the_problem(problem):
+    """A signal in its bands and boxes gives no residual in those rows; leaving any one of them gives one."""
+    transcription = LinearTranscription(problem)
+    program = transcription.program
+    inside = Trajectory(problem.state_tube.project(np.zeros((problem.horizon + 1, N))), np.zeros((problem.horizon, M)))
+    boxes = np.r_[program.rows[Block.STATE_SET], program.rows[Block.CONTROL_SET]]
+
+    def violation(x: np.ndarray, u: np.ndarray) -> float:
+        value = (program.A @ transcription.point(Trajectory(x, u)))[boxes]
+        return float(np.maximum(program.lower[boxes] - value, value - program.upper[boxes]).max())
+
+    assert violation(inside.x, inside.u) <= 0
+    for tube, which in ((problem.state_tube, 0), (problem.control_tube, 1)):
+        for t, i in np.ndindex(tube.lower.shape):
+            for bound, sign in ((tube.upper, 1), (tube.lower, -1)):
+                if np.isfinite(bound[t, i]):
+                    parts = [inside.x.copy(), inside.u.copy()]
+                    parts[which][t, i] = bound[t, i] + sign * 0.125
+                    assert violation(*parts) == pytest.approx(0.125)
+
+
+@each_problem
+def test_multipliers_are_those_of_the_lagrangian_of_the_theorem(problem):
+    """For any duals y, A'y is the gradient of <eta, x+ - f> + <mu, x> + <nu, u> + <rho, DFT>, here by explicit sums."""
+    transcription = LinearTranscription(problem)
+    program, T = transcription.program, problem.horizon
+    rng = np.random.default_rng(7)
+    y = rng.normal(size=program.A.shape[0])
+    multipliers = transcription.multipliers(y, 1.0)
+    eta, rho_x, rho_u = multipliers.eta, multipliers.rho_x, multipliers.rho_u
+
+    def in_time(rho: np.ndarray, t: int, length: int) -> np.ndarray:
+        return sum((rho[k] * np.exp(2j * np.pi * k * t / length)).real for k in range(len(rho)))
+
+    in_x, in_u = np.array(multipliers.mu), np.array(multipliers.nu)
+    for t in range(T + 1):
+        in_x[t] += in_time(rho_x, t, T + 1)
+        if t > 0:
+            in_x[t] += eta[t - 1]
+        if t < T:
+            A, B, _ = problem.dynamics.at(t)
+            in_x[t] -= A.T @ eta[t]
+            in_u[t] += in_time(rho_u, t, T) - B.T @ eta[t]
+            for rows in problem.stage_rows:
+                in_x[t] += at(rows.C, t, 2).T @ multipliers.stage[rows.name][t]
+                in_u[t] += at(rows.D, t, 2).T @ multipliers.stage[rows.name][t]
+    gradient = np.split(program.A.T @ y, [(T + 1) * N])
+    np.testing.assert_allclose(gradient[0].reshape(T + 1, N), in_x, atol=1e-12)
+    np.testing.assert_allclose(gradient[1].reshape(T, M), in_u, atol=1e-12)
+    assert multipliers.eta_C == 1.0
+
+
+@each_problem
+def test_multipliers_live_only_where_there_are_constraints(problem):
+    transcription = LinearTranscription(problem)
+    y = 1 + np.random.default_rng(8).random(transcription.program.A.shape[0])
+    multipliers = transcription.multipliers(y, 0.0)
+    assert multipliers.eta_C == 0.0
+    for values, where in (
+        (multipliers.mu, np.isfinite(problem.state_tube.lower) | np.isfinite(problem.state_tube.upper)),
+        (multipliers.nu, np.isfinite(problem.control_tube.lower) | np.isfinite(problem.control_tube.upper)),
+        (multipliers.rho_x, problem.state_stop),
+        (multipliers.rho_u, problem.control_stop),
+        *((multipliers.stage[rows.name], np.isfinite(rows.e)) for rows in problem.stage_rows),
+    ):
+        assert where.any()
+        np.testing.assert_array_equal(values != 0, np.broadcast_to(where, values.shape))
+
+
+def test_a_bin_multiplier_is_the_price_of_its_bin():
+    """d J* / d uhat_k = -rho_u[k], the conjugate bin moving with it: by central differences of solved programs."""
+    problem = small_problem(terminal_state=Box([0, None], [0, None]))
+    transcription = LinearTranscription(problem)
+    program, T = transcription.program, problem.horizon
+    band = program.rows[Block.CONTROL_SPECTRUM]
+    solve = backend("clarabel")
+    solution = solve(program, 1e-12, None)
+    rho = transcription.multipliers(solution.y, 1.0).rho_u[:, 0]
+    step = 1e-3
+    for bin_, direction in ((5, 1), (5, 1j), (8, 1), (8, 1j), (10, 1)):
+        costs = []
+        for delta in (step * direction, -step * direction):
+            wave = np.real(np.fft.ifft([delta if k == bin_ else 0 for k in range(T)]))
+            wave = wave if 2 * bin_ == T else 2 * wave  # the signal whose bins k and N - k are delta and its conjugate
+            right = program.lower.copy()
+            right[band] = real_rows(T, problem.control_stop[:, 0]) @ wave
+            moved = dataclasses.replace(
+                program,
+                lower=np.where(program.equality, right, program.lower),
+                upper=np.where(program.equality, right, program.upper),
+            )
+            answer = solve(moved, 1e-12, None)
+            u = transcription.trajectory(answer.z).u[:, 0]
+            assert np.fft.fft(u)[bin_] == pytest.approx(delta, abs=1e-8)
+            costs.append(problem.cost.value(*dataclasses.astuple(transcription.trajectory(answer.z))))
+        price = -(rho[bin_] * np.conj(direction)).real
+        assert abs(price) > 1e-3
+        assert (costs[0] - costs[1]) / (2 * step) == pytest.approx(price, rel=1e-4)
