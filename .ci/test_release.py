@@ -53,6 +53,6 @@ def test_the_image_is_made_of_files_that_are_there():
     lines = (ROOT / ".ci" / "Dockerfile").read_text().splitlines()
     copied = [name for line in lines if line.startswith("COPY") for name in line.split()[1:-1]]
     wheel = WHOLE["tool"]["hatch"]["build"]["targets"]["wheel"]
-    packed = {*wheel["packages"], "hatch_build.py"}
+    packed = {*wheel["packages"], ".ci/hatch_build.py"}
     assert {"pyproject.toml", PROJECT["readme"], *PROJECT["license-files"]} | packed == set(copied)
     assert all((ROOT / name).exists() for name in copied)
