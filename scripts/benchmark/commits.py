@@ -1,0 +1,89 @@
+"""Whether a change made anything slower: two checkouts by turns, a new process each time, and their medians.
+
+    git worktree add --detach ../before COMMIT
+    python scripts/benchmark.py commits ../before . [--runs 5] [--write]
+
+A process imports the package of its checkout, calls a case once so that what is cached is cached, and times it then.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.progress import track
+from rich.table import Table
+
+from benchmark.record import Record, build_parser
+
+LEAST = """
+import subprocess, sys, time
+import lin_freq_ocp as lfo
+
+def least(call, repeats):
+    call()
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)
+"""
+
+CASES = {
+    "solve, T = 240": "print(least(lambda: lfo.solve(lfo.library.pendulum()), 20))",
+    "solve, T = 960": """
+problem = lfo.library.pendulum(horizon=960, sampling_time=0.0025)
+print(least(lambda: lfo.solve(problem), 10))""",
+    "structured, time-varying, T = 1000": """
+import numpy as np
+base = lfo.library.pendulum(horizon=1000, cutoff=None)
+drift = 1 + 1e-3 * np.sin(np.arange(1000))[:, None, None]
+dynamics = lfo.LinearDynamics(base.linear.A * drift, base.linear.B * drift, sampling_time=base.sampling_time)
+problem = lfo.OptimalControlProblem(dynamics, 1000, base.cost, base.control_set, base.state_set, base.initial_state)
+print(least(lambda: lfo.solve(problem, "structured"), 5))""",
+    "node of a mode search": """
+problem = lfo.library.pendulum_with_wall()
+nodes = len(lfo.solve(problem).tree.nodes)
+print(least(lambda: lfo.solve(problem), 1) / nodes)""",
+    "swing-up": "print(least(lambda: lfo.solve(lfo.library.cart_pole(), global_bound=False), 1))",
+    "step of a control loop": """
+problem = lfo.library.pendulum()
+loop = lfo.RecedingHorizon(problem)
+print(least(lambda: loop.step(problem.initial_box.lower), 20))""",
+    "import": 'print(least(lambda: subprocess.run([sys.executable, "-c", "import lin_freq_ocp"], check=True), 5))',
+    "--help": """
+command = [sys.executable, "-m", "lin_freq_ocp", "--help"]
+print(least(lambda: subprocess.run(command, check=True, capture_output=True), 5))""",
+}
+
+
+def seconds(checkout: Path, case: str) -> float:
+    """Return the seconds of a case with the package of a checkout, in a new process."""
+    command = [sys.executable, "-c", LEAST + CASES[case]]
+    environment = os.environ | {"PYTHONPATH": str(checkout.resolve())}
+    return float(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the median milliseconds of every case for both checkouts, and their ratio."""
+    parser = build_parser(__name__, __doc__)
+    parser.add_argument("before", type=Path)
+    parser.add_argument("after", type=Path)
+    parser.add_argument("--runs", type=int, default=5)
+    given = parser.parse_args(arguments)
+    table = Table("case", "before [ms]", "after [ms]", "after / before", title=f"medians of {given.runs} runs by turns")
+    for case in track(CASES):
+        pairs = [(seconds(given.before, case), seconds(given.after, case)) for _ in range(given.runs)]
+        before, after = (statistics.median(column) for column in zip(*pairs, strict=True))
+        table.add_row(case, f"{1e3 * before:.4g}", f"{1e3 * after:.4g}", f"{after / before:.2f}")
+    with Record(given.write) as record:
+        record.show(table)
+
+
+if __name__ == "__main__":
+    main()
