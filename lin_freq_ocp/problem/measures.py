@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -116,14 +117,16 @@ def one_step_residual(problem: OptimalControlProblem, trajectory: Trajectory) ->
 
 
 def growth_along(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return the spectral norm of A_{T-1} ... A_0 along a trajectory, at most the largest float.
-
-    0 where no state follows from another.
-    """
+    """Return the amplification of the dynamics along a trajectory; 0 where no state follows from another."""
     if problem.dynamics.response(problem.horizon) is not None:
         return 0.0
-    dynamics, logarithm, product = problem.dynamics_along(trajectory), 0.0, np.eye(problem.state_dim)
-    for t in range(problem.horizon):
+    return amplification(problem.dynamics_along(trajectory), problem.horizon)
+
+
+def amplification(dynamics: LinearDynamics, horizon: int) -> float:
+    """Return the spectral norm of A_{T-1} ... A_0, at most the largest float."""
+    logarithm, product = 0.0, np.eye(dynamics.state_dim)
+    for t in range(horizon):
         product = dynamics.at(t)[0] @ product
         size = float(np.abs(product).max())
         if size == 0:
