@@ -129,7 +129,11 @@ class _Reader:
         stack = [(root, False)]
         while stack:
             node, ready = stack.pop()
-            parts = self._parts(node)
+            parts = node.args if isinstance(node, ast.Call) else []
+            if isinstance(node, ast.UnaryOp):
+                parts = [node.operand]
+            if isinstance(node, ast.BinOp):
+                parts = [node.left, node.right]
             if ready or not parts:
                 made[node] = self._made(node, [made[part] for part in parts])
             else:

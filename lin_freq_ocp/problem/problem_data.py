@@ -174,7 +174,15 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     stated = len(problem.terminal_state.links(n, T))  # of the links: the others follow from the dynamics
     sources = [("terminal_state", 0) if i < stated else None for i in range(len(problem.links))]
     found = [
-        *row_terms(problem.stage_rows, T),
+        *(
+            Term(
+                rows.name,
+                TermKind.STAGE_ROWS,
+                StageMap(np.arange(T), rows.C, rows.D, np.zeros(rows.rows)),
+                HalfSpaces(np.where(rows.bounded(T), rows.e, np.inf), weight_of(rows.penalty)),
+            )
+            for rows in problem.stage_rows
+        ),
         *unmet_bounds(problem),
         *set_terms("state_set", problem.state_set, n, np.arange(T + 1), fixed),
         *set_terms("initial_state", problem.initial_state, n, np.array([0]), fixed),
@@ -199,19 +207,6 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
         if seen[term.name] > 1:
             found[k] = replace(term, name=f"{term.name} {seen[term.name]}")
     return tuple(found)
-
-
-def row_terms(families: Sequence[StageRows], horizon: int) -> list[Term]:
-    """Return the joint rows as terms."""
-    return [
-        Term(
-            rows.name,
-            TermKind.STAGE_ROWS,
-            StageMap(np.arange(horizon), rows.C, rows.D, np.zeros(rows.rows)),
-            HalfSpaces(np.where(rows.bounded(horizon), rows.e, np.inf), weight_of(rows.penalty)),
-        )
-        for rows in families
-    ]
 
 
 def unmet_bounds(problem: ProblemData) -> Iterator[Term]:
