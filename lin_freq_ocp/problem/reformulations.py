@@ -305,10 +305,10 @@ def rate_limited(
     k, chosen = len(limited), np.eye(m)[limited]
     before = np.full((2, k), [[-np.inf], [np.inf]])
     if previous is not None:
-        held = one_component(real_array("previous", previous), m)
-        if held.shape != (m,):
-            raise ProblemError("previous", f"shape {held.shape}", f"one number for each of the {m} controls")
-        before = np.tile(held[limited], (2, 1))
+        last = one_component(real_array("previous", previous), m)
+        if last.shape != (m,):
+            raise ProblemError("previous", f"shape {last.shape}", f"one number for each of the {m} controls")
+        before = np.tile(last[limited], (2, 1))
     labels = [split_unit(problem.control_names[j]) for j in limited]
     names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
     added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
