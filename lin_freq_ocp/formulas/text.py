@@ -175,8 +175,9 @@ class _Reader:
             raise self._other()
         if isinstance(left, float) and isinstance(right, float):
             return self._number(lambda: compute(left, right))
-        whole = isinstance(sign, ast.Pow) and isinstance(right, float) and right.is_integer()
-        return compute(left, int(right) if whole else right)
+        if isinstance(sign, ast.Pow) and isinstance(right, float) and right.is_integer():
+            right = int(right)
+        return compute(left, right)
 
     def _call(self, name: str, arguments: Sequence[Formula | float]) -> Formula | float:
         numbers = [one for one in arguments if isinstance(one, float)]
