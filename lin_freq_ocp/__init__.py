@@ -16,9 +16,7 @@ The names of everyday use stand here; all names stand in namespaces by subject:
 Nothing is imported before it is used.
 """
 
-from collections.abc import Iterable
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from lin_freq_ocp.base.interrupts import leave_silently
@@ -90,12 +88,7 @@ _HOMES = {
 }
 
 
-def _register_hybrid() -> None:
-    """Import what has modes, kinks or levels."""
-    import_module("lin_freq_ocp.solving.hybrid")
-
-
-register_later(_register_hybrid)
+register_later(lambda: import_module("lin_freq_ocp.solving.hybrid"))  # what has modes, kinks or levels
 
 _MODULES = {name: module for module, names in _HOMES.items() for name in names.split()}
 
@@ -120,13 +113,11 @@ def __getattr__(name: str) -> Any:
         return globals()[name]
     message = f"module {__name__!r} has no attribute {name!r}"
     if not name.startswith("_"):
-        spaces = [space for space in NAMESPACES if name in _names(import_module(f"{__name__}.{space}"))]
-        message += f"; it is lin_freq_ocp.{spaces[0]}.{name}" if spaces else ""
+        for space in NAMESPACES:
+            namespace = import_module(f"{__name__}.{space}")
+            if name in (namespace.PROBLEMS if space == "library" else namespace.__all__):
+                raise AttributeError(f"{message}; it is lin_freq_ocp.{space}.{name}")
     raise AttributeError(message)
-
-
-def _names(namespace: ModuleType) -> Iterable[str]:
-    return namespace.PROBLEMS if namespace.__name__.endswith(".library") else namespace.__all__
 
 
 def __dir__() -> list[str]:

@@ -40,14 +40,12 @@ def real_array(field: str, value: object, allow_infinite: bool = False) -> Array
     return array
 
 
-def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None = None, per: str = "") -> Array:
+def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None = None) -> Array:
     """Convert and require ``shape``, or ``(times, *shape)`` where one value per time is allowed."""
     array = real_array(field, value)
     if array.shape == shape or (times is not None and array.shape == (times, *shape)):
         return array
-    expected = f"shape {shape}" + (f" ({per})" if per else "")
-    if times is not None:
-        expected += f", or {(times, *shape)} with one per time"
+    expected = f"shape {shape}" + ("" if times is None else f", or {(times, *shape)} with one per time")
     raise ProblemError(field, f"shape {array.shape}", expected)
 
 

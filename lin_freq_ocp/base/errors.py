@@ -7,19 +7,6 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
-__all__ = [
-    "BandWarning",
-    "InfeasibleError",
-    "LimitError",
-    "LinFreqOCPError",
-    "MissingExtraError",
-    "NumericalError",
-    "ProblemError",
-    "SolveError",
-    "UnboundedError",
-    "UnsupportedError",
-]
-
 
 class LinFreqOCPError(Exception):
     """Base of all errors of this package.

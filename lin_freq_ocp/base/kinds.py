@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from threading import RLock
 
-_later: list[Callable[[], None]] = []
+_later: list[Callable[[], object]] = []
 _lock = RLock()
 
 
-def register_later(register: Callable[[], None]) -> None:
+def register_later(register: Callable[[], object]) -> None:
     """Take a function whose imports register further kinds; it is called once, when a table lacks an entry."""
     _later.append(register)
 

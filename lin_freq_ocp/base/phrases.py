@@ -115,11 +115,6 @@ def span(values: Array, before: str = " ") -> str:
     return f"{before}from {number(low)} to {number(high)}"
 
 
-def inequality(row: Array, limit: float, names: Sequence[str], relation: str = AT_MOST) -> str:
-    """Return a row as "position + 2 speed ≤ 1"."""
-    return f"{combination(row, names)} {relation} {number(limit)}"
-
-
 def combination(row: Array, names: Sequence[str]) -> str:
     """Return "position - 2 speed" for coefficients of the components of these names."""
     text = ""
@@ -132,10 +127,10 @@ def combination(row: Array, names: Sequence[str]) -> str:
 
 
 def inequalities(rows: Array, limits: Array, names: Sequence[str], symbols: str) -> str:
-    """Return few short rows one by one; of others how many there are, as ``symbols``."""
+    """Return few short rows one by one, as "position + 2 speed ≤ 1"; of others how many there are, as ``symbols``."""
     bounded = np.flatnonzero(limits < NO_BOUND)
     if 0 < len(bounded) <= MOST_ROWS:
-        text = ", ".join(inequality(rows[i], float(limits[i]), names) for i in bounded)
+        text = ", ".join(f"{combination(rows[i], names)} {AT_MOST} {number(float(limits[i]))}" for i in bounded)
         if len(text) <= MOST_TEXT:
             return text
     return f"{plural(len(limits), 'row')} {symbols}"

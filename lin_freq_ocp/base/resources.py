@@ -56,38 +56,29 @@ def require_horizon(horizon: int, state_dim: int, control_dim: int) -> None:
 
 @contextmanager
 def one_blas_thread() -> Generator[None]:
-    """Let linear algebra use one thread, as long as any thread of this process is within."""
-    _blas_threads.enter()
+    """Let linear algebra use one thread, as long as any thread of this process is within.
+
+    The last to leave restores what the first found.
+    """
+    global _users, _before
+    with _lock:
+        _users += 1
+        if _users == 1:
+            threads = [(library, library.num_threads) for library in _blas_libraries()]
+            _before = [(library, count) for library, count in threads if count != 1]
+            for library, _ in _before:
+                library.set_num_threads(1)
     try:
         yield
     finally:
-        _blas_threads.leave()
+        with _lock:
+            _users -= 1
+            for library, count in () if _users else _before:
+                library.set_num_threads(count)
 
 
-class _BlasThreads:
-    """Counts the users of one BLAS thread; the last to leave restores what the first found."""
-
-    def __init__(self) -> None:
-        self._lock, self._users, self._before = threading.Lock(), 0, list[tuple[Any, int]]()
-
-    def enter(self) -> None:
-        with self._lock:
-            self._users += 1
-            if self._users == 1:
-                threads = [(library, library.num_threads) for library in _blas_libraries()]
-                self._before = [(library, before) for library, before in threads if before != 1]
-                for library, _ in self._before:
-                    library.set_num_threads(1)
-
-    def leave(self) -> None:
-        with self._lock:
-            self._users -= 1
-            if not self._users:
-                for library, before in self._before:
-                    library.set_num_threads(before)
-
-
-_blas_threads = _BlasThreads()
+_lock, _users = threading.Lock(), 0  # of one BLAS thread
+_before: list[tuple[Any, int]] = []  # the libraries that had other numbers of threads, and these
 
 
 @cache

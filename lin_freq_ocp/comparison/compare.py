@@ -124,29 +124,22 @@ class ComparisonOutcome:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Return of every trajectory its name, and in words where it is from and what was measured."""
-
-        def text(how: str, measures: Measures | None) -> str:
-            return ", ".join([how, *([] if measures is None else _in_words(measures))])
-
+        rows: list[tuple[str, str, Measures | None]] = [("classical", self.classical.status, self.classical_measures)]
+        for one in self.filtered:
+            unstable = one.replay.stopped or "not replayed: that would amplify rounding errors"
+            rows.append((one.name, "replayed" if one.replay.meaningful else unstable, one.replay.measures))
+        nothing = self.constrained.status == Status.LIMIT and self.constrained.trajectory is None
+        status = f"{self.constrained.status}, no point found" if nothing else self.constrained.status
+        rows.append(("constrained", status, self.constrained_measures))
+        moves = () if self.moves is None else self.moves.all
         return [
-            ("classical", text(self.classical.status, self.classical_measures)),
-            *((one.name, text(_origin(one.replay), one.replay.measures)) for one in self.filtered),
-            ("constrained", text(_status_in_words(self.constrained), self.constrained_measures)),
-            *((move.name, str(move)) for move in (() if self.moves is None else self.moves.all)),
+            *((name, ", ".join([how, *([] if found is None else _in_words(found))])) for name, how, found in rows),
+            *((move.name, str(move)) for move in moves),
         ]
 
     def __str__(self) -> str:
         width = max(len(name) for name, _ in self.rows)
         return "\n".join([str(self.problem), *(f"{name:{width}}  {text}" for name, text in self.rows)])
-
-
-def _status_in_words(result: Outcome) -> str:
-    nothing = result.status == Status.LIMIT and result.trajectory is None
-    return f"{result.status}, no point found" if nothing else result.status
-
-
-def _origin(replay: MeasuredTrajectory) -> str:
-    return "replayed" if replay.meaningful else replay.stopped or "not replayed: that would amplify rounding errors"
 
 
 def _in_words(measures: Measures) -> list[str]:
@@ -176,15 +169,28 @@ def compare_methods(
     alone = not has_frequency_constraint(problem)
     # A classical plan that is only to be filtered needs no global bound.
     method = "nonsmooth" if "nonsmooth" in family_of(free).shorthands and not alone else "auto"
-    limited = _Limited(solve, problem, backend, time_limit)
+    if time_limit is None and "branch_and_bound" in family_of(problem).shorthands:
+        time_limit = SEARCH_SECONDS
+    begun = now()
+
+    def solve_within(
+        variant: OptimalControlProblem, share: float = 1.0, start: object = None, **options: object
+    ) -> Outcome:
+        """Solve in a share of the time that is left for all solves together."""
+        limit = time_limit
+        if limit is not None and limit > 0:  # else it is refused
+            limit = max(share * (limit - (now() - begun)), LEAST_SECONDS)
+        begin = {} if start is None else {"start": start}
+        return solve(variant, backend=backend, time_limit=limit, **begin, **options)
+
     failure: LimitError | None = None
     try:
-        classical = limited.solve(free, 1.0 if alone else 0.5, start, method=method)
+        classical = solve_within(free, 1.0 if alone else 0.5, start, method=method)
     except LimitError as error:  # a point that is not proven can be filtered, too
         classical, failure = error.result, error
-    constrained = classical if alone else limited.solve(problem, 1.0, start, throw=False)
+    constrained = classical if alone else solve_within(problem, 1.0, start, throw=False)
     if classical.trajectory is None and constrained.trajectory is not None:
-        classical = limited.solve(free, 1.0, constrained.trajectory, method=method, throw=False)
+        classical = solve_within(free, 1.0, constrained.trajectory, method=method, throw=False)
     plan = classical.trajectory
     if plan is None and failure is not None:
         raise LimitError(f"{failure} Nothing can be filtered: begin with a trajectory (start), or wait.", classical)
@@ -195,29 +201,8 @@ def compare_methods(
         control = filtered(name, problem, plan.u)
         replay = replay_control(name.replace("_", " "), problem, control.u, plan)
         entries.append(Filtered(name, control.description, replay))
-    if not shapers:
-        return ComparisonOutcome(problem, classical, constrained, tuple(entries))
-    moves = shortest_moves(problem, partial(limited.solve, throw=False), shapers)
+    moves = shortest_moves(problem, partial(solve_within, throw=False), shapers) if shapers else None
     return ComparisonOutcome(problem, classical, constrained, tuple(entries), moves)
-
-
-class _Limited:
-    """Solves within a time limit for all solves together."""
-
-    def __init__(self, solve: Solve, problem: OptimalControlProblem, backend: str, time_limit: float | None):
-        if time_limit is None and "branch_and_bound" in family_of(problem).shorthands:
-            time_limit = SEARCH_SECONDS
-        self._solve, self._backend, self._limit, self._begun = solve, backend, time_limit, now()
-
-    def solve(
-        self, problem: OptimalControlProblem, share: float = 1.0, start: object = None, **options: object
-    ) -> Outcome:
-        """Solve in a share of the time that is left."""
-        limit = self._limit
-        if limit is not None and limit > 0:  # else it is refused
-            limit = max(share * (limit - (now() - self._begun)), LEAST_SECONDS)
-        begin = {} if start is None else {"start": start}
-        return self._solve(problem, backend=self._backend, time_limit=limit, **begin, **options)
 
 
 def _chosen(problem: OptimalControlProblem, given: Sequence[str] | None) -> tuple[list[str], list[str]]:

@@ -17,7 +17,6 @@ from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hybrid.clarke import modes_along
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.problem import measures
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE
 from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -96,11 +95,12 @@ class Signal:
 
     def _weighed_references(self) -> Iterator[tuple[Array, Mask]]:
         """Yield references, (), (components,) or one per time, and at which times the deviation has a weight."""
-        problem, cost = self.problem, self.problem.quadratic
-        yield (
-            cost.x_ref if self.is_state else cost.u_ref,
-            _weighed_times(cost, self.index, self.is_state, problem.horizon),
-        )
+        problem, cost, index = self.problem, self.problem.quadratic, self.index
+        own, across = (cost.Q, cost.S[..., index, :]) if self.is_state else (cost.R, cost.S[..., :, index])
+        weights = np.abs(own[..., index, :]).sum(-1) + np.abs(across).sum(-1)
+        end = [bool(cost.P[index].any())] if self.is_state else []
+        reference = cost.x_ref if self.is_state else cost.u_ref
+        yield reference, np.append(np.broadcast_to(weights > 0, problem.horizon), end).astype(bool)
         for norm in problem.cost.norms:
             found = norm.references(self.index, self.is_state, problem.horizon)
             if found is not None:
@@ -149,14 +149,6 @@ class Signal:
     def of(self, trajectory: Trajectory) -> Array:
         """Return its values over time."""
         return (trajectory.x if self.is_state else trajectory.u)[:, self.index]
-
-
-def _weighed_times(cost: QuadraticCost, index: int, is_state: bool, horizon: int) -> Mask:
-    if not is_state:
-        weights = np.abs(cost.R[..., index, :]).sum(-1) + np.abs(cost.S[..., :, index]).sum(-1)
-        return np.asarray(np.broadcast_to(weights > 0, horizon))
-    weights = np.abs(cost.Q[..., index, :]).sum(-1) + np.abs(cost.S[..., index, :]).sum(-1)
-    return np.append(np.broadcast_to(weights > 0, horizon), bool(cost.P[index].any()))
 
 
 def _row_limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:

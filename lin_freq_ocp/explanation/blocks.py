@@ -82,13 +82,22 @@ def relax_block(problem: OptimalControlProblem, block: Block, amount: float | Ar
         end, given = (problem.initial_box, problem.terminal_box)[ENDS.index(block.kind)], getattr(problem, field)
         return replace(problem, **{field: replace_bounds(given, Box(end.lower - amount, end.upper + amount))})
     if block.kind == "row":
-        return replace(problem, stage_rows=[_relaxed_row(rows, block, amount) for rows in problem.stage_rows])
-    if block.kind.endswith("stop band"):
-        return _narrow_band(problem, block, amount)
+        families = list(problem.stage_rows)
+        k = next(k for k, rows in enumerate(families) if rows.name == block.family)
+        limits = families[k].e.copy()
+        limits[..., block.index] += amount
+        families[k] = StageRows(families[k].C, families[k].D, limits, block.family, families[k].penalty)
+        return replace(problem, stage_rows=families)
+    of_states = block.kind.startswith("state")
+    if block.kind.endswith("stop band"):  # the stopped bins within ``amount`` of passed bins are passed, too
+        field = "state_spectrum" if of_states else "control_spectrum"
+        stop = np.array(problem.state_stop if of_states else problem.control_stop)
+        stop[:, block.index] = kept_stopped(stop[:, block.index], float(np.max(amount)))
+        others = [one for one in entries_of(getattr(problem, field)) if not isinstance(one, Band)]
+        return replace(problem, **{field: [*bands_of(stop), *others]})
     if block.kind == "term":
         return _relaxed_term(problem, block, float(np.max(amount)))
-    field = "state_set" if block.kind == "state bound" else "control_set"
-    tube = problem.state_boxes if block.kind == "state bound" else problem.control_tube
+    field, tube = ("state_set", problem.state_boxes) if of_states else ("control_set", problem.control_tube)
     lower, upper = tube.lower.copy(), tube.upper.copy()
     lower[:, block.index] -= amount
     upper[:, block.index] += amount
@@ -105,23 +114,6 @@ def replace_bounds(given: GivenSet, bounds: Box) -> GivenSet:
 
 def _intersection(bounds: Box, members: Sequence[ConvexSet]) -> ConvexSet:
     return Intersection([bounds, *members]) if members else bounds
-
-
-def _relaxed_row(rows: StageRows, block: Block, amount: float | Array) -> StageRows:
-    if rows.name != block.family:
-        return rows
-    limits = rows.e.copy()
-    limits[..., block.index] += amount
-    return StageRows(rows.C, rows.D, limits, rows.name, rows.penalty)
-
-
-def _narrow_band(problem: OptimalControlProblem, block: Block, bins: float | Array) -> OptimalControlProblem:
-    """Return the problem where the stopped bins of one component within ``bins`` of passed bins are passed, too."""
-    field = "state_spectrum" if block.kind == "state stop band" else "control_spectrum"
-    stop = np.array(problem.state_stop if block.kind == "state stop band" else problem.control_stop)
-    stop[:, block.index] = kept_stopped(stop[:, block.index], float(np.max(bins)))
-    others = [one for one in entries_of(getattr(problem, field)) if not isinstance(one, Band)]
-    return replace(problem, **{field: [*bands_of(stop), *others]})
 
 
 def kept_stopped(stopped: Mask, bins: float) -> Mask:
@@ -143,8 +135,12 @@ def _relaxed_term(problem: OptimalControlProblem, block: Block, amount: float) -
             return replace(problem, **{field: [one and _relaxed_set(one, amount, dimension) for one in given]})
         return replace(problem, **{field: _relaxed_set(given, amount, dimension)})
     entries = list(entries_of(given))
-    entry = (_relaxed_outputs if field == "output_spectrum" else _relaxed_bound)(entries[block.index], amount)
-    entries[block.index : block.index + 1] = [] if entry is None else [entry]
+    entry = entries.pop(block.index)
+    if np.isfinite(amount) and field == "output_spectrum":
+        bounds = [bound.widened(amount) for bound in entry.constraints]
+        entries.insert(block.index, OutputSpectrum(entry.C, entry.D, bounds, entry.output_names))
+    elif np.isfinite(amount):
+        entries.insert(block.index, entry.widened(amount))
     return replace(problem, **{field: entries or None})
 
 
@@ -155,26 +151,17 @@ def _relaxed_set(given: ConvexSet, amount: float, dimension: int) -> ConvexSet:
     return _intersection(box_of(given), [member.widened(amount, dimension) for member in given.members])
 
 
-def _relaxed_bound(given: FrequencyConstraint, amount: float) -> FrequencyConstraint | None:
-    return None if np.isinf(amount) else given.widened(amount)
-
-
-def _relaxed_outputs(outputs: OutputSpectrum, amount: float) -> OutputSpectrum | None:
-    relaxed_bounds = [_relaxed_bound(one, amount) for one in outputs.constraints]
-    kept = [one for one in relaxed_bounds if one is not None]
-    return OutputSpectrum(outputs.C, outputs.D, kept, outputs.output_names) if kept else None
-
-
 def hard_only(problem: OptimalControlProblem) -> OptimalControlProblem:
     """Return the problem without its soft constraints: whether there is a solution does not depend on them."""
 
     def hard_bounds(given: object) -> list[FrequencyConstraint]:
         return [one for one in entries_of(given) if getattr(one, "penalty", None) is None]
 
-    def hard_set(given: GivenSet) -> GivenSet:
-        if isinstance(given, Sequence):
-            return [one and _intersection(box_of(one), _hard(one)) for one in given]
-        return given and _intersection(box_of(given), _hard(given))
+    def hard_set(given: ConvexSet | None) -> ConvexSet | None:
+        return given and _intersection(box_of(given), [member for member in given.members if not member.soft])
+
+    def hard_sets(given: GivenSet) -> GivenSet:
+        return [hard_set(one) for one in given] if isinstance(given, Sequence) else hard_set(given)
 
     outputs = [
         OutputSpectrum(one.C, one.D, kept, one.output_names)
@@ -183,13 +170,9 @@ def hard_only(problem: OptimalControlProblem) -> OptimalControlProblem:
     ]
     return replace(
         problem,
-        **{field: hard_set(getattr(problem, field)) for field in SETS},
+        **{field: hard_sets(getattr(problem, field)) for field in SETS},
         state_spectrum=hard_bounds(problem.state_spectrum) or None,
         control_spectrum=hard_bounds(problem.control_spectrum) or None,
         stage_rows=[one for one in problem.stage_rows if one.penalty is None],
         output_spectrum=outputs or None,
     )
-
-
-def _hard(given: ConvexSet) -> list[ConvexSet]:
-    return [member for member in given.members if not member.soft]

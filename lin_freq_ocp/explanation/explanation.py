@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, positive_number
+from lin_freq_ocp.base.arrays import Array, positive_number
 from lin_freq_ocp.base.clock import now, processor_now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
@@ -159,8 +159,12 @@ def least_cure(
         return _least_narrowing(problem, block, feasible)
     if block.kind == "term":
         return _least_rise(problem, block, feasible)
-    if problem.dynamics.response(problem.horizon) is not None:
-        return _least_widening(problem, block, feasible)
+    if problem.dynamics.response(problem.horizon) is not None:  # it takes no state delta
+        amount = None if block.kind in ENDS else _least_amount(problem, block, feasible, _bounded_size(problem, block))
+        if amount is None:
+            return None
+        cured = relax_block(problem, block, amount)
+        return Cure(block.name, amount, _cure_description(problem, cured, block, amount, np.zeros(0)))
     result = solve_judged(_elastic_problem(problem, block), "convex", time_limit=time_limit)
     if result.trajectory is None:  # an inaccurate one is good enough: the amount is tried below
         return None
@@ -191,18 +195,14 @@ def _least_narrowing(problem: OptimalControlProblem, block: Block, feasible: Fea
     while most - least > 1:
         middle = (least + most) // 2
         least, most = (least, middle) if feasible(relax_block(problem, block, middle)) else (middle, most)
-    return Cure(block.name, float(most), _band_description(problem, stopped, most, "state" in block.kind))
-
-
-def _band_description(problem: OptimalControlProblem, stopped: Mask, bins: int, state: bool) -> str:
-    length = problem.state_samples if state else problem.horizon
-    passed = [np.flatnonzero(mask == 0) for mask in (stopped, kept_stopped(stopped, bins))]
-    if len(passed[0]) and stopped[passed[0].max() + 1 :].all() and not stopped[: passed[0].max()].any():
-        Ts = problem.sampling_time
+    before, after = (np.flatnonzero(~mask) for mask in (stopped, kept_stopped(stopped, most)))
+    text = f"{len(before)} -> {len(after)} passed bins of {len(stopped)}"
+    if len(before) and stopped[before.max() + 1 :].all() and not stopped[: before.max()].any():  # a low pass
+        length, Ts = problem.state_samples if "state" in block.kind else problem.horizon, problem.sampling_time
         factor, unit = (2 * np.pi, "rad/sample") if Ts is None else (1 / Ts, "Hz")
-        first, second = (f"{factor * bins.max() / length:.6g}" for bins in passed)
-        return f"cut-off {first} -> {second} {unit}"
-    return f"{len(passed[0])} -> {len(passed[1])} passed bins of {len(stopped)}"
+        first, second = (f"{factor * bins.max() / length:.6g}" for bins in (before, after))
+        text = f"cut-off {first} -> {second} {unit}"
+    return Cure(block.name, float(most), text)
 
 
 def _least_rise(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
@@ -232,16 +232,6 @@ def _least_amount(problem: OptimalControlProblem, block: Block, feasible: Feasib
     return most
 
 
-def _least_widening(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
-    """Return the cure of bounds or rows where a frequency response takes no state delta; none of ends."""
-    amount = None if block.kind in ENDS else _least_amount(problem, block, feasible, _bounded_size(problem, block))
-    if amount is None:
-        return None
-    return Cure(
-        block.name, amount, _cure_description(problem, relax_block(problem, block, amount), block, amount, np.zeros(0))
-    )
-
-
 def _bounded_size(problem: OptimalControlProblem, block: Block) -> float:
     """Return the size of what a block bounds."""
     x, u = stated_sizes(problem)
@@ -259,7 +249,10 @@ def _cure_description(
 ) -> str:
     if block.kind in ENDS:
         before = problem.initial_box if block.kind == ENDS[0] else problem.terminal_box
-        return f"{_end_text(before)} -> {np.array2string(end, precision=6, separator=', ')}"
+        text = " x ".join(f"[{low:.6g}, {high:.6g}]" for low, high in zip(before.lower, before.upper, strict=True))
+        if before.fixed.all():
+            text = np.array2string(before.lower, precision=6, separator=", ")
+        return f"{text} -> {np.array2string(end, precision=6, separator=', ')}"
     if block.kind == "row":
         limits = _rows_of_block(problem, block).e[..., block.index]
         if np.ptp(limits) == 0:
@@ -272,12 +265,6 @@ def _cure_description(
         shown = [f"[{one.lower[0, block.index]:.6g}, {one.upper[0, block.index]:.6g}]" for one in tubes]
         return " -> ".join(shown) + _small_amount_note(shown, amount)
     return f"bounds wider by {amount:.6g}"
-
-
-def _end_text(end: Box) -> str:
-    if end.fixed.all():
-        return np.array2string(end.lower, precision=6, separator=", ")
-    return " x ".join(f"[{low:.6g}, {high:.6g}]" for low, high in zip(end.lower, end.upper, strict=True))
 
 
 def _small_amount_note(shown: list[str], amount: float) -> str:

@@ -107,7 +107,15 @@ def from_casadi(
         made = _compiled(casadi, function, n, m)
     else:
         raise ProblemError("from_casadi", brief(function), "a casadi.Function of (x, u), or a Python function")
-    _require_columns(made, states, controls)
+    if (made.n_in(), made.n_out()) != (2, 1):
+        got = f"{made.n_in()} inputs and {made.n_out()} outputs"
+        raise ProblemError(f"from_casadi: {made.name()}", got, "columns x and u, and one output")
+    for size in (made.size_in(0), made.size_in(1), made.size_out(0)):
+        if size[1] != 1 or not size[0]:
+            raise ProblemError(f"from_casadi: {made.name()}", f"a matrix {size[0]} x {size[1]}", "columns")
+    for i, (label, given) in enumerate((("states", states), ("controls", controls))):
+        if given is not None and given != made.size1_in(i):
+            raise ProblemError(f"from_casadi.{label}", brief(given), f"{made.size1_in(i)}, as the function has")
     own = str(made.name() if made is function else getattr(function, "__name__", ""))
     title = name or (own if own.isidentifier() else "")  # a lambda has none
     with_derivatives = _Compiled(made, _serialized(made))
@@ -164,18 +172,6 @@ def _compiled(casadi: ModuleType, function: Callable[..., object], n: int, m: in
         got = f"{first_line(error)}, from the function"
         raise ProblemError("from_casadi", got, "an expression of casadi.SX columns x and u, or a list") from error
     return casadi.Function("f", [x, u], [column])
-
-
-def _require_columns(made: Function, states: int | None, controls: int | None) -> None:
-    if (made.n_in(), made.n_out()) != (2, 1):
-        got = f"{made.n_in()} inputs and {made.n_out()} outputs"
-        raise ProblemError(f"from_casadi: {made.name()}", got, "columns x and u, and one output")
-    for size in (made.size_in(0), made.size_in(1), made.size_out(0)):
-        if size[1] != 1 or not size[0]:
-            raise ProblemError(f"from_casadi: {made.name()}", f"a matrix {size[0]} x {size[1]}", "columns")
-    for i, (label, given) in enumerate((("states", states), ("controls", controls))):
-        if given is not None and given != made.size1_in(i):
-            raise ProblemError(f"from_casadi.{label}", brief(given), f"{made.size1_in(i)}, as the function has")
 
 
 def _serialized(made: Function) -> str:

@@ -264,25 +264,18 @@ def norm_rule(arguments: Sequence[IntervalJet], curved: bool) -> IntervalJet:
             hessian = _plus(hessian, multiply(_raised(unit, 2), a[2]))
     if not curved:
         return length, slope, None
-    across = _across(arguments, squares, multiply(multiply(once, once), once), hessian)
-    unknown = ~apart[:, None, None]
-    return length, slope, (np.where(unknown, -np.inf, across[0]), np.where(unknown, np.inf, across[1]))
-
-
-def _across(
-    arguments: Sequence[IntervalJet], squares: Sequence[Interval], inverse_cube: Interval, hessian: Interval
-) -> Interval:
-    """Add sum M_ij Da_i Da_j' to a Hessian, from a_i^2 and 1/|a|^3; see ``norm_rule``."""
-    for i, a in enumerate(arguments):
-        others: Interval = np.zeros_like(squares[0][0]), np.zeros_like(squares[0][0])
+    cubed = multiply(multiply(once, once), once)
+    for i, a in enumerate(arguments):  # and sum M_ij Da_i Da_j'
+        others: Interval = np.zeros_like(total[0]), np.zeros_like(total[0])
         for j, square in enumerate(squares):
             if j != i:
                 others = add(others, square)
-                weight = scale(-1.0, multiply(multiply(a[0], arguments[j][0]), inverse_cube))
+                weight = scale(-1.0, multiply(multiply(a[0], arguments[j][0]), cubed))
                 hessian = _plus(hessian, multiply(_raised(weight, 2), _outer(a[1], arguments[j][1])))
-        diagonal = multiply((np.maximum(others[0], 0.0), others[1]), inverse_cube)
+        diagonal = multiply((np.maximum(others[0], 0.0), others[1]), cubed)
         hessian = _plus(hessian, multiply(_raised(diagonal, 2), _squares(a[1])))
-    return hessian
+    unknown = ~apart[:, None, None]
+    return length, slope, (np.where(unknown, -np.inf, hessian[0]), np.where(unknown, np.inf, hessian[1]))
 
 
 def _plus(a: Interval, b: Interval) -> Interval:

@@ -317,8 +317,19 @@ def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> 
             made[one] = made.get(changed[one], changed[one])
             continue
         arguments = tuple(made[argument] for argument in one.arguments)
-        same = all(new is old for new, old in zip(arguments, one.arguments, strict=True))
-        made[one] = one if same else _made_anew(one, arguments)
+        if all(new is old for new, old in zip(arguments, one.arguments, strict=True)):
+            made[one] = one
+        elif one.kind == SUM:  # sums within sums are taken up, products by numbers are sums
+            total = one.node(SUM, (), (one.data[-1],))
+            for factor, argument in zip(one.data[:-1], arguments, strict=True):
+                total = total + argument * factor
+            made[one] = total
+        elif one.kind == PRODUCT:
+            made[one] = arguments[0] * arguments[1]
+        elif one.kind == QUOTIENT and arguments[1].constant != 0:
+            made[one] = arguments[0] / arguments[1]
+        else:
+            made[one] = replace(one, arguments=arguments)
     return [made[one] for one in formulas]
 
 
@@ -326,20 +337,6 @@ def translated(formulas: Sequence[Formula], origin: Array) -> list[Formula]:
     """Return the formulas as functions of x - origin, origin (n,), and u."""
     variables = [one for one in in_order(formulas) if one.kind == VARIABLE and one.data[0] < len(origin)]
     return rebuilt(formulas, {one: one + float(origin[int(one.data[0])]) for one in variables})
-
-
-def _made_anew(one: Formula, arguments: tuple[Formula, ...]) -> Formula:
-    """Return the node of other arguments: sums within sums are taken up, products by numbers are sums."""
-    if one.kind == SUM:
-        total = one.node(SUM, (), (one.data[-1],))
-        for factor, argument in zip(one.data[:-1], arguments, strict=True):
-            total = total + argument * factor
-        return total
-    if one.kind == PRODUCT:
-        return arguments[0] * arguments[1]
-    if one.kind == QUOTIENT and arguments[1].constant != 0:
-        return arguments[0] / arguments[1]
-    return replace(one, arguments=arguments)
 
 
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:

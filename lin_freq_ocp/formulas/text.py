@@ -36,8 +36,7 @@ from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, OPERATIONS, SUM, 
 LONGEST = 100_000  # characters of one formula
 # What users give for formulas of x and u, "x_0 + u_0" among them; a function is called with signals.
 Formulas = Formula | str | Sequence[Formula | str | float] | Callable[..., object]
-# Of numbers alone.
-ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
+ARITHMETIC: dict[type[ast.operator], Callable[..., float]] = {  # of formulas, too, which make formulas
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
@@ -60,7 +59,15 @@ def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
 def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
     """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
     if callable(given):
-        given = _traced(field, given, dimensions)
+        try:
+            given = given(*signals(*dimensions))
+        except LinFreqOCPError:
+            raise
+        except Exception as error:  # any error of a function that was not made for formulas
+            got = f"{first_line(error)}, from the function"
+            expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
+            advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
+            raise ProblemError(field, got, expected, advice) from error
     if isinstance(given, (Formula, str)):
         given = [given]
     if not isinstance(given, (Sequence, np.ndarray)):
@@ -75,20 +82,6 @@ def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> t
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
         made.append(formula)
     return tuple(made)
-
-
-def _traced(field: str, function: Callable[..., object], dimensions: tuple[int, int]) -> object:
-    """Return the value of a function for signals."""
-    x, u = signals(*dimensions)
-    try:
-        return function(x, u)
-    except LinFreqOCPError:
-        raise
-    except Exception as error:  # any error of a function that was not made for formulas
-        got = f"{first_line(error)}, from the function"
-        expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
-        advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
-        raise ProblemError(field, got, expected, advice) from error
 
 
 def formula_from_text(
@@ -136,19 +129,16 @@ class _Reader:
         stack = [(root, False)]
         while stack:
             node, ready = stack.pop()
-            parts = self._parts(node)
+            parts = node.args if isinstance(node, ast.Call) else []
+            if isinstance(node, ast.UnaryOp):
+                parts = [node.operand]
+            if isinstance(node, ast.BinOp):
+                parts = [node.left, node.right]
             if ready or not parts:
                 made[node] = self._made(node, [made[part] for part in parts])
             else:
                 stack += [(node, True), *((part, False) for part in reversed(parts))]
         return made[root]
-
-    def _parts(self, node: ast.expr) -> list[ast.expr]:
-        if isinstance(node, ast.UnaryOp):
-            return [node.operand]
-        if isinstance(node, ast.BinOp):
-            return [node.left, node.right]
-        return node.args if isinstance(node, ast.Call) else []
 
     def _made(self, node: ast.expr, parts: Sequence[Formula | float]) -> Formula | float:
         value = node.value if isinstance(node, ast.Constant) else None
@@ -180,19 +170,14 @@ class _Reader:
         return ProblemError("formula", brief(self._text), _expected())
 
     def _operation(self, sign: ast.operator, left: Formula | float, right: Formula | float) -> Formula | float:
-        if isinstance(left, float) and isinstance(right, float) and type(sign) in ARITHMETIC:
-            return self._number(lambda: ARITHMETIC[type(sign)](left, right))
-        if isinstance(sign, ast.Add):
-            return left + right
-        if isinstance(sign, ast.Sub):
-            return left - right
-        if isinstance(sign, ast.Mult):
-            return left * right
-        if isinstance(sign, ast.Div):
-            return left / right
-        if isinstance(sign, ast.Pow) and isinstance(right, float):
-            return left ** (int(right) if right.is_integer() else right)
-        raise self._other()
+        compute = ARITHMETIC.get(type(sign))
+        if compute is None or (isinstance(sign, ast.Pow) and isinstance(right, Formula)):
+            raise self._other()
+        if isinstance(left, float) and isinstance(right, float):
+            return self._number(lambda: compute(left, right))
+        if isinstance(sign, ast.Pow) and isinstance(right, float) and right.is_integer():
+            right = int(right)
+        return compute(left, right)
 
     def _call(self, name: str, arguments: Sequence[Formula | float]) -> Formula | float:
         numbers = [one for one in arguments if isinstance(one, float)]
@@ -258,21 +243,18 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
     """
     order = in_order(formulas)
     uses = Counter(argument for one in order for argument in one.arguments) + Counter(formulas)
-    shared = {one for one, count in uses.items() if count > 1} if _longest(formulas) > LONGEST_TEXT else set()
+
+    def length(one: Formula, arguments: list[int]) -> int:
+        """Return the approximate number of characters of a formula in full."""
+        numbers = 0 if one.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in one.data)
+        return 4 + numbers + sum(arguments) + 2 * len(arguments)
+
+    long = max(evaluated(formulas, length), default=0) > LONGEST_TEXT
+    shared = {one for one, count in uses.items() if count > 1} if long else set()
     writer = _Writer(shared)
     for one in order:
         writer.add(one)
     return [writer.part(one)[0] for one in formulas], writer.definitions
-
-
-def _longest(formulas: Sequence[Formula]) -> int:
-    """Return the approximate number of characters of the longest formula as it stands."""
-
-    def length(one: Formula, arguments: list[int]) -> int:
-        numbers = 0 if one.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in one.data)
-        return 4 + numbers + sum(arguments) + 2 * len(arguments)
-
-    return max(evaluated(formulas, length), default=0)
 
 
 class _Writer:

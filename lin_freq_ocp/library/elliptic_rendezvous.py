@@ -144,9 +144,6 @@ def _sampled_model(orbit: _Orbit, first_anomaly: float, horizon: int, step: floa
     """Return A_t, shape (T, 4, 4), and B_t, shape (T, 4, 2); all periods are integrated side by side."""
     thrust = np.vstack([np.zeros((2, 2)), 1e-3 * np.eye(2)])
 
-    def anomaly_rate(_: float, anomaly: Array) -> Array:
-        return orbit.rate(anomaly)
-
     def rates(_: float, packed: Array) -> Array:
         anomaly, A_and_B = packed[:horizon], packed[horizon:].reshape(horizon, 4, 6)
         change = orbit.relative_motion(anomaly) @ A_and_B
@@ -154,7 +151,7 @@ def _sampled_model(orbit: _Orbit, first_anomaly: float, horizon: int, step: floa
         return np.concatenate([orbit.rate(anomaly), change.ravel()])
 
     times = step * np.arange(horizon + 1, dtype=np.float64)
-    anomaly = _integrated(anomaly_rate, np.array([first_anomaly]), times)[0, :-1]
+    anomaly = _integrated(lambda _, anomaly: orbit.rate(anomaly), np.array([first_anomaly]), times)[0, :-1]
     packed = np.concatenate([anomaly, np.tile(np.eye(4, 6).ravel(), horizon)])
     sampled = _integrated(rates, packed, np.array([step]))[horizon:, 0].reshape(horizon, 4, 6)
     return sampled[..., :4], sampled[..., 4:]

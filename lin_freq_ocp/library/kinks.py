@@ -7,7 +7,7 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import positive_integer, positive_number, shaped
 from lin_freq_ocp.library.common import Spectrum, control_band, flag, sum_of_squares, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.piecewise_affine import AffineMode, PiecewiseAffineDynamics
@@ -185,15 +185,9 @@ def _mode(
     """Return x+ = slopes . (x, u) where every row . (x, u) <= 0; at t = 0 x+ = u with ``load_first``."""
     A, B, region = np.array([[slopes[0]]]), np.array([[slopes[1]]]), np.array(rows)
     if load_first:
-        A, B = _loaded(A, 0.0, horizon), _loaded(B, 1.0, horizon)
+        A, B = np.tile(A, (horizon, 1, 1)), np.tile(B, (horizon, 1, 1))
+        A[0], B[0] = 0.0, 1.0
     return AffineMode(A, B, G=region[:, :1], H=region[:, 1:], h=np.zeros(len(region)), name=name)
-
-
-def _loaded(slope: Array, first: float, horizon: int) -> Array:
-    """Return the slope (1, 1) for every time, (T, 1, 1), with another one at t = 0."""
-    slopes = np.repeat(slope[None], horizon, axis=0)
-    slopes[0] = first
-    return slopes
 
 
 CONTRACTION, ANGLE = 0.8, pi / 3

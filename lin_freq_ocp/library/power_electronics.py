@@ -93,17 +93,13 @@ def buck_affine(
     lowest, highest = _voltages(voltage_bounds)
     count = positive_integer("pieces", pieces)
     kept, slope, excess = _border(step)
-    on = AffineMode(*_map(CURRENT_REFERENCE * ONE + kept * excess), **_region([excess]), name="on")
+    on = _affine_mode("on", CURRENT_REFERENCE * ONE + kept * excess, [excess])
     if count == 1:
         off = [(excess / (_above_pole(linearised_at)), [-excess])]
     else:
         off = _triangles(count, np.geomspace(lowest - POLE, highest - POLE, count), slope, excess)
     modes = [
-        AffineMode(
-            *_map(CURRENT_REFERENCE * ONE - POLE * kept * ratio),
-            **_region(rows),
-            name="off" if count == 1 else f"off {j}",
-        )
+        _affine_mode("off" if count == 1 else f"off {j}", CURRENT_REFERENCE * ONE - POLE * kept * ratio, rows)
         for j, (ratio, rows) in enumerate(off, 1)
     ]
     return OptimalControlProblem(
@@ -210,15 +206,11 @@ def _line(ends: Array, first_above: bool, slope: float, excess: Array) -> Array:
     return slope * above * (VOLTAGE_ABOVE_POLE - below * ONE) - (above - below) * excess
 
 
-def _map(row: Array) -> tuple[Array, Array, Array]:
-    """Return A, B and the offset of an affine function of (i, v)."""
-    return row[:1, None], row[1:2, None], row[2:]
-
-
-def _region(rows: list[Array]) -> dict[str, Array]:
-    """Return G, H and h of the region where affine functions of (i, v) are <= 0."""
-    stacked = np.array(rows)
-    return {"G": stacked[:, :1], "H": stacked[:, 1:2], "h": -stacked[:, 2]}
+def _affine_mode(name: str, row: Array, rows: list[Array]) -> AffineMode:
+    """Return the mode whose map is an affine function of (i, v), where other such functions are <= 0."""
+    region = np.array(rows)
+    G, H, h = region[:, :1], region[:, 1:2], -region[:, 2]
+    return AffineMode(row[:1, None], row[1:2, None], row[2:], G=G, H=H, h=h, name=name)
 
 
 LEVELS = (-2.0, -1.0, 0.0, 1.0, 2.0)

@@ -112,6 +112,10 @@ def quadcopter(
     60
     """
     lowest, highest = shaped("rotor_bounds", rotor_bounds, (2,)) - HOVER
+    tilt, lower, upper = symmetric("tilt_bound", tilt_bound), np.full(len(A), -np.inf), np.full(len(A), np.inf)
+    lower[:2], upper[:2] = tilt.lower, tilt.upper
+    if lowest_height is not None:
+        lower[5] = shaped("lowest_height", lowest_height, ())
     return OptimalControlProblem(
         dynamics=LinearDynamics(
             A,
@@ -132,21 +136,12 @@ def quadcopter(
             x_ref=shaped("reference", reference, (len(A),)),
         ),
         control_set=Box(lowest, highest),
-        state_set=_state_set(tilt_bound, lowest_height),
+        state_set=Box(lower, upper),
         initial_state=initial_state,
         terminal_state=terminal_state,
         control_spectrum=None if cutoff_hz is None else low_pass(cutoff_hz=cutoff_hz),
         name="quadcopter",
     )
-
-
-def _state_set(tilt_bound: float | None, lowest_height: float | None) -> Box:
-    tilt = symmetric("tilt_bound", tilt_bound)
-    lower, upper = np.full(len(A), -np.inf), np.full(len(A), np.inf)
-    lower[:2], upper[:2] = tilt.lower, tilt.upper
-    if lowest_height is not None:
-        lower[5] = shaped("lowest_height", lowest_height, ())
-    return Box(lower, upper)
 
 
 BODY_MASS, WHEEL_MASS = 290.0, 59.0  # kg

@@ -7,7 +7,7 @@ from math import pi
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import brief, positive_integer, positive_number, shaped
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.common import Spectrum, control_band, sum_of_squares, symmetric
 from lin_freq_ocp.problem.hybrid.piecewise_affine import AffineMode, PiecewiseAffineDynamics
@@ -247,7 +247,10 @@ def cart_pole_with_walls(
     damping = positive_number("damping", damping)
     into_right, into_left = np.append(TIP, [0.0, 0.0]), np.append(-TIP, [0.0, 0.0])
     push_right, push_left = np.append(STIFFNESS * TIP, damping * TIP), np.append(-STIFFNESS * TIP, -damping * TIP)
-    free, B = _euler(h)
+    rates = np.zeros((4, 4))  # of the cart and the pole without walls
+    rates[0, 2] = rates[1, 3] = 1.0
+    rates[2, 1], rates[3, 1] = GRAVITY, 2 * GRAVITY
+    free, B = np.eye(4) + h * rates, h * np.array([[0.0], [0.0], [1.0], [1.0]])  # by forward Euler
     pushed = STIFFNESS * WALL  # k p + nu p' = push x - k d, which is >= 0 iff push x >= k d
     regions = {
         "right wall": ([-into_right, -push_right], [-WALL, -pushed]),
@@ -278,11 +281,3 @@ def cart_pole_with_walls(
         control_spectrum=control_band(control_spectrum, T),
         name="cart_pole_with_walls",
     )
-
-
-def _euler(h: float) -> tuple[Array, Array]:
-    """Return A and B of the cart and the pole without walls, by forward Euler."""
-    rates = np.zeros((4, 4))
-    rates[0, 2] = rates[1, 3] = 1.0
-    rates[2, 1], rates[3, 1] = GRAVITY, 2 * GRAVITY
-    return np.eye(4) + h * rates, h * np.array([[0.0], [0.0], [1.0], [1.0]])

@@ -105,11 +105,17 @@ def mri_gradient(
     values = np.array([value for _, _, value in moments])
     change, bound = positive_number("slew_rate", slew_rate) * step, np.full((T, 1), limit)
     bound[0] = 0.0
-    before = np.append(np.zeros(len(moments)), 1.0)
+    before, gains = np.append(np.zeros(len(moments)), 1.0), np.ones((T, len(moments) + 1, 1))
+    for i, (k, _, _) in enumerate(moments):  # what a unit of g_t adds to each moment; the last is the sample before
+        gains[:, i, 0] = step * (step * np.arange(T)) ** k
+    level = positive_number("band_level", band_level)
+    edges = np.zeros((0, 2)) if forbidden_bands_hz is None else real_array("forbidden_bands_hz", forbidden_bands_hz)
+    if edges.ndim != 2 or edges.shape[1] != 2 or (edges[:, 0] >= edges[:, 1]).any() or (edges < 0).any():
+        raise ProblemError("forbidden_bands_hz", brief(forbidden_bands_hz), "pairs (low, high) in Hz, 0 <= low < high")
     return OptimalControlProblem(
         dynamics=LinearDynamics(
             np.diag(1.0 - before),
-            _gains([k for k, _, _ in moments], T, step),
+            gains,
             sampling_time=step / MS_PER_S,
             state_names=[f"{name} moment [mT/m ms{f'^{k + 1}' if k else ''}]" for k, name, _ in moments]
             + ["gradient before [mT/m]"],
@@ -120,7 +126,11 @@ def mri_gradient(
         control_set=Box(-bound, bound),
         initial_state=np.zeros(len(before)),
         terminal_state=Box(np.append(values - tolerance, 0.0), np.append(values + tolerance, 0.0)),
-        control_spectrum=_masks(forbidden_bands_hz, positive_number("band_level", band_level)),
+        control_spectrum=[
+            MagnitudeBound(level, band=notch(centre_hz=(low + high) / 2, width_hz=high - low), every_frequency=True)
+            for low, high in edges.tolist()
+        ]
+        or None,
         stage_rows=StageRows(np.stack([-before, before]), [[1.0], [-1.0]], [change, change], name="slew rate"),
         name="mri_gradient",
     )
@@ -131,27 +141,6 @@ def _number(parameter: str, given: float) -> float:
     if value.ndim:
         raise ProblemError(parameter, brief(given), "one number")
     return float(value)
-
-
-def _gains(orders: Sequence[int], horizon: int, step: float) -> Array:
-    """Return B_t, (T, n, 1): what a unit of g_t adds to each moment, and to the sample before of the next step."""
-    times = step * np.arange(horizon)
-    gains = np.ones((horizon, len(orders) + 1, 1))
-    for i, k in enumerate(orders):
-        gains[:, i, 0] = step * times**k
-    return gains
-
-
-def _masks(bands: Sequence[Sequence[float]] | None, level: float) -> list[MagnitudeBound] | None:
-    if bands is None:
-        return None
-    edges = real_array("forbidden_bands_hz", bands)
-    if edges.ndim != 2 or edges.shape[1] != 2 or (edges[:, 0] >= edges[:, 1]).any() or (edges < 0).any():
-        raise ProblemError("forbidden_bands_hz", brief(bands), "pairs (low, high) in Hz, 0 <= low < high")
-    return [
-        MagnitudeBound(level, band=notch(centre_hz=(low + high) / 2, width_hz=high - low), every_frequency=True)
-        for low, high in edges.tolist()
-    ] or None
 
 
 def printer_move(

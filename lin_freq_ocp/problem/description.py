@@ -19,23 +19,21 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
 
     ``gap`` is a place in the sets, as text, that the regions of all modes leave out, if there is one.
     """
+    step, horizon, tube = problem.sampling_time, plural(problem.horizon, "step"), problem.control_tube
+    if step is not None:
+        horizon = f"{horizon} of {number(step)} s ({number(step * problem.horizon)} s)"
     facts = [
-        ("horizon", _horizon(problem)),
+        ("horizon", horizon),
         *_cost(problem),
         *problem.dynamics.facts(_signals(problem)),
         *([("gap", f"no mode {gap}: infeasible there")] if gap and not _at_levels(problem) else []),
-        *_controls(problem),
+        *((f"control: {name}", _bounds(tube, i, problem.control_set)) for i, name in enumerate(problem.control_names)),
         *_states(problem),
         *_sets(problem),
         *[(f"rows: {rows.name}", rows.describe(_signals(problem))) for rows in problem.stage_rows],
         *_spectra(problem),
     ]
     return [(term, shorten(value, LONGEST, placeholder=" \N{HORIZONTAL ELLIPSIS}")) for term, value in facts]
-
-
-def _horizon(problem: ProblemData) -> str:
-    step, horizon = problem.sampling_time, plural(problem.horizon, "step")
-    return horizon if step is None else f"{horizon} of {number(step)} s ({number(step * problem.horizon)} s)"
 
 
 def _cost(problem: ProblemData) -> list[Fact]:
@@ -49,16 +47,10 @@ def _cost(problem: ProblemData) -> list[Fact]:
             if not part.penalty.hard
         ]
         return [("minimise", "the costs of the control set" if paid else "nothing: any feasible point will do")]
-    where, data = list[Fact](), quadratic.describe_data()
-    for at in range(0, len(data), 3):  # each up to some sixty characters
-        where.append(("where", listed(data[at : at + 3])))
+    data = quadratic.describe_data()
+    where = [("where", listed(data[at : at + 3])) for at in range(0, len(data), 3)]  # each up to some sixty characters
     facts = [("minimise", parts[0]), *(("plus", part) for part in parts[1:])]
     return [facts[0], *where, *facts[1:]] if quadratic.describe() else facts
-
-
-def _controls(problem: ProblemData) -> list[Fact]:
-    tube = problem.control_tube
-    return [(f"control: {name}", _bounds(tube, i, problem.control_set)) for i, name in enumerate(problem.control_names)]
 
 
 def _states(problem: ProblemData) -> list[Fact]:

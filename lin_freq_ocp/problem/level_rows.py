@@ -18,7 +18,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.problem.terms.term import TermKind
 
 AT_LEVEL = 1e-6  # share of a sample up to which it counts as at a level: solvers leave less, and the judge allows it
 INDEPENDENT = 1e-10  # singular value of rows of size 1, over the largest, from which they are independent: no rounding
@@ -81,9 +81,13 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
         _ = problem.linear
     except UnsupportedError:  # known by a frequency response, or with modes
         return None
-    free = problem.quadratic.zero and 0 in problem.fixed_ends and not inner.any()
-    if not free or not all(map(_linear, problem.terms)):
+    if not problem.quadratic.zero or 0 not in problem.fixed_ends or inner.any():
         return None
+    for term in problem.terms:  # each must be linear rows, or a cost of levels
+        lower, upper = term.penalty.hard_bounds(term.shape)
+        rows = term.everywhere is None and (term.penalty.polyhedral or bool((lower == upper).all()))
+        if not (rows if term.hard else term.kind == TermKind.CONTROL_SET):
+            return None
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     end = problem.ends[1]
     of_end = np.zeros((n, T + 1, n))
@@ -115,9 +119,11 @@ def with_few_between(problem: OptimalControlProblem, u: Array) -> Array | None:
     if len(R):
         found[free] += np.linalg.lstsq(R[:, free], R @ (at - found), rcond=None)[0]
     while len(free):
-        z = _null(R[:, free])
-        if z is None:
+        _, sizes, directions = np.linalg.svd(R[:, free], full_matrices=True)
+        rank = int(np.count_nonzero(sizes > INDEPENDENT * sizes.max(initial=0.0)))
+        if rank == len(free):
             break
+        z = directions[rank]  # R maps it to zero
         room = np.where(z > 0, upper[free] - found[free], found[free] - lower[free]) / np.maximum(np.abs(z), 1e-300)
         first = int(np.argmin(room))
         found[free] += room[first] * z
@@ -138,14 +144,6 @@ def _of_spans(rows: Array, spans: Array) -> Array:
     given = given / np.where(largest > 0, largest, 1.0)
     size = np.linalg.norm(given, axis=1, keepdims=True)
     return given / np.where(size > 0, size, 1.0)
-
-
-def _linear(term: Term) -> bool:
-    """Whether a term is linear rows, or a cost of levels."""
-    if not term.hard:
-        return term.kind == TermKind.CONTROL_SET
-    lower, upper = term.penalty.hard_bounds(term.shape)
-    return term.everywhere is None and (term.penalty.polyhedral or bool((lower == upper).all()))
 
 
 def _removed(stop: Mask, times: int) -> Array:
@@ -180,13 +178,6 @@ def _neighbours(given: ConvexSet, u: Array) -> tuple[Array, Array, Array, Array]
     between = np.stack([one.max(axis=1) < 1 - AT_LEVEL for one in shares], axis=1)
     nearest = np.stack([values[one.argmax(axis=1)] for values, one in zip(levels, shares, strict=True)], axis=1)
     return nearest, low, high, between
-
-
-def _null(R: Array) -> Array | None:
-    """Return a direction that R maps to zero, or None."""
-    _, sizes, directions = np.linalg.svd(R, full_matrices=True)
-    rank = int(np.count_nonzero(sizes > INDEPENDENT * sizes.max(initial=0.0)))
-    return directions[rank] if rank < R.shape[1] else None
 
 
 def _rank(R: Array) -> int:

@@ -5,6 +5,7 @@ The terms are made of the sets, rows, costs and frequency constraints that the p
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -170,13 +171,26 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     fixed = problem.fixed_ends
     states = Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, problem.state_samples, step)
     controls = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, T, step)
+    stated = len(problem.terminal_state.links(n, T))  # of the links: the others follow from the dynamics
+    sources = [("terminal_state", 0) if i < stated else None for i in range(len(problem.links))]
     found = [
-        *row_terms(problem.stage_rows, T),
+        *(
+            Term(
+                rows.name,
+                TermKind.STAGE_ROWS,
+                StageMap(np.arange(T), rows.C, rows.D, np.zeros(rows.rows)),
+                HalfSpaces(np.where(rows.bounded(T), rows.e, np.inf), weight_of(rows.penalty)),
+            )
+            for rows in problem.stage_rows
+        ),
         *unmet_bounds(problem),
         *set_terms("state_set", problem.state_set, n, np.arange(T + 1), fixed),
         *set_terms("initial_state", problem.initial_state, n, np.array([0]), fixed),
         *set_terms("terminal_state", problem.terminal_state, n, np.array([T]), fixed),
-        *link_terms(problem),
+        *(
+            Term(link.name, TermKind.LINKED_ENDS, link.values, link.penalty, source)
+            for link, source in zip(problem.links, sources, strict=True)
+        ),
         *set_terms("control_set", problem.control_set, m, np.arange(T), {}),
         *spectrum_terms("state_spectrum", problem.state_spectrum, states),
         *spectrum_terms("control_spectrum", problem.control_spectrum, controls),
@@ -186,20 +200,13 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
         if not isinstance(outputs, OutputSpectrum):
             raise ProblemError("output_spectrum", brief(outputs), "OutputSpectrum, a list of them, or None")
         found += outputs.terms(n, m, T, step, where, i)
-    return uniquely_named([*found, *problem.cost.terms(n, m, T)])
-
-
-def row_terms(families: Sequence[StageRows], horizon: int) -> list[Term]:
-    """Return the joint rows as terms."""
-    return [
-        Term(
-            rows.name,
-            TermKind.STAGE_ROWS,
-            StageMap(np.arange(horizon), rows.C, rows.D, np.zeros(rows.rows)),
-            HalfSpaces(np.where(rows.bounded(horizon), rows.e, np.inf), weight_of(rows.penalty)),
-        )
-        for rows in families
-    ]
+    found += problem.cost.terms(n, m, T)
+    seen = Counter[str]()
+    for k, term in enumerate(found):  # names that would stand twice get a number
+        seen[term.name] += 1
+        if seen[term.name] > 1:
+            found[k] = replace(term, name=f"{term.name} {seen[term.name]}")
+    return tuple(found)
 
 
 def unmet_bounds(problem: ProblemData) -> Iterator[Term]:
@@ -229,26 +236,24 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
             where = f"{field}[{i}]" if per_time else field
             raise ProblemError(where, f"a set in {one.dimension} dimensions", f"a set in {dimension}")
         if id(one) not in parts_of:
-            _require_field(field, one, dimension)
+            links = one.links(dimension, 1)
+            if links and field != "terminal_state":  # equations on both ends are no set of one state or control
+                advice = "Periodic and LinkedEnds are given as terminal_state."
+                raise ProblemError(field, links[0].name, "a set of one state or control", advice)
             parts_of[id(one)] = one.parts(dimension)
         for k, part in enumerate(parts_of[id(one)]):
             if t in fixed and part.penalty.hard and _satisfies(part, fixed[t]):
                 continue
             parts.setdefault((k, part.F.shape, part.penalty.signature), []).append((int(t), part))
-    of_state, name = field != "control_set", field.replace("_", " ")
+    of_state, name, terms = field != "control_set", field.replace("_", " "), list[Term]()
     kind = TermKind.STATE_SET if of_state else TermKind.CONTROL_SET
-    return [
-        _stack_parts(name if i == 0 else f"{name} {i + 1}", kind, of_state, found, (field, 0))
-        for i, found in enumerate(parts.values())
-    ]
-
-
-def _require_field(field: str, one: ConvexSet, dimension: int) -> None:
-    """Raise ProblemError if equations on both ends are given as a set of one state or control."""
-    links = one.links(dimension, 1)
-    if links and field != "terminal_state":
-        advice = "Periodic and LinkedEnds are given as terminal_state."
-        raise ProblemError(field, links[0].name, "a set of one state or control", advice)
+    for i, found in enumerate(parts.values()):  # the same part of a set at several times is one term
+        several = [part for _, part in found]
+        F, c = _merge_equal([part.F for part in several]), _merge_equal([part.c for part in several])
+        rows = StageMap(np.array([t for t, _ in found]), F if of_state else None, None if of_state else F, c)
+        penalty = several[0].penalty.stacked([part.penalty for part in several])
+        terms.append(Term(name if i == 0 else f"{name} {i + 1}", kind, rows, penalty, (field, 0)))
+    return terms
 
 
 def _satisfies(part: Part, value: Array) -> bool:
@@ -257,45 +262,16 @@ def _satisfies(part: Part, value: Array) -> bool:
     return excess <= END_TOLERANCE * float((np.abs(part.F) @ np.abs(value) + np.abs(part.c)).max())
 
 
-def _stack_parts(
-    name: str, kind: TermKind, of_state: bool, found: list[tuple[int, Part]], source: tuple[str, int]
-) -> Term:
-    """Return the term of the same part of a set at several times."""
-    times, parts = np.array([t for t, _ in found]), [part for _, part in found]
-    F, c = _merge_equal([part.F for part in parts]), _merge_equal([part.c for part in parts])
-    rows = StageMap(times, F if of_state else None, None if of_state else F, c)
-    return Term(name, kind, rows, parts[0].penalty.stacked([part.penalty for part in parts]), source)
-
-
 def _merge_equal(arrays: list[Array]) -> Array:
     """Return the array if all are equal, else all of them, one per time."""
     first = arrays[0]
     return first if all(one is first or np.array_equal(one, first) for one in arrays) else np.array(arrays)
 
 
-def link_terms(problem: ProblemData) -> Iterator[Term]:
-    """Yield the equations on both ends together."""
-    given = len(problem.terminal_state.links(problem.state_dim, problem.horizon))  # the others follow from the dynamics
-    for i, one in enumerate(problem.links):
-        source = ("terminal_state", 0) if i < given else None
-        yield Term(one.name, TermKind.LINKED_ENDS, one.values, one.penalty, source)
-
-
 def spectrum_terms(field: str, given: Constraints, signal: Signal) -> Iterator[Term]:
     """Yield the terms of the frequency constraints of states or controls beyond stop bands."""
     for i, one in enumerate(entries_of(given)):
         yield from one.terms(signal, f"{field}[{i}]" if one is not given else field, (field, i))
-
-
-def uniquely_named(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Return the terms, with a number behind names that would stand twice."""
-    seen: dict[str, int] = {}
-    unique: list[Term] = []
-    for term in terms:
-        seen[term.name] = seen.get(term.name, 0) + 1
-        count = seen[term.name]
-        unique.append(replace(term, name=f"{term.name} {count}") if count > 1 else term)
-    return tuple(unique)
 
 
 def bounded_bins(terms: Sequence[Term], kind: TermKind, shape: tuple[int, int]) -> Mask:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -125,7 +126,7 @@ def far_origin(problem: OptimalControlProblem) -> Array:
 
     A state lies where its ends are fixed, else at its references, else in the middle of its bounds. It is far from zero
     if it lies FAR times farther than these values differ, and than it drifts from there over the horizon without
-    control. Spectra of a state that depend on its mean keep its zero.
+    control, going on as in the first step. Spectra of a state that depend on its mean keep its zero.
     """
     places = _fixed_places(problem)
     centre, highest, lowest = places[0], places[0], places[0]
@@ -133,14 +134,21 @@ def far_origin(problem: OptimalControlProblem) -> Array:
         centre = np.where(np.isnan(centre), place, centre)
         highest, lowest = np.fmax(highest, place), np.fmin(lowest, place)
     spread, unknown = highest - lowest, np.isnan(centre)
-    if unknown.any():
-        middle, half = _middle(problem)
+    if unknown.any():  # the first set that bounds a state on both sides says where its middle is
+        middle = half = np.full(problem.state_dim, np.nan)
+        for box in (problem.state_boxes.at(0), *reversed(problem.ends)):
+            bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
+            lower, upper = np.where(bounded, box.lower, 0.0), np.where(bounded, box.upper, 0.0)
+            middle, half = np.where(bounded, (lower + upper) / 2, middle), np.where(bounded, (upper - lower) / 2, half)
         centre, spread = np.where(unknown, middle, centre), np.where(unknown, half, spread)
     far = np.abs(centre) > FAR * spread
     if not far.any():
         return np.zeros(problem.state_dim)
-    centre = np.nan_to_num(centre)
-    far &= np.abs(centre) > FAR * _drift(problem, centre)
+    centre, drift = np.nan_to_num(centre), np.zeros(problem.state_dim)
+    with suppress(LinFreqOCPError):  # no mode holds there, or there are no steps
+        step = problem.dynamics.given[0].stepper(problem.horizon)
+        drift = problem.horizon * np.nan_to_num(np.abs(step(0, centre, np.zeros(problem.control_dim)) - centre))
+    far &= np.abs(centre) > FAR * drift
     return np.where(far & ~_limited_about_zero(problem), centre, 0.0)
 
 
@@ -159,26 +167,6 @@ def _fixed_places(problem: OptimalControlProblem) -> list[Array]:
                 values = np.broadcast_to(given[0] if given[0].ndim == 0 else given[0][..., i], T + 1)[given[1]]
                 found += [np.where(np.arange(n) == i, value, np.nan) for value in (values.max(), values.min())]
     return found
-
-
-def _middle(problem: OptimalControlProblem) -> tuple[Array, Array]:
-    """Return the middle of the first set that bounds a state on both sides, and half its width; nan without any."""
-    middle = half = np.full(problem.state_dim, np.nan)
-    for box in (problem.state_boxes.at(0), *reversed(problem.ends)):
-        bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
-        lower, upper = np.where(bounded, box.lower, 0.0), np.where(bounded, box.upper, 0.0)
-        middle, half = np.where(bounded, (lower + upper) / 2, middle), np.where(bounded, (upper - lower) / 2, half)
-    return middle, half
-
-
-def _drift(problem: OptimalControlProblem, place: Array) -> Array:
-    """Return how far states move from a place (n,) over the horizon if they go on as in the first step, (n,)."""
-    try:
-        step = problem.dynamics.given[0].stepper(problem.horizon)
-        moved = step(0, place, np.zeros(problem.control_dim)) - place
-    except LinFreqOCPError:  # no mode holds there, or there are no steps
-        return np.zeros(problem.state_dim)
-    return problem.horizon * np.nan_to_num(np.abs(moved))
 
 
 def _limited_about_zero(problem: OptimalControlProblem) -> Mask:
@@ -221,12 +209,17 @@ def wider(
 ) -> OptimalControlProblem:
     """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,)."""
     k = len(lower)
-    free = np.full(k, np.inf)
+    free, state_set, boxes = np.full(k, np.inf), problem.state_set, problem.state_boxes
+    if isinstance(state_set, Sequence):
+        wider_set: SetOrSets = [_with_box(one, boxes.at(t), Box(lower, free)) for t, one in enumerate(state_set)]
+    else:
+        shape = problem.horizon + 1, k
+        wider_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
     return replace(
         problem,
         dynamics=dynamics,
         cost=cost,
-        state_set=_augmented_state_set(problem, lower),
+        state_set=wider_set,
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
         state_spectrum=[
@@ -254,14 +247,6 @@ def _augmented_cost(problem: OptimalControlProblem, k: int) -> CostSum:
         u_ref=cost.u_ref,
     )
     return CostSum([wider, *(one.extended(n, k) for one in problem.cost.norms)])
-
-
-def _augmented_state_set(problem: OptimalControlProblem, lower: Array) -> ConvexSet | list[ConvexSet]:
-    given, boxes, upper = problem.state_set, problem.state_boxes, np.full(len(lower), np.inf)
-    if given is not None and not isinstance(given, ConvexSet):
-        return [_with_box(one, boxes.at(t), Box(lower, upper)) for t, one in enumerate(given)]
-    shape = problem.horizon + 1, len(lower)
-    return _with_box(given, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)))
 
 
 def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
@@ -306,7 +291,12 @@ def rate_limited(
     """
     require_problem(problem)
     m = problem.control_dim
-    limits = _limits_of_changes(limit, m)
+    given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
+    limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
+    if limits.shape not in ((), (m,)) or (limits < 0).any():
+        expected = f"one number, zero or above, or one for each of the {m} controls"
+        raise ProblemError("rate_limit", brief(limit), expected)
+    limits = np.broadcast_to(limits, m)
     limited = np.flatnonzero(np.isfinite(limits))
     if not len(limited):
         raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
@@ -315,10 +305,10 @@ def rate_limited(
     k, chosen = len(limited), np.eye(m)[limited]
     before = np.full((2, k), [[-np.inf], [np.inf]])
     if previous is not None:
-        given = one_component(real_array("previous", previous), m)
-        if given.shape != (m,):
-            raise ProblemError("previous", f"shape {given.shape}", f"one number for each of the {m} controls")
-        before = np.tile(given[limited], (2, 1))
+        last = one_component(real_array("previous", previous), m)
+        if last.shape != (m,):
+            raise ProblemError("previous", f"shape {last.shape}", f"one number for each of the {m} controls")
+        before = np.tile(last[limited], (2, 1))
     labels = [split_unit(problem.control_names[j]) for j in limited]
     names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
     added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
@@ -331,16 +321,6 @@ def rate_limited(
         name=RATE_LIMIT,
     )
     return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
-
-
-def _limits_of_changes(limit: Bound, m: int) -> Array:
-    given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
-    limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
-    if limits.shape not in ((), (m,)) or (limits < 0).any():
-        raise ProblemError(
-            "rate_limit", brief(limit), f"one number, zero or above, or one for each of the {m} controls"
-        )
-    return np.broadcast_to(limits, m)
 
 
 Kind = TypeVar("Kind", bound=Continuum)

@@ -78,13 +78,9 @@ def require_convex_bins(problem: OptimalControlProblem, response: Response) -> N
         Q = np.linalg.eigvalsh(problem.quadratic.Q)
         if Q[0] < -CONVEXITY_TOLERANCE * np.abs(Q).max():
             raise UnsupportedError(f"cost: Q has the eigenvalue {Q[0]:g}; zero-padded, it must not be below zero.")
-    if len(found.failing):
-        raise UnsupportedError(_failing(problem, response, found))
-
-
-def _failing(problem: OptimalControlProblem, response: Response, found: BinCurvature) -> str:
-    """Return at which bins the cost is not convex, and what to do."""
     k = found.failing
+    if not len(k):
+        return
     step = problem.sampling_time
     unit = "Hz" if step is not None else "cycles/sample"
     frequencies = k / (response.record * (step or 1.0))
@@ -92,7 +88,7 @@ def _failing(problem: OptimalControlProblem, response: Response, found: BinCurva
     worst = int(np.argmin(found.smallest))
     what = "bin" if len(k) == 1 else "bins"
     stopped = "remove these bins by a stop band of the controls, " if response.closed else ""
-    return (
+    raise UnsupportedError(
         f"cost: not convex in the controls at {len(k)} {what} of the frequency response: {listed}. "
         f"G^*Q G + G^*S + S'G + R has the eigenvalue {found.smallest[worst]:g} at bin {worst}; a convex method needs "
         "it positive semidefinite. "

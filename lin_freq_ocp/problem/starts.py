@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.arrays import Array, Indices, brief
+from lin_freq_ocp.base.arrays import Indices, brief
 from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError, located_at
 from lin_freq_ocp.problem.dynamics.base import as_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -41,31 +39,17 @@ def start_of(problem: OptimalControlProblem, given: object) -> Start:
     if not problem.dynamics.mode_names:
         raise UnsupportedError("start: got one for linear dynamics, which have no modes to search; leave it out.")
     given = given if isinstance(given, Trajectory) else getattr(given, "trajectory", given)
-    if isinstance(given, (Trajectory, Mapping)):
-        trajectory = _trajectory(problem, given)
-    else:
-        array = _array(problem, given)
-        if array.ndim != 2:
-            return Start(as_sequence("start", array, problem.horizon, len(problem.dynamics.mode_names)), None)
-        trajectory = _replayed(problem, array)
-    return Start(problem.dynamics.sequence_of(trajectory.x, trajectory.u), trajectory)
-
-
-def _trajectory(problem: OptimalControlProblem, given: Trajectory | Mapping[str, ArrayLike]) -> Trajectory:
+    T, m = problem.horizon, problem.control_dim
     if isinstance(given, Mapping):
         if set(given) != {"x", "u"}:
-            expected = f"x {(problem.horizon + 1, problem.state_dim)} and u {(problem.horizon, problem.control_dim)}"
+            expected = f"x {(T + 1, problem.state_dim)} and u {(T, m)}"
             raise ProblemError("start", f"a table of {', '.join(map(str, given)) or 'nothing'}", expected)
         with located_at("start", "mode"):
             given = Trajectory(given["x"], given["u"])
-    with located_at("start", "trajectory"):
-        problem.require(given)
-    return given
-
-
-def _array(problem: OptimalControlProblem, given: object) -> NDArray[Any]:
-    """Return an array of controls (T, m), or of mode numbers (T,)."""
-    T, m = problem.horizon, problem.control_dim
+    if isinstance(given, Trajectory):
+        with located_at("start", "trajectory"):
+            problem.require(given)
+        return Start(problem.dynamics.sequence_of(given.x, given.u), given)
     expected = f"a Trajectory, controls of shape {(T, m)}, or {T} mode numbers"
     try:
         array = np.asarray(given)
@@ -76,13 +60,12 @@ def _array(problem: OptimalControlProblem, given: object) -> NDArray[Any]:
         got = brief(given) if array.dtype.kind not in "iuf" or not array.ndim else f"shape {array.shape}"
         advice = "Mode numbers are integers." if array.shape == (T,) and array.dtype.kind == "f" else ""
         raise ProblemError("start", got, expected, advice)
-    return array
-
-
-def _replayed(problem: OptimalControlProblem, controls: Array) -> Trajectory:
+    if whole:
+        return Start(as_sequence("start", array, T, len(problem.dynamics.mode_names)), None)
     try:
         with located_at("start", "mode"):
-            return simulate(problem, controls)
+            trajectory = simulate(problem, array)
     except NumericalError as error:
         got = f"controls that cannot be replayed ({error})"
         raise ProblemError("start", got, "controls that lead through regions of modes") from None
+    return Start(problem.dynamics.sequence_of(trajectory.x, trajectory.u), trajectory)

@@ -98,7 +98,10 @@ class Multipliers:
         weights: ArrayLike | None = None,
         frequencies: Mapping[str, ArrayLike] | None = None,
     ):
-        assign(self, eta_C=_number(eta_C))
+        value = real_array("multipliers.eta_C", eta_C)
+        if value.ndim:
+            raise ProblemError("multipliers.eta_C", brief(eta_C), "one number")
+        assign(self, eta_C=float(value))
         for field, value in (("eta", eta), ("mu", mu), ("nu", nu)):
             assign(self, **{field: real_array(f"multipliers.{field}", value)})
         for field, value in (("rho_u", rho_u), ("rho_x", rho_x)):
@@ -121,32 +124,18 @@ class Multipliers:
         for field, shape in expected.items():
             if getattr(self, field).shape not in (shape, (T // 2 + 1, n) if field == "rho_x" else shape):
                 raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", f"shape {shape}")
-        assign(self, stage=_families({} if stage is None else stage))
-        assign(self, weights=None if weights is None else _weights(weights, T))
-        assign(self, frequencies=_frequencies({} if frequencies is None else frequencies, self.stage))
-
-
-def _number(eta_C: float) -> float:
-    value = real_array("multipliers.eta_C", eta_C)
-    if value.ndim:
-        raise ProblemError("multipliers.eta_C", brief(eta_C), "one number")
-    return float(value)
-
-
-def _weights(given: ArrayLike, T: int) -> Array:
-    weights = real_array("multipliers.weights", given)
-    if weights.ndim != 2 or len(weights) != T or not weights.shape[1]:
-        raise ProblemError("multipliers.weights", f"shape {weights.shape}", f"({T}, modes): one per time and mode")
-    return weights
-
-
-def _families(stage: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    if not isinstance(stage, Mapping):
-        raise ProblemError("multipliers.stage", brief(stage), "a mapping from names of joint rows to arrays (T, rows)")
-    families = {name: real_array(f"multipliers.stage[{name!r}]", value) for name, value in stage.items()}
-    for name, weights in families.items():
-        _require_matrix(f"multipliers.stage[{name!r}]", weights)
-    return families
+        stage = {} if stage is None else stage
+        if not isinstance(stage, Mapping):
+            expected = "a mapping from names of joint rows to arrays (T, rows)"
+            raise ProblemError("multipliers.stage", brief(stage), expected)
+        families = {name: real_array(f"multipliers.stage[{name!r}]", value) for name, value in stage.items()}
+        for name, family in families.items():
+            _require_matrix(f"multipliers.stage[{name!r}]", family)
+        shares = None if weights is None else real_array("multipliers.weights", weights)
+        if shares is not None and (shares.ndim != 2 or len(shares) != T or not shares.shape[1]):
+            raise ProblemError("multipliers.weights", f"shape {shares.shape}", f"({T}, modes): one per time and mode")
+        places = _frequencies({} if frequencies is None else frequencies, families)
+        assign(self, stage=families, weights=shares, frequencies=places)
 
 
 def _frequencies(given: Mapping[str, ArrayLike], stage: Mapping[str, Array]) -> dict[str, Array]:

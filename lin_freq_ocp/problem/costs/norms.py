@@ -46,7 +46,12 @@ class _NormCost(NonsmoothCost):
 
     def describe(self) -> str:
         weighted = (("states", self.x), ("controls", self.u), ("terminal state", self.terminal))
-        parts = [_weighted(what, weights) for what, weights in weighted if weights.any()]
+        parts = list[str]()
+        for what, weights in weighted:
+            if weights.ndim == 2 and (weights != weights[0]).any():
+                parts.append(f"{what} with weights that depend on time,{span(weights)}")
+            elif weights.any():
+                parts.append(f"{what} with weights {vector(weights[0] if weights.ndim == 2 else weights)}")
         if not parts:
             return ""
         used = {"x_ref": self.x.any() or self.terminal.any(), "u_ref": self.u.any()}
@@ -147,9 +152,3 @@ class LInfCost(_NormCost):
 def _component(values: Array, index: int) -> Array:
     """Return the entry of a component, () or (times,), from a number for all, one entry each, or these per time."""
     return values if values.ndim == 0 else values[..., index]
-
-
-def _weighted(what: str, weights: Array) -> str:
-    if weights.ndim == 2 and (weights != weights[0]).any():
-        return f"{what} with weights that depend on time,{span(weights)}"
-    return f"{what} with weights {vector(weights[0] if weights.ndim == 2 else weights)}"

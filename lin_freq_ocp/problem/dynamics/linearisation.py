@@ -99,17 +99,18 @@ def sampled_map(
     model = _model(system, n, params, 0)
 
     def value(x: Array, u: Array) -> Array:
-        point = np.append(x, u)
-        return _integrated(model, point, n, step or 0.0, integrator) if continuous else model(0.0, point)
+        if not continuous:
+            return model(0.0, np.append(x, u))
+        span, units = (0.0, step or 0.0), np.sqrt(np.maximum(1.0, np.abs(x)))
+        final, _ = _solved(lambda seconds, state: model(seconds, np.append(state, u)), span, x, units, integrator)
+        return np.full(n, np.nan) if final is None else final
 
     def jacobian(x: Array, u: Array) -> Array:
         A, B, _, _ = linearisation(system, x, u, sampling_time, params, sizes, integrator)
         return np.hstack([A, B])
 
-    def flat(x: Array, u: Array) -> Array:
-        return np.zeros((n, n + m, n + m))
-
-    return DifferentiableFunction(_defined(value), _defined(jacobian), flat, n, "system"), step
+    flat = np.zeros((n, n + m, n + m))
+    return DifferentiableFunction(_defined(value), _defined(jacobian), lambda x, u: flat, n, "system"), step
 
 
 def _defined(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
@@ -120,16 +121,6 @@ def _defined(function: Callable[[Array, Array], Array]) -> Callable[[Array, Arra
             raise ArithmeticError(str(error)) from error
 
     return called
-
-
-def _integrated(model: Model, point: Array, n: int, step: float, integrator: str) -> Array:
-    """Return the state after one period; not a number where there is none."""
-
-    def derivative(seconds: float, x: Array) -> Array:
-        return model(seconds, np.append(x, point[n:]))
-
-    final, _ = _solved(derivative, (0.0, step), point[:n], np.sqrt(np.maximum(1.0, np.abs(point[:n]))), integrator)
-    return np.full(n, np.nan) if final is None else final
 
 
 def _solved(

@@ -14,7 +14,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import ClassVar
 
 import numpy as np
@@ -201,7 +200,19 @@ class Intersection(ConvexSet):
 
     @property
     def bounds(self) -> Bounds:
-        return reduce(_common_bounds, (one.bounds for one in self.sets))
+        lower, upper = self.sets[0].bounds
+        for low, high in (one.bounds for one in self.sets[1:]):
+            try:
+                common = np.maximum(lower, low), np.minimum(upper, high)
+            except ValueError:
+                got = f"bounds for {len(lower)} and {len(low)} times"
+                raise ProblemError("Intersection", got, "the same times for all") from None
+            apart = common[0] > common[1]
+            if apart.any():
+                got = f"bounds {common[0][apart].flat[0]:g} <= v <= {common[1][apart].flat[0]:g} on a component"
+                raise ProblemError("Intersection", got, "a point within the bounds of all sets")
+            lower, upper = frozen(common[0]), frozen(common[1])
+        return lower, upper
 
     @property
     def members(self) -> tuple[ConvexSet, ...]:
@@ -220,16 +231,3 @@ class Intersection(ConvexSet):
         text = "; and ".join(one.describe(names, signal) for one in self.sets)
         kinds = ", ".join(dict.fromkeys(type(one).__name__ for one in self.sets))
         return text if len(text) <= 2 * MOST_TEXT else f"an intersection of {len(self.sets)} sets ({kinds})"
-
-
-def _common_bounds(one: Bounds, other: Bounds) -> Bounds:
-    try:
-        lower, upper = np.maximum(one[0], other[0]), np.minimum(one[1], other[1])
-    except ValueError:
-        got = f"bounds for {len(one[0])} and {len(other[0])} times"
-        raise ProblemError("Intersection", got, "the same times for all") from None
-    apart = lower > upper
-    if apart.any():
-        got = f"bounds {lower[apart].flat[0]:g} <= v <= {upper[apart].flat[0]:g} on a component"
-        raise ProblemError("Intersection", got, "a point within the bounds of all sets")
-    return frozen(lower), frozen(upper)

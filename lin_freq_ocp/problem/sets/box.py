@@ -71,7 +71,16 @@ class Box(ConvexSet):
             entry = "".join(f"[{k}]" for k in i)
             got = f"{low[i]:g} above upper{entry} = {high[i]:g}"
             raise ProblemError(f"Box.lower{entry}", got, "lower <= upper", "Exchange them?")
-        low, high = _with_infinities(low, high)
+        if ((np.abs(low) >= NO_BOUND) | (np.abs(high) >= NO_BOUND)).any():  # these stand for none
+            apart = low < high
+            low = np.where(apart & (low <= -NO_BOUND), -np.inf, low)
+            high = np.where(apart & (high >= NO_BOUND), np.inf, high)
+            for side, bound, sign in (("lower", low, 1), ("upper", high, -1)):
+                impossible = apart & (sign * bound >= NO_BOUND)
+                if impossible.any():
+                    expected = f"a number below {NO_BOUND:g} in absolute value"
+                    advice = "That is beyond what stands for no bound at all; choose other units."
+                    raise ProblemError(f"Box.{side}", f"{bound[impossible][0]:g}", expected, advice)
         assign(self, lower=frozen(low), upper=frozen(high))
 
     @property
@@ -216,24 +225,20 @@ def end_set(field: str, given: ConvexSet | ArrayLike | None, dimension: int) -> 
     if given is None or isinstance(given, ConvexSet):
         convex_set = given or Everything()
     else:
-        convex_set = _point(field, given, dimension)
+        expected = f"numbers, one for each of the {dimension} states, a set, or None"
+        try:
+            point = one_component(real_array(field, given), dimension)
+        except ProblemError as error:
+            if error.field == field:  # and not one of its entries
+                error = ProblemError(field, error.got, expected)
+            raise error from None
+        if point.shape != (dimension,):
+            raise ProblemError(field, f"shape {point.shape}", expected)
+        convex_set = Point(point)
     box = box_of(convex_set).at_dimension(dimension, field)
     if box.lower.ndim != 1:
         raise ProblemError(field, "one set per time", "a point or a single set")
     return convex_set if convex_set.members else box
-
-
-def _point(field: str, given: ArrayLike, dimension: int) -> Point:
-    expected = f"numbers, one for each of the {dimension} states, a set, or None"
-    try:
-        point = one_component(real_array(field, given), dimension)
-    except ProblemError as error:
-        if error.field == field:  # and not one of its entries
-            error = ProblemError(field, error.got, expected)
-        raise error from None
-    if point.shape != (dimension,):
-        raise ProblemError(field, f"shape {point.shape}", expected)
-    return Point(point)
 
 
 def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
@@ -268,26 +273,6 @@ def _checked(lower: Array, upper: Array) -> Box:
     box = Box.__new__(Box)
     assign(box, lower=lower, upper=upper)
     return box
-
-
-def _with_infinities(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return bounds that are infinite where they stand for none."""
-    if not ((np.abs(low) >= NO_BOUND) | (np.abs(high) >= NO_BOUND)).any():
-        return low, high
-    apart = low < high
-    low, high = np.where(apart & (low <= -NO_BOUND), -np.inf, low), np.where(apart & (high >= NO_BOUND), np.inf, high)
-    for side, bound, impossible in (
-        ("lower", low, apart & (low >= NO_BOUND)),
-        ("upper", high, apart & (high <= -NO_BOUND)),
-    ):
-        if impossible.any():
-            raise ProblemError(
-                f"Box.{side}",
-                f"{bound[impossible][0]:g}",
-                f"a number below {NO_BOUND:g} in absolute value",
-                "That is beyond what stands for no bound at all; choose other units.",
-            )
-    return low, high
 
 
 def _bound(side: str, value: Bound, absent: float) -> Array:

@@ -106,31 +106,24 @@ class Band(FrequencyConstraint):
 
     def at(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of a signal of ``length`` samples it names, (length//2 + 1,)."""
-        return self._listed(length, field) if self.unit == "bins" else self._between(length, sampling_time, field)
-
-    def _between(self, length: int, sampling_time: float | None, field: str) -> Mask:
         k = np.arange(length // 2 + 1)
+        if self.unit == "bins":
+            outside = [bin for bin in self.edges if abs(bin) > length]
+            if outside:
+                raise ProblemError(
+                    f"{field}.bins",
+                    f"bin {outside[0]}",
+                    f"bins 0 .. {length - 1} of a signal of {length} samples",
+                    "Bins are 0-based; a negative bin -k is the conjugate of k, and N counts as 0.",
+                )
+            bins = np.array(self.edges, dtype=int)
+            return np.isin(k, np.minimum(bins % length, -bins % length))
         bins_per_unit = self.bins_per_unit(length, sampling_time, field)
         low, high = (edge * bins_per_unit for edge in self.limits)
         slack_low, slack_high = (BIN_TOLERANCE * max(1.0, edge) for edge in (low, high))
         if self.kind == "notch":
             return (k > low + slack_low) & (k < high - slack_high)
         return ~((k >= low - slack_low) & (k <= high + slack_high))
-
-    def _listed(self, length: int, field: str) -> Mask:
-        outside = [k for k in self.edges if abs(k) > length]
-        if outside:
-            raise ProblemError(
-                f"{field}.bins",
-                f"bin {outside[0]}",
-                f"bins 0 .. {length - 1} of a signal of {length} samples",
-                "Bins are 0-based; a negative bin -k is the conjugate of k, and N counts as 0.",
-            )
-        bins = np.array(self.edges, dtype=int)
-        folded = np.minimum(bins % length, -bins % length)
-        stopped = np.zeros(length // 2 + 1, dtype=bool)
-        stopped[folded] = True
-        return stopped
 
     def bins_per_unit(self, length: int, sampling_time: float | None, field: str) -> float:
         """Return how many bins of a signal of ``length`` samples there are in a unit of the edges."""

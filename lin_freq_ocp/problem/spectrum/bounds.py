@@ -236,7 +236,12 @@ class MagnitudeBound(SpectrumBound):
     ):
         if at_least is not None:
             raise UnsupportedError(f"MagnitudeBound.at_least: {NO_LOWER_MASK}")
-        require_one_limit(limit, limit_db, reference)
+        if (limit is None) == (limit_db is None):
+            got = "neither" if limit is None else "both"
+            raise ProblemError("MagnitudeBound.limit", got, "exactly one of limit and limit_db")
+        if (limit_db is None) != (reference is None):
+            expected = "a reference with limit_db, and only with it"
+            raise ProblemError("MagnitudeBound.reference", brief(reference), expected)
         for name, given in (("every_frequency", every_frequency), ("hold", hold)):
             if not isinstance(given, bool):
                 raise ProblemError(f"MagnitudeBound.{name}", brief(given), "True or False")
@@ -387,15 +392,6 @@ def _named_window(field: str, name: str, length: int) -> Array:
         raise ProblemError(f"{field}.window", repr(name), expected) from None
 
 
-def require_one_limit(limit: object, limit_db: object, reference: float | None) -> None:
-    """Raise ProblemError unless there is a limit, in one of its forms."""
-    if (limit is None) == (limit_db is None):
-        got = "neither" if limit is None else "both"
-        raise ProblemError("MagnitudeBound.limit", got, "exactly one of limit and limit_db")
-    if (limit_db is None) != (reference is None):
-        raise ProblemError("MagnitudeBound.reference", brief(reference), "a reference with limit_db, and only with it")
-
-
 def limit_of_bins(limit: object, limit_db: ArrayLike | None, reference: float | None) -> Array:
     """Return the limit of bins as one number, (), or one for each, (bins,)."""
     field = "MagnitudeBound.limit"
@@ -422,9 +418,10 @@ def limit_of_frequencies(
         decibels = real_array(f"{field}_db", limit_db)
         factor = positive_number("MagnitudeBound.reference", reference)
         if decibels.ndim:
-            decibels = _sample_decibels(f"{field}_db", _require_points(f"{field}_db", decibels))
-        scaled = factor * 10 ** (decibels[..., -1:] / 20) if decibels.ndim else factor * 10 ** (decibels / 20)
-        found = np.hstack([decibels[:, :1], scaled]) if decibels.ndim else scaled
+            w, decibels = _sample_decibels(f"{field}_db", _require_points(f"{field}_db", decibels))
+            found = np.column_stack([w, factor * 10 ** (decibels / 20)])
+        else:
+            found = factor * 10 ** (decibels / 20)
     elif callable(limit):
         found = _sample_function(field, limit, band)
     else:
@@ -446,14 +443,14 @@ def _require_points(field: str, given: Array) -> Array:
     return given
 
 
-def _sample_decibels(field: str, points: Array) -> Array:
-    """Return points that are linear in dB over the logarithm of the frequency between given ones."""
+def _sample_decibels(field: str, points: Array) -> tuple[Array, Array]:
+    """Return frequencies and levels that are linear in dB over the logarithm of the frequency between given ones."""
     if points[0, 0] <= 0:
         raise ProblemError(field, "a point at frequency 0", "the first point above 0, for dB over log frequency")
     w = np.unique(
         np.concatenate([np.geomspace(*pair, SAMPLED) for pair in zip(points[:-1, 0], points[1:, 0], strict=True)])
     )
-    return np.column_stack([w, np.interp(np.log(w), np.log(points[:, 0]), points[:, 1])])
+    return w, np.interp(np.log(w), np.log(points[:, 0]), points[:, 1])
 
 
 def _sample_function(field: str, limit: Callable[[Array], ArrayLike], band: Band | None) -> Array:

@@ -360,7 +360,9 @@ class LargestExcess(Penalty):
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
         spent, raised = self._spent(multipliers), self._raised(v)
         gaps = spent * (1 + raised) - (multipliers * v).sum(1)
-        return (gaps + self._of_largest(v, raised * (eta_C * self.weight - spent.sum())))[:, None]
+        if len(gaps):  # what is not spent counts at the group of the largest excess
+            gaps[int(np.argmax(self.excess(v)))] += raised * (eta_C * self.weight - spent.sum())
+        return gaps[:, None]
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
         return across(v, multipliers)[:, None]
@@ -409,13 +411,6 @@ class LargestExcess(Penalty):
         """Return l |lambda|, (groups,)."""
         size = norm_of(multipliers, 2)
         return np.where(size > 0, self.limit, 0.0) * size
-
-    def _of_largest(self, v: Array, amount: Array | float) -> Array:
-        """Return an amount at the group of the largest excess, zeros elsewhere, (groups,)."""
-        found = np.zeros(len(v), dtype=v.dtype)
-        if len(found):
-            found[int(np.argmax(self.excess(v)))] = amount
-        return found
 
 
 def norm_of(v: Array, order: float) -> Array:

@@ -6,8 +6,10 @@ They stand at the bins of a DFT, at any frequencies, or at the bins of windows, 
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,28 +21,21 @@ from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, joi
 
 
 @dataclass(frozen=True, eq=False)
-class SpectrumMap(AffineMap):
-    """(Re, Im) of Y_j = sum_t w_t y_t exp(-2 pi i j t / N) at chosen bins j, for y_t = C x_t + D u_t.
-
-    One group (Re, Im) for each bin, or with ``together`` a single group of all of them. The imaginary part of bins 0
-    and N/2, always zero, is left out where all are together, and is a zero elsewhere.
-    """
+class OutputMap(AffineMap):
+    """A map of the windowed output w_t y_t, y_t = C x_t + D u_t, whose values are (Re, Im) of bins or frequencies."""
 
     C: Array | None  # (n,)
     D: Array | None  # (m,); y_t counts for t = 0 .. T-1, and at T, too, without D
     window: Array  # w_t, (samples,); ones for the plain DFT
-    points: int  # N: the number of samples, or a multiple of it for a finer grid
-    bins: Indices  # (bins,), within 0 .. N/2
-    together: bool = False
 
     @property
-    def shape(self) -> tuple[int, int]:
-        return (1, 2 * len(self.bins) - int(self.real.sum())) if self.together else (len(self.bins), 2)
-
-    @property
+    @abstractmethod
     def real(self) -> Mask:
-        """Which of the bins are real for every signal, (bins,)."""
-        return np.asarray((self.bins == 0) | (2 * self.bins == self.points))
+        """Which of the bins or frequencies are real for every signal, (count,)."""
+
+    @abstractmethod
+    def waves(self) -> Array:
+        """Return the coefficients of the samples, (rows, samples): of Re and Im of each bin or frequency in turn."""
 
     @property
     def samples(self) -> int:
@@ -53,16 +48,13 @@ class SpectrumMap(AffineMap):
         return int(np.flatnonzero(row)[0])
 
     @property
-    def nearest_bins(self) -> Indices:
-        return np.rint(self.bins * len(self.window) / self.points).astype(int)
-
-    @property
     def positions(self) -> Indices:
         return self.nearest_bins
 
     @property
-    def frequencies(self) -> Array:
-        return np.zeros(0) if self.together else 2 * np.pi * self.bins / self.points
+    def dense_size(self) -> tuple[int, int]:
+        rows, signals = 2 * len(self.real), sum(1 for part in (self.C, self.D) if part is not None and part.any())
+        return rows, rows * len(self.window) * signals
 
     def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
         return all(
@@ -70,80 +62,30 @@ class SpectrumMap(AffineMap):
             for own, given in ((self.C, C), (self.D, D))
         )
 
-    def spectrum_form(self, n: int, m: int) -> SpectrumForm:
-        parts = [np.zeros(size) if part is None else part for part, size in ((self.C, n), (self.D, m))]
-        kept = self.kept if self.together else np.ones(2 * len(self.bins), dtype=bool)
-        return SpectrumForm(np.concatenate(parts), self.window, self.points, self.bins, kept)
-
-    @property
-    def dense_size(self) -> tuple[int, int]:
-        rows, signals = 2 * len(self.bins), sum(1 for part in (self.C, self.D) if part is not None and part.any())
-        return rows, rows * len(self.window) * signals
-
-    @property
-    def additions(self) -> float:
-        return float(5 * np.log2(self.points) + 10)
-
-    def values(self, x: Array, u: Array) -> Array:
-        spectrum = fft.rfft(self.window * self.signal(x, u)[: self.samples], n=self.points)[self.bins]
-        return self.grouped(np.stack([spectrum.real, spectrum.imag], axis=1))
-
-    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        pairs = self.pairs(weights)
-        k = np.arange(self.points // 2 + 1)
-        spectrum = np.zeros(len(k), dtype=np.result_type(pairs, np.complex64))
-        spectrum[self.bins] = pairs[:, 0] + 1j * pairs[:, 1]
-        factor = np.where((k == 0) | (2 * k == self.points), 1.0, 0.5)
-        signal = fft.irfft(self.points * factor * spectrum, n=self.points)[: len(self.window)] * self.window
-        return self.spread(signal, shapes)
-
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        t = np.arange(len(self.window))
-        angle = 2 * np.pi * (np.outer(self.bins, t) % self.points) / self.points
-        waves = np.stack([np.cos(angle), -np.sin(angle)], axis=1) * self.window
-        waves[self.real, 1] = 0.0  # and not the rounding error of sin(pi t)
-        waves = waves.reshape(-1, len(t))
-        waves = waves[self.kept] if self.together else waves
+        waves = self.waves()
         of_y = sp.csr_array(waves)
         of_x, of_u = signal_rows(of_y, self.C, horizon + 1, n), signal_rows(of_y, self.D, horizon, m)
         return joined_rows(of_x, of_u), np.zeros(len(waves))
 
     def sizes(self, x: Array, u: Array) -> Array:
         """Return the Euclidean norm of w y, the typical size of a bin, for every entry, (groups, dim)."""
-        y = self.magnitudes().signal(np.abs(x), np.abs(u))[: self.samples]
+        y = self.magnitudes().output(np.abs(x), np.abs(u))[: self.samples]
         return np.full(self.shape, np.sqrt(((self.window * y) ** 2).sum()))
 
     def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         return self.magnitudes().spread(np.abs(self.window) * np.abs(self.pairs(weights)).sum(), shapes)
 
-    def grouped(self, pairs: Array) -> Array:
-        """Return values, (groups, dim), from (Re, Im) of every bin, (bins, 2); of several spectra, one by one."""
-        return pairs.reshape(-1, 2 * len(self.bins))[:, self.kept] if self.together else pairs
-
-    def pairs(self, values: Array) -> Array:
-        if not self.together:
-            return values
-        pairs = np.zeros((len(values), 2 * len(self.bins)), dtype=values.dtype)
-        pairs[:, self.kept] = values
-        return pairs.reshape(-1, 2)
-
-    def magnitudes(self) -> SpectrumMap:
+    def magnitudes(self) -> Self:
         """Return the map with the absolute values of the coefficients."""
         of_x, of_u = (None if part is None else np.abs(part) for part in (self.C, self.D))
         return replace(self, C=of_x, D=of_u)
-
-    @property
-    def kept(self) -> Mask:
-        """Which of (Re, Im) of each bin are values of a map ``together``, (2 bins,)."""
-        kept = np.ones((len(self.bins), 2), dtype=bool)
-        kept[self.real, 1] = False
-        return kept.ravel()
 
     def length(self, horizon: int) -> int:
         """Return the number of samples of the signal over a horizon."""
         return horizon + (self.D is None)
 
-    def signal(self, x: Array, u: Array) -> Array:
+    def output(self, x: Array, u: Array) -> Array:
         """Return y, (samples,)."""
         parts = [part[: self.length(len(u))] @ row for row, part in ((self.C, x), (self.D, u)) if row is not None]
         return sum(parts[1:], parts[0])
@@ -158,15 +100,89 @@ class SpectrumMap(AffineMap):
 
 
 @dataclass(frozen=True, eq=False)
-class FrequencyMap(AffineMap):
-    """(Re, Im) of Y(w) = sum_t h_t y_t exp(-iwt) at frequencies w, one group each, for y_t = C x_t + D u_t.
+class SpectrumMap(OutputMap):
+    """(Re, Im) of Y_j = sum_t w_t y_t exp(-2 pi i j t / N) at chosen bins j, for y_t = C x_t + D u_t.
+
+    One group (Re, Im) for each bin, or with ``together`` a single group of all of them. The imaginary part of bins 0
+    and N/2, always zero, is left out where all are together, and is a zero elsewhere.
+    """
+
+    points: int  # N: the number of samples, or a multiple of it for a finer grid
+    bins: Indices  # (bins,), within 0 .. N/2
+    together: bool = False
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return (1, 2 * len(self.bins) - int(self.real.sum())) if self.together else (len(self.bins), 2)
+
+    @property
+    def real(self) -> Mask:
+        return np.asarray((self.bins == 0) | (2 * self.bins == self.points))
+
+    @property
+    def nearest_bins(self) -> Indices:
+        return np.rint(self.bins * len(self.window) / self.points).astype(int)
+
+    @property
+    def frequencies(self) -> Array:
+        return np.zeros(0) if self.together else 2 * np.pi * self.bins / self.points
+
+    def spectrum_form(self, n: int, m: int) -> SpectrumForm:
+        parts = [np.zeros(size) if part is None else part for part, size in ((self.C, n), (self.D, m))]
+        kept = self.kept if self.together else np.ones(2 * len(self.bins), dtype=bool)
+        return SpectrumForm(np.concatenate(parts), self.window, self.points, self.bins, kept)
+
+    @property
+    def additions(self) -> float:
+        return float(5 * np.log2(self.points) + 10)
+
+    def values(self, x: Array, u: Array) -> Array:
+        spectrum = fft.rfft(self.window * self.output(x, u)[: self.samples], n=self.points)[self.bins]
+        return self.grouped(np.stack([spectrum.real, spectrum.imag], axis=1))
+
+    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        pairs = self.pairs(weights)
+        k = np.arange(self.points // 2 + 1)
+        spectrum = np.zeros(len(k), dtype=np.result_type(pairs, np.complex64))
+        spectrum[self.bins] = pairs[:, 0] + 1j * pairs[:, 1]
+        factor = np.where((k == 0) | (2 * k == self.points), 1.0, 0.5)
+        signal = fft.irfft(self.points * factor * spectrum, n=self.points)[: len(self.window)] * self.window
+        return self.spread(signal, shapes)
+
+    def waves(self) -> Array:
+        t = np.arange(len(self.window))
+        angle = 2 * np.pi * (np.outer(self.bins, t) % self.points) / self.points
+        waves = np.stack([np.cos(angle), -np.sin(angle)], axis=1) * self.window
+        waves[self.real, 1] = 0.0  # and not the rounding error of sin(pi t)
+        waves = waves.reshape(-1, len(t))
+        return waves[self.kept] if self.together else waves
+
+    def grouped(self, pairs: Array) -> Array:
+        """Return values, (groups, dim), from (Re, Im) of every bin, (bins, 2); of several spectra, one by one."""
+        return pairs.reshape(-1, 2 * len(self.bins))[:, self.kept] if self.together else pairs
+
+    def pairs(self, values: Array) -> Array:
+        if not self.together:
+            return values
+        pairs = np.zeros((len(values), 2 * len(self.bins)), dtype=values.dtype)
+        pairs[:, self.kept] = values
+        return pairs.reshape(-1, 2)
+
+    @property
+    def kept(self) -> Mask:
+        """Which of (Re, Im) of each bin are values of a map ``together``, (2 bins,)."""
+        kept = np.ones((len(self.bins), 2), dtype=bool)
+        kept[self.real, 1] = False
+        return kept.ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyMap(OutputMap):
+    """(Re, Im) of Y(w) = sum_t w_t y_t exp(-iwt) at frequencies w, one group each, for y_t = C x_t + D u_t.
 
     With t = a B + b, exp(-iwt) is a product of two factors, of some sqrt(T) values each.
     """
 
-    C: Array | None  # (n,)
-    D: Array | None  # (m,)
-    window: Array  # h_t, (samples,)
     at: Array  # w in rad/sample, (groups,)
 
     @property
@@ -174,20 +190,8 @@ class FrequencyMap(AffineMap):
         return len(self.at), 2
 
     @property
-    def samples(self) -> int:
-        return len(self.window)
-
-    @property
-    def component(self) -> int:
-        return self._plain.component
-
-    @property
     def nearest_bins(self) -> Indices:
         return np.rint(self.at * len(self.window) / (2 * np.pi)).astype(int)
-
-    @property
-    def positions(self) -> Indices:
-        return self.nearest_bins
 
     @property
     def frequencies(self) -> Array:
@@ -199,20 +203,11 @@ class FrequencyMap(AffineMap):
 
     @property
     def real(self) -> Mask:
-        """Which of the values are real for every signal, (groups,)."""
         return np.asarray((self.at == 0) | (self.at == np.pi))
 
     @property
     def additions(self) -> float:
         return float(4 * len(self.window) + 10)  # that many roundings are in an angle w t
-
-    @property
-    def dense_size(self) -> tuple[int, int]:
-        rows, signals = 2 * len(self.at), sum(1 for part in (self.C, self.D) if part is not None and part.any())
-        return rows, rows * len(self.window) * signals
-
-    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
-        return self._plain.spectrum_of(C, D)
 
     def values(self, x: Array, u: Array) -> Array:
         found = self.transform(self.signal(x, u))
@@ -222,21 +217,9 @@ class FrequencyMap(AffineMap):
         first, second = self.factors(weights.dtype)
         turned = (weights[:, 0] + 1j * weights[:, 1])[:, None]
         signal = (np.conj(first).T @ (turned * np.conj(second))).real.reshape(-1)[: self.samples]
-        return self._plain.spread(signal * self.window, shapes)
-
-    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        of_y = sp.csr_array(self.waves())
-        of_x, of_u = signal_rows(of_y, self.C, horizon + 1, n), signal_rows(of_y, self.D, horizon, m)
-        return joined_rows(of_x, of_u), np.zeros(2 * len(self.at))
-
-    def sizes(self, x: Array, u: Array) -> Array:
-        return np.broadcast_to(self._plain.sizes(x, u)[:1], self.shape)
-
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        return self._plain.magnitudes().spread(np.abs(self.window) * np.abs(weights).sum(), shapes)
+        return self.spread(signal * self.window, shapes)
 
     def waves(self) -> Array:
-        """Return the coefficients of the samples, (2 groups, samples): of Re and Im of each frequency in turn."""
         first, second = self.factors(np.dtype(np.float64))
         whole = (first[:, :, None] * second[:, None, :]).reshape(len(self.at), -1)[:, : self.samples] * self.window
         waves = np.stack([whole.real, whole.imag], axis=1)
@@ -267,14 +250,9 @@ class FrequencyMap(AffineMap):
         w, A = self.at.astype(np.longdouble)[:, None], -(-self.samples // B)
         return np.exp(-1j * w * (B * np.arange(A))), np.exp(-1j * w * np.arange(B))
 
-    @property
-    def _plain(self) -> SpectrumMap:
-        """Return the map of the first bin, which has the same signal."""
-        return SpectrumMap(self.C, self.D, self.window, len(self.window), np.array([0]))
-
     def signal(self, x: Array, u: Array) -> Array:
-        """Return h_t y_t, (samples,)."""
-        return self.window * self._plain.signal(x, u)[: self.samples]
+        """Return w_t y_t, (samples,)."""
+        return self.window * self.output(x, u)[: self.samples]
 
     def placed(self, points: Array) -> FrequencyMap:
         """Return the map to the values at other points."""
@@ -318,7 +296,7 @@ class SpectrogramMap(AffineMap):
         return len(self.starts) * rows, len(self.starts) * entries
 
     def values(self, x: Array, u: Array) -> Array:
-        found = fft.rfft(self._frames(self.spectrum.signal(x, u)), n=self.spectrum.points, axis=1)
+        found = fft.rfft(self._frames(self.spectrum.output(x, u)), n=self.spectrum.points, axis=1)
         turned = found[:, self.spectrum.bins] * self._turns.astype(found.dtype)
         pairs = np.stack([turned.real, turned.imag], axis=-1)
         pairs[:, self.spectrum.real, 1] = 0.0  # and not rounding of a factor of one
@@ -349,7 +327,7 @@ class SpectrogramMap(AffineMap):
         return joined_rows(of_x, of_u), self.values(np.zeros((horizon + 1, n)), np.zeros((horizon, m))).ravel()
 
     def sizes(self, x: Array, u: Array) -> Array:
-        y = self.spectrum.magnitudes().signal(np.abs(x), np.abs(u))
+        y = self.spectrum.magnitudes().output(np.abs(x), np.abs(u))
         norms = np.linalg.norm(self._frames(y, np.abs(self.past)), axis=1)
         return np.broadcast_to(np.repeat(norms, self.spectrum.shape[0])[:, None], self.shape)
 
