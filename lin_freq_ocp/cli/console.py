@@ -144,8 +144,6 @@ def print_json(summary: Mapping[str, object]) -> None:
 
 def print_table(table: Table, spare: Sequence[str] = ()) -> None:
     """Print a table on stdout; where it is too wide, ``spare`` columns are dropped first."""
-    from lin_freq_ocp.cli.console import fit_table
-
     out.print(fit_table(table, out.width, spare))
 
 

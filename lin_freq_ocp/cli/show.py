@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-import tomli_w
 from rich.text import Text
 
 from lin_freq_ocp import library
@@ -25,15 +25,9 @@ from lin_freq_ocp.cli.console import (
     settings_option,
     terms,
 )
-from lin_freq_ocp.cli.problems import build, is_file, parsed_settings
-from lin_freq_ocp.files.problem_file import (
-    Parameter,
-    about_function,
-    description_summary,
-    init_problem_file,
-    parameters_of_file,
-    parameters_of_function,
-)
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.files.problem_file import Parameter
 
 LONGEST_VALUE = 50  # characters of a value that are shown
 
@@ -51,6 +45,14 @@ def list_command() -> int:
 @json_option
 def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     """Show what a library problem or a problem file is, and its parameters for --set with their defaults."""
+    from lin_freq_ocp.cli.problems import build, is_file, parsed_settings  # here, for list, which needs no files
+    from lin_freq_ocp.files.problem_file import (
+        about_function,
+        description_summary,
+        parameters_of_file,
+        parameters_of_function,
+    )
+
     given = parsed_settings(settings)
     shown = build(problem, settings)
     if is_file(problem):
@@ -84,6 +86,8 @@ def _shorten(text: str) -> str:
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
 def init_command(file: Path) -> int:
     """Write a commented problem file to start from."""
+    from lin_freq_ocp.files.problem_file import init_problem_file
+
     init_problem_file(file)
     say(f"wrote {file}; next: lin-freq-ocp solve {file}")
     return PROVEN
@@ -91,6 +95,8 @@ def init_command(file: Path) -> int:
 
 def as_toml(value: object) -> str:
     """Return a value as it is written after --set, in one line."""
+    import tomli_w
+
     text = " ".join(tomli_w.dumps({"_": [[_without_null(value)]]}).split())  # nested, for inline tables
     return text.replace("[ ", "[").replace(", ]", "]").removeprefix("_ = [[").removesuffix("]]")
 
