@@ -6,12 +6,11 @@ Fourier-domain method solves and judges a whole part at once where it applies; t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +22,7 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import fingerprint, require_executor
 from lin_freq_ocp.batch.repeated import Repeated
-from lin_freq_ocp.batch.tasks import ERROR, Work, finish_tasks
+from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.kept import Change
@@ -37,28 +36,6 @@ BLOCK = 1000  # states among which the nearest is looked for: 1000 steps of some
 HERE, SENT = 25, 100  # problems of a part: here, what Ctrl-C waits for; on an executor, what a set-up is shared by
 
 References = Mapping[str, ArrayLike]
-
-
-@dataclass(frozen=True, eq=False)
-class ManyHead:
-    """What makes two runs the same: the fingerprint of the problem, and the options."""
-
-    fingerprint: str
-    options: Mapping[str, object]
-
-
-class ManyRecord(Protocol):
-    """Where items are kept: those of an earlier run, and each as it is finished."""
-
-    items: Mapping[str, Item]
-
-    def append(self, key: str, item: Item) -> None:
-        """Keep one more item."""
-        ...
-
-
-# Opens the record of a run, given what it is of; None keeps nothing.
-OpenRecord = Callable[[ManyHead], AbstractContextManager[ManyRecord | None]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +110,8 @@ def run_many(
     executor: Executor | None,
     method: str | Method,
     time_limit: float | None,
-    open_record: OpenRecord,
-    progress: Callable[[int, int], None],
+    open_record: OpenRecord[Item],
+    progress: Callable[[int, int], None] | None,
 ) -> ManyOutcome:
     """Solve all problems, unless interrupted; see ``lfo.solve_many``."""
     again = Repeated(problem, method)
@@ -145,24 +122,16 @@ def run_many(
         for change in changes
     ]
     good = {key: change for key, change in zip(keys, changes, strict=True) if isinstance(change, Change)}
-    head = ManyHead(
-        fingerprint(problem), {"method": method if isinstance(method, str) else repr(method), "time_limit": time_limit}
-    )
-    found, interrupted = dict[str, Item](), False
-    with open_record(head) as record:
-        found |= {} if record is None else {key: item for key, item in record.items.items() if key in good}
-        progress(len(found), len(good))
-        try:
-            for part in _parts(again, _order_unsolved(good, found), time_limit, executor):
-                for key, item in part.items.items():
-                    found[key] = item
-                    if record is not None:
-                        record.append(key, item)
-                progress(len(found), len(good))
-                if part.interrupted:
-                    raise KeyboardInterrupt
-        except KeyboardInterrupt:
-            interrupted = True
+    options = {"method": method if isinstance(method, str) else repr(method), "time_limit": time_limit}
+
+    def solve_missing(missing: Sequence[str]) -> Generator[Mapping[str, Item]]:
+        if missing and good[missing[0]].initial_state is not None:
+            states = np.array([good[key].initial_state for key in missing], dtype=np.float64)
+            missing = [missing[i] for i in tour(states)]
+        return _solve_parts(again, {key: good[key] for key in missing}, time_limit, executor)
+
+    record = open_record({"fingerprint": fingerprint(problem), "options": options})
+    found, interrupted = finish_run(list(good), solve_missing, record, progress)
     items = tuple(
         Item(ERROR, message=str(change)) if isinstance(change, ProblemError) else found.get(key, Item(UNSOLVED))
         for key, change in zip(keys, changes, strict=True)
@@ -170,25 +139,31 @@ def run_many(
     return ManyOutcome(problem, tuple(changes), items, again, interrupted)
 
 
-def _parts(
+def _solve_parts(
     again: Repeated, changes: Mapping[str, Change], time_limit: float | None, executor: Executor | None
-) -> Iterator[Part]:
+) -> Generator[Mapping[str, Item]]:
     """Yield what is solved; problems of a part that is lost are given out again one by one."""
     if executor is None:
         with one_blas_thread():
             for part in _split_parts(changes, HERE).values():
-                yield solve_part(again, part, time_limit)
+                solved = solve_part(again, part, time_limit)
+                yield solved.items
+                if solved.interrupted:
+                    raise KeyboardInterrupt
         return
-    work = Work(
-        partial(_solve_in_worker, again.problem, again.name, time_limit), _lost_part, lambda part: part.interrupted
-    )
+
+    def lost_part(part: Mapping[str, Change], reason: str) -> Part:
+        return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part})
+
+    task = partial(_solve_in_worker, again.problem, again.name, time_limit)
+    work = Work(task, lost_part, lambda part: part.interrupted)
     lost = dict[str, Change]()
     for size in (SENT, 1):
         with closing(finish_tasks(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:
             for _, part in parts:
                 if size > 1:
                     lost |= {key: changes[key] for key, item in part.items.items() if item.lost}
-                yield Part({key: item for key, item in part.items.items() if size == 1 or key not in lost})
+                yield {key: item for key, item in part.items.items() if size == 1 or key not in lost}
 
 
 def _split_parts(changes: Mapping[str, Change], size: int) -> dict[str, dict[str, Change]]:
@@ -206,20 +181,6 @@ def _solve_in_worker(
     """Solve a part in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
     with one_blas_thread():
         return solve_part(Repeated(problem, method), changes, time_limit)
-
-
-def _lost_part(changes: Mapping[str, Change], reason: str) -> Part:
-    return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in changes})
-
-
-def _order_unsolved(changes: Mapping[str, Change], found: Mapping[str, Item]) -> dict[str, Change]:
-    """Return what is not solved, each near the one before."""
-    left = {key: change for key, change in changes.items() if key not in found}
-    states = [change.initial_state for change in left.values()]
-    if not states or states[0] is None:
-        return left
-    keys = list(left)
-    return {keys[i]: left[keys[i]] for i in tour(np.array(states, dtype=np.float64))}
 
 
 def changes_of(
