@@ -27,7 +27,6 @@ from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.solving.outcome import Outcome
 
 UNSOLVED = "unsolved"  # status of what Ctrl-C left
 
@@ -200,10 +199,21 @@ def changes_of(
         raise ProblemError("references", f"{len(each)} of them", f"{len(rows)}, one per initial state")
     if not rows:
         raise ProblemError("initial_states", "nothing", f"an array (N, {n}), N at least 1")
-    found = [_change_at(problem, i, row, other) for i, (row, other) in enumerate(zip(rows, each, strict=True))]
-    if isinstance(found[0], ProblemError) and not any(isinstance(one, Change) for one in found):
-        raise found[0]
-    return found
+    changes = list[Change | ProblemError]()
+    for i, (state, of_problem) in enumerate(zip(rows, each, strict=True)):
+        field = f"initial_states[{i}]"
+        try:
+            point = None if state is None else one_component(real_array(field, state), n)
+            if point is not None and point.shape != (n,):
+                raise ProblemError(field, f"shape {point.shape}", f"({n},)")
+            if of_problem is not None:
+                problem.with_references(of_problem)
+            changes.append(Change(point, references=of_problem))
+        except ProblemError as error:
+            changes.append(error)
+    if isinstance(changes[0], ProblemError) and not any(isinstance(one, Change) for one in changes):
+        raise changes[0]
+    return changes
 
 
 def _state_rows(states: object, n: int) -> Sequence[object]:
@@ -216,21 +226,6 @@ def _state_rows(states: object, n: int) -> Sequence[object]:
     if array.ndim != 2 or array.shape[1] != n:
         raise ProblemError("initial_states", f"shape {array.shape}", f"(N, {n}): one initial state per row")
     return list(array)
-
-
-def _change_at(
-    problem: OptimalControlProblem, i: int, state: object, references: References | None
-) -> Change | ProblemError:
-    n, field = problem.state_dim, f"initial_states[{i}]"
-    try:
-        point = None if state is None else one_component(real_array(field, state), n)
-        if point is not None and point.shape != (n,):
-            raise ProblemError(field, f"shape {point.shape}", f"({n},)")
-        if references is not None:
-            problem.with_references(references)
-    except ProblemError as error:
-        return error
-    return Change(point, references=references)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +318,21 @@ def _solve_single(again: Repeated, change: Change, time_limit: float | None) -> 
         raise KeyboardInterrupt
     if change.references is None:
         again.keep(outcome)
-    return item_of(outcome, now() - started)
+    # Figures are of points that satisfy every constraint
+    trajectory = outcome.trajectory if outcome.primal else None
+    optimal = outcome.certificate is not None and outcome.certificate.globally_optimal
+    infeasible = outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED) and outcome.dual
+    return Item(
+        status=str(outcome.status),
+        proven=optimal or infeasible,
+        cost=outcome.cost if outcome.primal else None,
+        lower_bound=outcome.lower_bound,
+        gap=outcome.gap if outcome.primal else None,
+        message=outcome.message,
+        seconds=now() - started,
+        x=None if trajectory is None else trajectory.x,
+        u=None if trajectory is None else trajectory.u,
+    )
 
 
 def tour(states: Array) -> Indices:
@@ -332,32 +341,13 @@ def tour(states: Array) -> Indices:
     scaled = (states - states.mean(0)) / np.where(spread > 0, spread, 1.0)
     along = np.argsort(scaled[:, int(np.argmax(np.abs(scaled).max(0)))], kind="stable")
     blocks = [along[first : first + BLOCK] for first in range(0, len(along), BLOCK)]
-    return np.concatenate([block[_nearest_unvisited(scaled[block])] for block in blocks])
-
-
-def _nearest_unvisited(points: Array) -> Indices:
-    """Return an order that begins at the first point and goes on to the nearest that is left."""
-    order, left = np.zeros(len(points), dtype=np.intp), np.ones(len(points), dtype=bool)
-    for step in range(1, len(points)):
-        left[order[step - 1]] = False
-        distance = ((points - points[order[step - 1]]) ** 2).sum(1)
-        order[step] = np.argmin(np.where(left, distance, np.inf))
-    return order
-
-
-def item_of(outcome: Outcome, seconds: float) -> Item:
-    """Return an outcome as an item; figures are of points that satisfy every constraint."""
-    trajectory = outcome.trajectory if outcome.primal else None
-    solved = outcome.certificate is not None and outcome.certificate.globally_optimal
-    infeasible = outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED) and outcome.dual
-    return Item(
-        status=str(outcome.status),
-        proven=solved or infeasible,
-        cost=outcome.cost if outcome.primal else None,
-        lower_bound=outcome.lower_bound,
-        gap=outcome.gap if outcome.primal else None,
-        message=outcome.message,
-        seconds=seconds,
-        x=None if trajectory is None else trajectory.x,
-        u=None if trajectory is None else trajectory.u,
-    )
+    orders = list[Indices]()
+    for block in blocks:  # from the first point, on to the nearest that is left
+        points, left = scaled[block], np.ones(len(block), dtype=bool)
+        order = np.zeros(len(block), dtype=np.intp)
+        for step in range(1, len(block)):
+            left[order[step - 1]] = False
+            distance = ((points - points[order[step - 1]]) ** 2).sum(1)
+            order[step] = np.argmin(np.where(left, distance, np.inf))
+        orders.append(block[order])
+    return np.concatenate(orders)

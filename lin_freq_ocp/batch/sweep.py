@@ -32,7 +32,6 @@ from lin_freq_ocp.batch.grid import (
     require_executor,
 )
 from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
-from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, solve_judged
 
 INTERRUPTED = "interrupted"  # status of a point whose solve was stopped by Ctrl-C; no sweep keeps it
@@ -174,11 +173,13 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
     row = failed_point(parameters, None, now() - started)
     certificate, messages = result.certificate, [result.message] if result.message else []
     row["status"] = INTERRUPTED if result.interrupted else result.status
-    row["proven"], row["lower_bound"] = _is_proven(result), _finite_or_none(result.lower_bound)
-    row["bound"] = result.bound
+    row["lower_bound"], row["bound"] = _finite_or_none(result.lower_bound), result.bound
     row["method"], row["backend"] = result.method, result.backend
     if certificate is not None:
         row["pmp"], row["global"] = certificate.pmp, certificate.globally_optimal
+        row["proven"] = (certificate.pmp == "satisfied" and certificate.normal is True) or certificate.globally_optimal
+    if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
+        row["proven"] = result.dual
     if result.primal:
         row["cost"], row["gap"] = _finite_or_none(result.cost), _finite_or_none(result.gap)
     elif result.cost is not None:  # it may be lower than that of every solution
@@ -198,15 +199,6 @@ def _band_warnings(messages: list[str]) -> Generator[None]:
             messages.append(str(warning.message))
         else:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-
-
-def _is_proven(result: Outcome) -> bool:
-    if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
-        return result.dual
-    certificate = result.certificate
-    if certificate is None:
-        return False
-    return (certificate.pmp == "satisfied" and certificate.normal is True) or certificate.globally_optimal
 
 
 def _finite_or_none(value: float | None) -> float | None:

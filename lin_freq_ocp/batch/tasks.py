@@ -143,14 +143,14 @@ def process_pool(workers: int) -> WorkerPool:
 def _begin_work() -> None:
     """Let a worker ignore Ctrl-C, and end when its parent does, which may be killed and then says nothing."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
 
+    def end_with_parent() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
 
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def _run_on_executor(

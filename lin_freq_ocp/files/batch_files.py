@@ -153,7 +153,20 @@ def _sweep_lines(path: Path) -> list[FileTable]:
         return []
     if not head.startswith(BEGINNING):
         raise _no_sweep_error(path)
-    lines = [_sweep_line(path, number, text) for number, text in enumerate([head, *others[:-1]], 1)]
+    lines = list[FileTable]()
+    for number, text in enumerate([head, *others[:-1]], 1):
+        line, location = parsed_json(f"{path}, line {number}", text), f"{path.name}, line {number}"
+        require_keys(location, line, optional=() if not isinstance(line, dict) else line)
+        if "grid" in line:
+            grid = line["grid"]
+            if not isinstance(grid, dict) or not grid or not all(isinstance(v, list) and v for v in grid.values()):
+                raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
+        elif number > 1:
+            line.setdefault("bound", None)  # rows of earlier versions have none
+            require_keys(location, line, ("parameters", *MEASURED))
+            for key, kind in ROW_KINDS.items():
+                _require_kind(location, line, key, kind)
+        lines.append(line)
     require_keys(path.name, lines[0], HEAD_KEYS)
     for key, kind in HEAD_KINDS.items():
         _require_kind(path.name, lines[0], key, kind)
@@ -162,29 +175,6 @@ def _sweep_lines(path: Path) -> list[FileTable]:
 
 def _no_sweep_error(path: Path) -> ProblemError:
     return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")
-
-
-def _sweep_line(path: Path, number: int, text: str) -> FileTable:
-    line = parsed_json(f"{path}, line {number}", text)
-    location = f"{path.name}, line {number}"
-    require_keys(location, line, optional=() if not isinstance(line, dict) else line)
-    if "grid" in line:
-        _require_grid(location, line["grid"])
-    elif number > 1:
-        line.setdefault("bound", None)  # rows of earlier versions have none
-        require_keys(location, line, ("parameters", *MEASURED))
-        for key, kind in ROW_KINDS.items():
-            _require_kind(location, line, key, kind)
-    return line
-
-
-def _require_grid(location: str, grid: object) -> None:
-    if (
-        not isinstance(grid, dict)
-        or not grid
-        or not all(isinstance(values, list) and values for values in grid.values())
-    ):
-        raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
 
 
 def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
@@ -218,13 +208,11 @@ def save_sweep_csv(path: str | PathLike[str], sweep: SweepOutcome) -> None:
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(map(header, (*sweep.names, *MEASURED)))
-    writer.writerows([_cell(value) for value in row.values()] for row in sweep.table())
+    for row in sweep.table():
+        # No spreadsheet takes a cell for a formula; "-inf" is a number
+        texts = {name for name, value in row.items() if isinstance(value, str) and value not in ("-inf", "inf", "nan")}
+        writer.writerow([header(str(value)) if name in texts else value for name, value in row.items()])
     write_text(path, text.getvalue())
-
-
-def _cell(value: FileValue) -> FileValue:
-    """Return a value as a cell that no spreadsheet takes for a formula; "-inf" is a number."""
-    return value if not isinstance(value, str) or value in ("-inf", "inf", "nan") else header(value)
 
 
 def sweep_summary(sweep: SweepOutcome) -> FileTable:
