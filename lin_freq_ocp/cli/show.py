@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 from rich.text import Text
@@ -25,9 +24,6 @@ from lin_freq_ocp.cli.console import (
     settings_option,
     terms,
 )
-
-if TYPE_CHECKING:
-    from lin_freq_ocp.files.problem_file import Parameter
 
 LONGEST_VALUE = 50  # characters of a value that are shown
 
@@ -68,18 +64,15 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     out.print(Text(f"{about}\n" if about else ""))
     out.print(terms([(fact["what"], fact["words"]) for fact in summary["facts"]], out.width))
     out.print(Text("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n"))
-    out.print(terms([(_assignment(parameter), parameter.about) for parameter in parameters], out.width))
+    rows = list[tuple[str, str]]()
+    for parameter in parameters:  # with its default as it is written after --set, and the value that is set instead
+        texts = [as_toml(value) for value in (parameter.default, parameter.value)]
+        default, value = (text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..." for text in texts)
+        rows.append(
+            (f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})"), parameter.about)
+        )
+    out.print(terms(rows, out.width))
     return PROVEN
-
-
-def _assignment(parameter: Parameter) -> str:
-    """Return a parameter and its default as they are written after --set, and the value that is set instead."""
-    default, value = (_shorten(as_toml(given)) for given in (parameter.default, parameter.value))
-    return f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})")
-
-
-def _shorten(text: str) -> str:
-    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
 
 @click.command("init")
