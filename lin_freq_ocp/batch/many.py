@@ -125,8 +125,8 @@ def run_many(
 
     def solve_missing(missing: Sequence[str]) -> Generator[Mapping[str, Item]]:
         if missing and good[missing[0]].initial_state is not None:
-            states = np.array([good[key].initial_state for key in missing], dtype=np.float64)
-            missing = [missing[i] for i in tour(states)]
+            order: list[int] = tour(np.array([good[key].initial_state for key in missing], dtype=np.float64)).tolist()
+            missing = [missing[i] for i in order]
         return _solve_parts(again, {key: good[key] for key in missing}, time_limit, executor)
 
     record = open_record({"fingerprint": fingerprint(problem), "options": options})

@@ -82,7 +82,8 @@ class Log(Generic[Answer]):
             self._open = stack.pop_all()
         try:
             first = {"kind": self.kind, "schema": SCHEMA, "version": version("lin-freq-ocp"), **head}
-            self.answers, line = self._resume(first)
+            answers, line = self._resume(first)
+            self.answers: Mapping[str, Answer] = answers
             with writing(path):
                 self._stream.truncate(read_bytes(path).rfind(b"\n") + 1)  # an incomplete last line is dropped
             if line:
@@ -251,8 +252,9 @@ class ManyFile(Log[Item]):
         items = dict[str, Item]()
         for line in lines[1:]:
             require_keys(self._path.name, line, ITEM_KEYS)
-            arrays = {name: None if line[name] is None else np.array(line[name], dtype=np.float64) for name in "xu"}
-            items[line["key"]] = Item(**{name: line[name] for name in ITEM_KEYS if name != "key"} | arrays)
+            values: FileTable = {name: line[name] for name in ITEM_KEYS if name != "key"}
+            values |= {name: np.array(line[name], dtype=np.float64) for name in "xu" if line[name] is not None}
+            items[line["key"]] = Item(**values)
         return {key: item for key, item in items.items() if item.status != ERROR}, {}
 
     def _line(self, key: str, answer: Item) -> Mapping[str, object]:
