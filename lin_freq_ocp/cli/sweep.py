@@ -199,23 +199,17 @@ def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValu
             raise ProblemError("--grid", repr(given), GRID_FORM)
         if key in result:
             raise ProblemError(f"--grid {key}", "this key twice", "one list for each key")
-        result[key] = _grid_values(key, text)
+        match = RANGE.fullmatch(text)
+        try:
+            values = _range(*match.groups()) if match else tomllib.loads(f"values = {text}")["values"]
+        except (ValueError, OverflowError, RecursionError) as error:
+            raise ProblemError(f"--grid {key}", brief(text), GRID_FORM, f"({error})") from None
+        if not isinstance(values, list):
+            raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"For a single one: {key}=[{text}].")
+        result[key] = [None if value == "none" else value for value in values]
     if isinstance(source, ProblemFile):  # the sweep itself checks the parameters of functions
         require_keys_of_file(result, "--grid ")
     return result
-
-
-def _grid_values(key: str, text: str) -> list[FileValue]:
-    match = RANGE.fullmatch(text)
-    try:
-        if match:
-            return _range(*match.groups())
-        values = tomllib.loads(f"values = {text}")["values"]
-    except (ValueError, OverflowError, RecursionError) as error:
-        raise ProblemError(f"--grid {key}", brief(text), GRID_FORM, f"({error})") from None
-    if not isinstance(values, list):
-        raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"For a single one: {key}=[{text}].")
-    return [None if value == "none" else value for value in values]
 
 
 def _range(first: str, last: str, count: str) -> list[float] | list[int]:
