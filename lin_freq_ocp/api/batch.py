@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, final
@@ -16,7 +16,7 @@ from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import count_text, report_progress, result_of
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.grid import Source
-from lin_freq_ocp.batch.many import ManyHead, ManyOutcome, References, run_many
+from lin_freq_ocp.batch.many import ManyOutcome, References, run_many
 from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.batch.sweep import SweepOutcome, run_sweep
 from lin_freq_ocp.files.batch_files import ManyFile, SweepFile, read_sweep, save_sweep_csv
@@ -181,17 +181,13 @@ def solve_many(
     (('optimal', 'optimal'), array([3199., 3281.]))
     """
 
-    def record(head: ManyHead) -> AbstractContextManager[ManyFile | None]:
-        return nullcontext() if path is None else ManyFile(path, head)
+    def on_terminal(done: int, count: int) -> None:
+        print(f"\r{count_text(done, count)}", end="\n" if done == count else "", file=sys.stderr, flush=True)
 
-    with report_progress(progress or (_on_terminal if sys.stderr.isatty() else None), count_text) as report:
-        tell = report or (lambda done, count: None)
-        found = run_many(problem, initial_states, references, executor, method, time_limit, record, tell)
+    record = (lambda head: nullcontext()) if path is None else partial(ManyFile, path)
+    with report_progress(progress or (on_terminal if sys.stderr.isatty() else None), count_text) as report:
+        found = run_many(problem, initial_states, references, executor, method, time_limit, record, report)
     return shown_as(Solutions, found)
-
-
-def _on_terminal(done: int, count: int) -> None:
-    print(f"\r{count_text(done, count)}", end="\n" if done == count else "", file=sys.stderr, flush=True)
 
 
 @final
@@ -282,7 +278,7 @@ def sweep(
     ['optimal', 'optimal']
     """
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    record = (lambda head, grid: nullcontext()) if path is None else partial(SweepFile, path)
+    record = (lambda head: nullcontext()) if path is None else partial(SweepFile, path)
     with report_progress(progress, count_text) as report:
         return shown_as(Sweep, run_sweep(problem, grid, options, executor, record, report))
 

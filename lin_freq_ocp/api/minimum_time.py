@@ -154,46 +154,41 @@ def minimum_time(
     require_options(method, time_limit, backend, tolerance)
     at = partial(problem_at_horizon, problem)
     failing = obstacles(at, low, high, same_data=not callable(problem))
+    monotone = not failing
 
-    def solved(horizon: int) -> Outcome:
+    def solve_at(horizon: int) -> Outcome:
         return solve_judged(at(horizon), method, time_limit, backend=backend, tolerance=tolerance)
 
     with report_progress(progress, lambda horizon, verdict: f"horizon {horizon}: {verdict}") as report:
-        search = search_horizons(low, high, not failing, solved, report)
-    found = _result(search, failing)
-    if throw and found.horizon is None and not search.interrupted:
-        _raise(found)
-    return found
-
-
-def _result(search: Search, failing: list[str]) -> MinimumTime:
-    horizon, monotone = search.horizon, not failing
-    outcome = search.last if horizon is None else search.best
-    before = search.high if horizon is None else horizon - 1
-    unproven = _unproven(search, before, monotone)
-    return MinimumTime(
+        search = search_horizons(low, high, monotone, solve_at, report)
+    horizon, proven = search.horizon, search.proven
+    outcome, before = (search.last, high) if horizon is None else (search.best, horizon - 1)
+    # A ray at one horizon is a proof for all shorter ones, where feasibility is monotone
+    first = max(proven, default=low - 1) + 1 if monotone else low
+    unproven = [T for T in range(first, before + 1) if T not in proven]
+    found = MinimumTime(
         horizon=horizon,
         result=None if outcome is None else shown_as(Result, outcome),
         ray=search.rays.get(before),
         monotone=monotone,
         reason=MONOTONE if monotone else "; ".join(failing),
         proven=not unproven,
-        proof=_proof(search, before, unproven, monotone),
-        horizons=(search.low, search.high),
+        proof=_proof(search, unproven, monotone),
+        horizons=(low, high),
         verdicts={T: str(search.verdicts[T]) for T in sorted(search.verdicts)},
         rays=search.rays,
         interrupted=search.interrupted,
     )
+    if throw and horizon is None and not search.interrupted:
+        if found.proven:
+            text = f"No horizon from {low} to {high} is feasible: {found.proof}. "
+            raise InfeasibleError(f"{text}Allow longer ones, or relax a constraint.", found.result)
+        if found.result is not None:
+            raise_for(found.result)
+    return found
 
 
-def _unproven(search: Search, last: int, monotone: bool) -> list[int]:
-    """Return the horizons up to the last that are not proven infeasible."""
-    proven = search.proven
-    first = max(proven, default=search.low - 1) + 1 if monotone else search.low
-    return [T for T in range(first, last + 1) if T not in proven]
-
-
-def _proof(search: Search, last: int, unproven: list[int], monotone: bool) -> str:
+def _proof(search: Search, unproven: list[int], monotone: bool) -> str:
     proven = search.proven
     found = [] if search.horizon is None else [f"{search.horizon} is feasible"]
     if search.horizon == search.low:
@@ -217,13 +212,3 @@ def _ranges(horizons: list[int]) -> str:
     ends = [i - 1 for i in starts[1:]] + [len(horizons) - 1]
     pairs = ((horizons[i], horizons[j]) for i, j in zip(starts, ends, strict=True))
     return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in pairs)
-
-
-def _raise(found: MinimumTime) -> None:
-    """Raise the error of a search without a feasible horizon."""
-    low, high = found.horizons
-    if found.proven:
-        text = f"No horizon from {low} to {high} is feasible: {found.proof}. Allow longer ones, or relax a constraint."
-        raise InfeasibleError(text, found.result)
-    if found.result is not None:
-        raise_for(found.result)

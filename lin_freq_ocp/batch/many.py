@@ -6,12 +6,11 @@ Fourier-domain method solves and judges a whole part at once where it applies; t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,12 +22,11 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import fingerprint, require_executor
 from lin_freq_ocp.batch.repeated import Repeated
-from lin_freq_ocp.batch.tasks import ERROR, Work, finish_tasks
+from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.solving.outcome import Outcome
 
 UNSOLVED = "unsolved"  # status of what Ctrl-C left
 
@@ -37,28 +35,6 @@ BLOCK = 1000  # states among which the nearest is looked for: 1000 steps of some
 HERE, SENT = 25, 100  # problems of a part: here, what Ctrl-C waits for; on an executor, what a set-up is shared by
 
 References = Mapping[str, ArrayLike]
-
-
-@dataclass(frozen=True, eq=False)
-class ManyHead:
-    """What makes two runs the same: the fingerprint of the problem, and the options."""
-
-    fingerprint: str
-    options: Mapping[str, object]
-
-
-class ManyRecord(Protocol):
-    """Where items are kept: those of an earlier run, and each as it is finished."""
-
-    items: Mapping[str, Item]
-
-    def append(self, key: str, item: Item) -> None:
-        """Keep one more item."""
-        ...
-
-
-# Opens the record of a run, given what it is of; None keeps nothing.
-OpenRecord = Callable[[ManyHead], AbstractContextManager[ManyRecord | None]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +109,8 @@ def run_many(
     executor: Executor | None,
     method: str | Method,
     time_limit: float | None,
-    open_record: OpenRecord,
-    progress: Callable[[int, int], None],
+    open_record: OpenRecord[Item],
+    progress: Callable[[int, int], None] | None,
 ) -> ManyOutcome:
     """Solve all problems, unless interrupted; see ``lfo.solve_many``."""
     again = Repeated(problem, method)
@@ -145,24 +121,16 @@ def run_many(
         for change in changes
     ]
     good = {key: change for key, change in zip(keys, changes, strict=True) if isinstance(change, Change)}
-    head = ManyHead(
-        fingerprint(problem), {"method": method if isinstance(method, str) else repr(method), "time_limit": time_limit}
-    )
-    found, interrupted = dict[str, Item](), False
-    with open_record(head) as record:
-        found |= {} if record is None else {key: item for key, item in record.items.items() if key in good}
-        progress(len(found), len(good))
-        try:
-            for part in _parts(again, _order_unsolved(good, found), time_limit, executor):
-                for key, item in part.items.items():
-                    found[key] = item
-                    if record is not None:
-                        record.append(key, item)
-                progress(len(found), len(good))
-                if part.interrupted:
-                    raise KeyboardInterrupt
-        except KeyboardInterrupt:
-            interrupted = True
+    options = {"method": method if isinstance(method, str) else repr(method), "time_limit": time_limit}
+
+    def solve_missing(missing: Sequence[str]) -> Generator[Mapping[str, Item]]:
+        if missing and good[missing[0]].initial_state is not None:
+            order: list[int] = tour(np.array([good[key].initial_state for key in missing], dtype=np.float64)).tolist()
+            missing = [missing[i] for i in order]
+        return _solve_parts(again, {key: good[key] for key in missing}, time_limit, executor)
+
+    record = open_record({"fingerprint": fingerprint(problem), "options": options})
+    found, interrupted = finish_run(list(good), solve_missing, record, progress)
     items = tuple(
         Item(ERROR, message=str(change)) if isinstance(change, ProblemError) else found.get(key, Item(UNSOLVED))
         for key, change in zip(keys, changes, strict=True)
@@ -170,25 +138,31 @@ def run_many(
     return ManyOutcome(problem, tuple(changes), items, again, interrupted)
 
 
-def _parts(
+def _solve_parts(
     again: Repeated, changes: Mapping[str, Change], time_limit: float | None, executor: Executor | None
-) -> Iterator[Part]:
+) -> Generator[Mapping[str, Item]]:
     """Yield what is solved; problems of a part that is lost are given out again one by one."""
     if executor is None:
         with one_blas_thread():
             for part in _split_parts(changes, HERE).values():
-                yield solve_part(again, part, time_limit)
+                solved = solve_part(again, part, time_limit)
+                yield solved.items
+                if solved.interrupted:
+                    raise KeyboardInterrupt
         return
-    work = Work(
-        partial(_solve_in_worker, again.problem, again.name, time_limit), _lost_part, lambda part: part.interrupted
-    )
+
+    def lost_part(part: Mapping[str, Change], reason: str) -> Part:
+        return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part})
+
+    task = partial(_solve_in_worker, again.problem, again.name, time_limit)
+    work = Work(task, lost_part, lambda part: part.interrupted)
     lost = dict[str, Change]()
     for size in (SENT, 1):
         with closing(finish_tasks(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:
             for _, part in parts:
                 if size > 1:
                     lost |= {key: changes[key] for key, item in part.items.items() if item.lost}
-                yield Part({key: item for key, item in part.items.items() if size == 1 or key not in lost})
+                yield {key: item for key, item in part.items.items() if size == 1 or key not in lost}
 
 
 def _split_parts(changes: Mapping[str, Change], size: int) -> dict[str, dict[str, Change]]:
@@ -208,20 +182,6 @@ def _solve_in_worker(
         return solve_part(Repeated(problem, method), changes, time_limit)
 
 
-def _lost_part(changes: Mapping[str, Change], reason: str) -> Part:
-    return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in changes})
-
-
-def _order_unsolved(changes: Mapping[str, Change], found: Mapping[str, Item]) -> dict[str, Change]:
-    """Return what is not solved, each near the one before."""
-    left = {key: change for key, change in changes.items() if key not in found}
-    states = [change.initial_state for change in left.values()]
-    if not states or states[0] is None:
-        return left
-    keys = list(left)
-    return {keys[i]: left[keys[i]] for i in tour(np.array(states, dtype=np.float64))}
-
-
 def changes_of(
     problem: OptimalControlProblem, states: object, references: References | Sequence[References] | None
 ) -> list[Change | ProblemError]:
@@ -239,10 +199,21 @@ def changes_of(
         raise ProblemError("references", f"{len(each)} of them", f"{len(rows)}, one per initial state")
     if not rows:
         raise ProblemError("initial_states", "nothing", f"an array (N, {n}), N at least 1")
-    found = [_change_at(problem, i, row, other) for i, (row, other) in enumerate(zip(rows, each, strict=True))]
-    if isinstance(found[0], ProblemError) and not any(isinstance(one, Change) for one in found):
-        raise found[0]
-    return found
+    changes = list[Change | ProblemError]()
+    for i, (state, of_problem) in enumerate(zip(rows, each, strict=True)):
+        field = f"initial_states[{i}]"
+        try:
+            point = None if state is None else one_component(real_array(field, state), n)
+            if point is not None and point.shape != (n,):
+                raise ProblemError(field, f"shape {point.shape}", f"({n},)")
+            if of_problem is not None:
+                problem.with_references(of_problem)
+            changes.append(Change(point, references=of_problem))
+        except ProblemError as error:
+            changes.append(error)
+    if isinstance(changes[0], ProblemError) and not any(isinstance(one, Change) for one in changes):
+        raise changes[0]
+    return changes
 
 
 def _state_rows(states: object, n: int) -> Sequence[object]:
@@ -255,21 +226,6 @@ def _state_rows(states: object, n: int) -> Sequence[object]:
     if array.ndim != 2 or array.shape[1] != n:
         raise ProblemError("initial_states", f"shape {array.shape}", f"(N, {n}): one initial state per row")
     return list(array)
-
-
-def _change_at(
-    problem: OptimalControlProblem, i: int, state: object, references: References | None
-) -> Change | ProblemError:
-    n, field = problem.state_dim, f"initial_states[{i}]"
-    try:
-        point = None if state is None else one_component(real_array(field, state), n)
-        if point is not None and point.shape != (n,):
-            raise ProblemError(field, f"shape {point.shape}", f"({n},)")
-        if references is not None:
-            problem.with_references(references)
-    except ProblemError as error:
-        return error
-    return Change(point, references=references)
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,7 +318,21 @@ def _solve_single(again: Repeated, change: Change, time_limit: float | None) -> 
         raise KeyboardInterrupt
     if change.references is None:
         again.keep(outcome)
-    return item_of(outcome, now() - started)
+    # Figures are of points that satisfy every constraint
+    trajectory = outcome.trajectory if outcome.primal else None
+    optimal = outcome.certificate is not None and outcome.certificate.globally_optimal
+    infeasible = outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED) and outcome.dual
+    return Item(
+        status=str(outcome.status),
+        proven=optimal or infeasible,
+        cost=outcome.cost if outcome.primal else None,
+        lower_bound=outcome.lower_bound,
+        gap=outcome.gap if outcome.primal else None,
+        message=outcome.message,
+        seconds=now() - started,
+        x=None if trajectory is None else trajectory.x,
+        u=None if trajectory is None else trajectory.u,
+    )
 
 
 def tour(states: Array) -> Indices:
@@ -371,32 +341,13 @@ def tour(states: Array) -> Indices:
     scaled = (states - states.mean(0)) / np.where(spread > 0, spread, 1.0)
     along = np.argsort(scaled[:, int(np.argmax(np.abs(scaled).max(0)))], kind="stable")
     blocks = [along[first : first + BLOCK] for first in range(0, len(along), BLOCK)]
-    return np.concatenate([block[_nearest_unvisited(scaled[block])] for block in blocks])
-
-
-def _nearest_unvisited(points: Array) -> Indices:
-    """Return an order that begins at the first point and goes on to the nearest that is left."""
-    order, left = np.zeros(len(points), dtype=np.intp), np.ones(len(points), dtype=bool)
-    for step in range(1, len(points)):
-        left[order[step - 1]] = False
-        distance = ((points - points[order[step - 1]]) ** 2).sum(1)
-        order[step] = np.argmin(np.where(left, distance, np.inf))
-    return order
-
-
-def item_of(outcome: Outcome, seconds: float) -> Item:
-    """Return an outcome as an item; figures are of points that satisfy every constraint."""
-    trajectory = outcome.trajectory if outcome.primal else None
-    solved = outcome.certificate is not None and outcome.certificate.globally_optimal
-    infeasible = outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED) and outcome.dual
-    return Item(
-        status=str(outcome.status),
-        proven=solved or infeasible,
-        cost=outcome.cost if outcome.primal else None,
-        lower_bound=outcome.lower_bound,
-        gap=outcome.gap if outcome.primal else None,
-        message=outcome.message,
-        seconds=seconds,
-        x=None if trajectory is None else trajectory.x,
-        u=None if trajectory is None else trajectory.u,
-    )
+    orders = list[Indices]()
+    for block in blocks:  # from the first point, on to the nearest that is left
+        points, left = scaled[block], np.ones(len(block), dtype=bool)
+        order = np.zeros(len(block), dtype=np.intp)
+        for step in range(1, len(block)):
+            left[order[step - 1]] = False
+            distance = ((points - points[order[step - 1]]) ** 2).sum(1)
+            order[step] = np.argmin(np.where(left, distance, np.inf))
+        orders.append(block[order])
+    return np.concatenate(orders)

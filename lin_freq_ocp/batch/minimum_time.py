@@ -21,9 +21,8 @@ from lin_freq_ocp.batch.grid import Source, fingerprint, problem_at, require_par
 from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -69,7 +68,11 @@ class Search:
 
     def keep(self, horizon: int, outcome: Outcome) -> Verdict:
         """Keep what a solve says about a horizon."""
-        verdict, self.interrupted = verdict_of(outcome), outcome.interrupted
+        verdict, self.interrupted = Verdict.UNDECIDED, outcome.interrupted
+        if outcome.primal:  # whatever its cost
+            verdict = Verdict.FEASIBLE
+        elif outcome.status == Status.INFEASIBLE:
+            verdict = Verdict.INFEASIBLE
         if self.interrupted and verdict == Verdict.UNDECIDED:
             return verdict
         self.verdicts[horizon] = verdict
@@ -94,7 +97,11 @@ def search_horizons(
     search = Search(low, high)
     try:
         while not search.interrupted:
-            horizon = _next_of_bisection(search) if monotone else _next_from_below(search)
+            if monotone:
+                horizon = _next_of_bisection(search)
+            else:  # from below, until one is feasible
+                horizon = low + len(search.verdicts)
+                horizon = horizon if search.horizon is None and horizon <= high else None
             if horizon is None:
                 break
             verdict = search.keep(horizon, solve(horizon))
@@ -113,11 +120,6 @@ def _next_of_bisection(search: Search) -> int | None:
     below = max(search.of(Verdict.INFEASIBLE), default=search.low - 1)
     unknown = [T for T in range(below + 1, above) if T not in search.verdicts]
     return unknown[len(unknown) // 2] if unknown else None
-
-
-def _next_from_below(search: Search) -> int | None:
-    following = search.low + len(search.verdicts)
-    return following if search.horizon is None and following <= search.high else None
 
 
 def checked_horizons(given: object) -> tuple[int, int]:
@@ -151,13 +153,6 @@ def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
         raise ProblemError(error.field, error.got, error.expected, advice) from None
 
 
-def verdict_of(outcome: Outcome) -> Verdict:
-    """Return what an outcome proves about feasibility, whatever its cost."""
-    if outcome.primal:
-        return Verdict.FEASIBLE
-    return Verdict.INFEASIBLE if outcome.status == Status.INFEASIBLE else Verdict.UNDECIDED
-
-
 def require_source(source: Source) -> None:
     """Raise ProblemError unless this is a problem, or a function that takes a horizon."""
     if callable(source):
@@ -178,8 +173,7 @@ def obstacles(at: At, shortest: int, longest: int, same_data: bool) -> list[str]
         return ["the dynamics are not linear"]
     found = [
         *_moving_ends(problem, shortest),
-        *_controls_without_zero(problem, shortest),
-        *_varying_states(problem, shortest),
+        *_sets_in_the_way(problem, shortest),
         *_rows_in_the_way(problem, shortest),
         *_spectra_in_the_way(problem),
     ]
@@ -207,16 +201,14 @@ def _entries_from(values: Array, first: int, dimensions: int) -> Array:
     return values[None] if values.ndim == dimensions else values[first:]
 
 
-def _controls_without_zero(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+def _sets_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str]:
+    """Yield the sets that exclude a control of zero, or that depend on time, at later times."""
     tube, T = problem.control_tube, problem.horizon
     outside = ((tube.lower[first:] > 0) | (tube.upper[first:] < 0)).any()
     x, u = np.zeros((T + 1, problem.state_dim)), np.zeros((T, problem.control_dim))
     sets = [term for term in problem.terms if term.hard and term.kind == TermKind.CONTROL_SET]
     if outside or any((term.violation(x, u) > 0).any() for term in sets):
         yield "control_set: zero is not an admissible control at all later times"
-
-
-def _varying_states(problem: OptimalControlProblem, first: int) -> Iterator[str]:
     boxes = problem.state_boxes
     same = all((bound[first:] == bound[-1]).all() for bound in (boxes.lower, boxes.upper))
     if not same or not _constant_beyond_bounds(problem.state_set):
@@ -237,13 +229,8 @@ def _rows_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str
     end = problem.ends[1]
     for rows in problem.stage_rows:
         C, e = _entries_from(rows.C, first, 2), _entries_from(rows.e, first, 1)
-        if rows.penalty is None and (_largest_value(C, end) > e).any():
+        if rows.penalty is None and (end.support(C) > e).any():
             yield f"stage_rows: '{rows.name}' does not hold at every admissible end with a control of zero"
-
-
-def _largest_value(C: Array, end: Box) -> Array:
-    """Return the largest C x over a box, for C (..., rows, n) or (n,)."""
-    return np.asarray(end.support(C))
 
 
 def _spectra_in_the_way(problem: OptimalControlProblem) -> Iterator[str]:
@@ -258,14 +245,8 @@ def _spectra_in_the_way(problem: OptimalControlProblem) -> Iterator[str]:
             yield f"{term.name}: it is about bins, or all samples, of its own horizon"
         elif (term.everywhere.map.window != 1).any():
             yield f"{term.name}: its window belongs to one horizon"
-        elif not _appends_zeros(term, problem.ends[1]):
+        elif (C := term.everywhere.map.C) is not None and any(problem.ends[1].support(y) != 0 for y in (C, -C)):
             yield f"{term.name}: the sample that is appended is not zero"
-
-
-def _appends_zeros(term: Term, end: Box) -> bool:
-    """Whether the signal of a mask at every frequency is zero at every admissible end with a control of zero."""
-    C = None if term.everywhere is None else term.everywhere.map.C
-    return C is None or bool(_largest_value(C, end) == 0 and _largest_value(-C, end) == 0)
 
 
 def _data_differences(at: At, shortest: int, longest: OptimalControlProblem) -> list[str]:
@@ -287,11 +268,12 @@ def _data_of_first_steps(problem: OptimalControlProblem, horizon: int) -> dict[s
         for one in problem.stage_rows
         if one.penalty is None
     ]
-    masks = [
-        (term.name, None if term.everywhere is None else _mask_data(term))
-        for term in problem.terms
-        if term.hard and term.kind.is_spectrum
-    ]
+    masks = list[object]()
+    for term in problem.terms:
+        if term.hard and term.kind.is_spectrum:
+            mask = term.everywhere
+            others = [] if mask is None else [value for field, value in vars(mask).items() if field != "map"]
+            masks.append((term.name, mask and [mask.map.C, mask.map.D], others))
     found: dict[str, object] = {
         "dynamics": [
             _entries_until(dynamics.A, T, 2),
@@ -310,12 +292,6 @@ def _data_of_first_steps(problem: OptimalControlProblem, horizon: int) -> dict[s
 
 def _entries_until(values: Array, horizon: int, dimensions: int) -> Array:
     return values if values.ndim == dimensions else values[:horizon]
-
-
-def _mask_data(term: Term) -> list[object]:
-    assert term.everywhere is not None
-    others = [value for field, value in vars(term.everywhere).items() if field != "map"]
-    return [term.everywhere.map.C, term.everywhere.map.D, *others]
 
 
 def _members_beyond_bounds(given: object) -> object:

@@ -11,10 +11,10 @@ import threading
 import warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol, TypedDict, get_type_hints
+from typing import Any, TypedDict, get_type_hints
 
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError, suggestion
@@ -28,12 +28,10 @@ from lin_freq_ocp.batch.grid import (
     grid_values,
     plain,
     plain_parameters,
-    point_key,
     problem_at,
     require_executor,
 )
-from lin_freq_ocp.batch.tasks import ERROR, Work, finish_tasks
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
 from lin_freq_ocp.solving.solve import require_options, solve_judged
 
 INTERRUPTED = "interrupted"  # status of a point whose solve was stopped by Ctrl-C; no sweep keeps it
@@ -60,16 +58,6 @@ Row = TypedDict(
 _BUILD_LOCK = threading.Lock()  # warnings are caught for a whole process: its threads build one after another
 
 MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")  # the columns beside the parameters
-
-
-@dataclass(frozen=True)
-class SweepHead:
-    """What makes two sweeps the same one: the name of what is swept, its fingerprint, parameters and options."""
-
-    problem: str
-    fingerprint: str
-    names: tuple[str, ...]
-    options: Mapping[str, object]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,26 +124,12 @@ class SweepOutcome:
         return [row[name] for row in self.table()]
 
 
-class Record(Protocol):
-    """Where finished points are kept: those of an earlier run, and each as it is finished."""
-
-    rows: list[Row]
-
-    def append(self, row: Row) -> None:
-        """Keep one more point."""
-        ...
-
-
-# Opens the record of a sweep, given its identity and its grid; None keeps nothing.
-OpenRecord = Callable[[SweepHead, Mapping[str, Sequence[object]]], AbstractContextManager[Record | None]]
-
-
 def run_sweep(
     problem: Source,
     grid: Mapping[str, Sequence[object]],
     options: Mapping[str, Any],
     executor: Executor | None,
-    open_record: OpenRecord,
+    open_record: OpenRecord[Row],
     progress: Callable[[int, int], None] | None,
 ) -> SweepOutcome:
     """Return the finished points of a grid, all of them unless it was interrupted; see ``lfo.sweep``."""
@@ -163,37 +137,21 @@ def run_sweep(
     values = grid_values(problem, grid)
     require_executor(executor, problem, values)
     points, shown = grid_points(values), {name: tuple(map(plain, given)) for name, given in values.items()}
-    head = SweepHead(_source_name(problem), fingerprint(problem), tuple(values), options)
-    rows, interrupted = dict[str, Row](), False
+    named: object = problem
+    while isinstance(named, partial):
+        named = named.func
+    name = str(getattr(named, "name", None) or getattr(named, "__name__", None) or "problem")
+    head = {"problem": name, "fingerprint": fingerprint(problem), "names": sorted(values), "options": dict(options)}
     work = Work(partial(solve_point, problem, options), failed_point, lambda row: row["status"] == INTERRUPTED)
 
-    def report() -> None:
-        if progress is not None:
-            progress(len(rows), len(points))
+    def solve_missing(keys: Sequence[str]) -> Generator[Mapping[str, Row]]:
+        with closing(finish_tasks(work, {key: points[key] for key in keys}, executor)) as results:
+            for key, row in results:
+                yield {key: row}
 
-    with open_record(head, shown) as record:
-        known = {} if record is None else {point_key(row["parameters"]): row for row in record.rows}
-        rows.update({key: known[key] for key in points if key in known})
-        missing = {key: point for key, point in points.items() if key not in rows}
-        try:
-            report()
-            with closing(finish_tasks(work, missing, executor)) as results:
-                for key, row in results:
-                    if record is not None:
-                        record.append(row)
-                    rows[key] = row
-                    report()
-        except KeyboardInterrupt:
-            interrupted = True
-    kept = tuple(rows[key] for key in points if key in rows)
-    return SweepOutcome(head.problem, shown, kept, options, interrupted)
-
-
-def _source_name(problem: Source) -> str:
-    """Return the name of a problem, or of the function that builds it."""
-    if isinstance(problem, partial):
-        return _source_name(problem.func)
-    return str(getattr(problem, "name", None) or getattr(problem, "__name__", None) or "problem")
+    record = open_record(head | {"grid": {name: list(given) for name, given in shown.items()}})
+    rows, interrupted = finish_run(list(points), solve_missing, record, progress)
+    return SweepOutcome(name, shown, tuple(rows[key] for key in points if key in rows), options, interrupted)
 
 
 def solve_point(source: Source, options: Mapping[str, Any], parameters: Parameters, attempt: int = 0) -> Row:
@@ -215,11 +173,13 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
     row = failed_point(parameters, None, now() - started)
     certificate, messages = result.certificate, [result.message] if result.message else []
     row["status"] = INTERRUPTED if result.interrupted else result.status
-    row["proven"], row["lower_bound"] = _is_proven(result), _finite_or_none(result.lower_bound)
-    row["bound"] = result.bound
+    row["lower_bound"], row["bound"] = _finite_or_none(result.lower_bound), result.bound
     row["method"], row["backend"] = result.method, result.backend
     if certificate is not None:
         row["pmp"], row["global"] = certificate.pmp, certificate.globally_optimal
+        row["proven"] = (certificate.pmp == "satisfied" and certificate.normal is True) or certificate.globally_optimal
+    if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
+        row["proven"] = result.dual
     if result.primal:
         row["cost"], row["gap"] = _finite_or_none(result.cost), _finite_or_none(result.gap)
     elif result.cost is not None:  # it may be lower than that of every solution
@@ -239,15 +199,6 @@ def _band_warnings(messages: list[str]) -> Generator[None]:
             messages.append(str(warning.message))
         else:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-
-
-def _is_proven(result: Outcome) -> bool:
-    if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
-        return result.dual
-    certificate = result.certificate
-    if certificate is None:
-        return False
-    return (certificate.pmp == "satisfied" and certificate.normal is True) or certificate.globally_optimal
 
 
 def _finite_or_none(value: float | None) -> float | None:

@@ -1,4 +1,4 @@
-"""Tasks on an executor, as they finish; what is lost with its worker is given out again."""
+"""Tasks, here or on an executor, as they finish; runs are recorded and resumed, and lost tasks are given out again."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import signal
 import threading
 import warnings
 from collections import Counter
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from multiprocessing import forkserver, get_all_start_methods, get_context, parent_process, resource_tracker
 from queue import SimpleQueue
-from typing import Generic, ParamSpec, TypeVar
+from typing import Generic, ParamSpec, Protocol, TypeVar
 
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.solving import solve
@@ -23,6 +24,46 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Given = TypeVar("Given")
 Answer = TypeVar("Answer")
+
+
+class Record(Protocol[Answer]):
+    """Where answers are kept by their keys: those of an earlier run, and each as it is finished."""
+
+    answers: Mapping[str, Answer]
+
+    def append(self, key: str, answer: Answer) -> None:
+        """Keep one more answer."""
+        ...
+
+
+# Opens the record of a run, given what makes two runs the same; None keeps nothing.
+OpenRecord = Callable[[Mapping[str, object]], AbstractContextManager[Record[Answer] | None]]
+
+
+def finish_run(
+    keys: Sequence[str],
+    solve_missing: Callable[[Sequence[str]], Generator[Mapping[str, Answer]]],
+    record: AbstractContextManager[Record[Answer] | None],
+    progress: Callable[[int, int], None] | None,
+) -> tuple[dict[str, Answer], bool]:
+    """Return the answers, recorded ones first and the missing ones as they finish, and whether Ctrl-C ended the run."""
+    with record as log:
+        answers = {} if log is None else {key: log.answers[key] for key in keys if key in log.answers}
+        missing = [key for key in keys if key not in answers]
+        try:
+            if progress is not None:
+                progress(len(answers), len(keys))
+            with closing(solve_missing(missing)) as parts:
+                for part in parts:
+                    for key, answer in part.items():
+                        if log is not None:
+                            log.append(key, answer)
+                        answers[key] = answer
+                    if progress is not None:
+                        progress(len(answers), len(keys))
+        except KeyboardInterrupt:
+            return answers, True
+    return answers, False
 
 
 @dataclass(frozen=True)
@@ -58,7 +99,7 @@ def finish_tasks(
             f"The executor takes no more work: {len(left)} points are solved one after another, in a process of their "
             "own; stopping and resuming the sweep is faster.",
             RuntimeWarning,
-            stacklevel=3,
+            stacklevel=5,  # the caller of run_sweep or run_many
         )
         yield from _run_in_own_process(work, left)
 
@@ -102,14 +143,14 @@ def process_pool(workers: int) -> WorkerPool:
 def _begin_work() -> None:
     """Let a worker ignore Ctrl-C, and end when its parent does, which may be killed and then says nothing."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
 
+    def end_with_parent() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
 
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def _run_on_executor(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp.api.compare import compare
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.cli.console import (
     backend_option,
@@ -65,25 +65,21 @@ def compare_command(
     if as_json:
         print_json(comparison_summary(comparison))
     else:
-        _print_comparison(comparison)
+        from lin_freq_ocp.pages.report.tables import comparison_table, moves_rows, terminal_table
+
+        print_lines(str(comparison.constrained))
+        print_conflict(comparison.constrained)
+        print_table(comparison_table(comparison))
+        if comparison.moves is not None:
+            print_table(terminal_table("Shortest moves at the same residual vibration", moves_rows(comparison.moves)))
     status = exit_status(comparison.constrained)
     if folder is None or comparison.constrained.interrupted:
         return status
-    return write_files(status, lambda: _save_report(comparison, folder, as_json))
 
+    def save_report() -> None:
+        with progress("drawing the report"):
+            page = comparison.save(folder)
+        if not as_json:
+            say(f"report: {page}")
 
-def _save_report(comparison: Comparison, folder: Path, quiet: bool) -> None:
-    with progress("drawing the report"):
-        page = comparison.save(folder)
-    if not quiet:
-        say(f"report: {page}")
-
-
-def _print_comparison(comparison: Comparison) -> None:
-    from lin_freq_ocp.pages.report.tables import comparison_table, moves_rows, terminal_table
-
-    print_lines(str(comparison.constrained))
-    print_conflict(comparison.constrained)
-    print_table(comparison_table(comparison))
-    if comparison.moves is not None:
-        print_table(terminal_table("Shortest moves at the same residual vibration", moves_rows(comparison.moves)))
+    return write_files(status, save_report)

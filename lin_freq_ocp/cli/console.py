@@ -73,20 +73,16 @@ def complain(error: Exception | str) -> None:
 
 def error_status(error: BaseException) -> int:
     """Return the exit status of an error that has no result."""
-    if isinstance(error, (click.Abort, KeyboardInterrupt)) or _is_interrupted(error):
+    if isinstance(error, click.Abort):
         return INTERRUPTED
+    cause: BaseException | None = error
+    while cause is not None:  # compiled code turns Ctrl-C into errors of its own
+        if isinstance(cause, KeyboardInterrupt):
+            return INTERRUPTED
+        cause = cause.__cause__ or cause.__context__
     if isinstance(error, MemoryError):
         return NOT_PROVEN
     return BAD_INPUT if isinstance(error, (LinFreqOCPError, OSError, click.ClickException)) else FAULT
-
-
-def _is_interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error: compiled code turns it into errors of its own."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 def error_message(error: Exception) -> str:
@@ -144,8 +140,6 @@ def print_json(summary: Mapping[str, object]) -> None:
 
 def print_table(table: Table, spare: Sequence[str] = ()) -> None:
     """Print a table on stdout; where it is too wide, ``spare`` columns are dropped first."""
-    from lin_freq_ocp.cli.console import fit_table
-
     out.print(fit_table(table, out.width, spare))
 
 

@@ -28,25 +28,19 @@ def explore_command(
         require_writable("--static", file, problem)
     with progress(f"preparing {description.name or problem}"):
         session = Session(description, _rebuild(problem, settings))
-    if file is not None:
-        return _write_static(session, file)
-    from lin_freq_ocp.pages.explorer.server import ExploreServer
+    from lin_freq_ocp.pages.explorer.server import ExploreServer, static_page
 
+    if file is not None:
+        with search_progress(f"solving {session.problem.name}") as tell:
+            page = static_page(session, lambda done, count: tell and tell(f"{done} of {count} points"))
+        write_text(file, page)
+        say(f"wrote {file}")
+        return PROVEN
     with ExploreServer(session, port or 0) as server:
         say(f"{server.url}\nCtrl-C ends it.")
         if not no_browser:
             click.launch(server.url)
         server.serve_until_interrupted()
-
-
-def _write_static(session: Session, file: Path) -> int:
-    from lin_freq_ocp.pages.explorer.server import static_page
-
-    with search_progress(f"solving {session.problem.name}") as tell:
-        page = static_page(session, lambda done, count: tell and tell(f"{done} of {count} points"))
-    write_text(file, page)
-    say(f"wrote {file}")
-    return PROVEN
 
 
 def _rebuild(problem: str, settings: tuple[str, ...]) -> Rebuild | None:

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import click
-import tomli_w
 from rich.text import Text
 
 from lin_freq_ocp import library
@@ -24,15 +23,6 @@ from lin_freq_ocp.cli.console import (
     say,
     settings_option,
     terms,
-)
-from lin_freq_ocp.cli.problems import build, is_file, parsed_settings
-from lin_freq_ocp.files.problem_file import (
-    Parameter,
-    about_function,
-    description_summary,
-    init_problem_file,
-    parameters_of_file,
-    parameters_of_function,
 )
 
 LONGEST_VALUE = 50  # characters of a value that are shown
@@ -51,6 +41,14 @@ def list_command() -> int:
 @json_option
 def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     """Show what a library problem or a problem file is, and its parameters for --set with their defaults."""
+    from lin_freq_ocp.cli.problems import build, is_file, parsed_settings  # here, for list, which needs no files
+    from lin_freq_ocp.files.problem_file import (
+        about_function,
+        description_summary,
+        parameters_of_file,
+        parameters_of_function,
+    )
+
     given = parsed_settings(settings)
     shown = build(problem, settings)
     if is_file(problem):
@@ -66,24 +64,23 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     out.print(Text(f"{about}\n" if about else ""))
     out.print(terms([(fact["what"], fact["words"]) for fact in summary["facts"]], out.width))
     out.print(Text("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n"))
-    out.print(terms([(_assignment(parameter), parameter.about) for parameter in parameters], out.width))
+    rows = list[tuple[str, str]]()
+    for parameter in parameters:  # with its default as it is written after --set, and the value that is set instead
+        texts = [as_toml(value) for value in (parameter.default, parameter.value)]
+        default, value = (text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..." for text in texts)
+        rows.append(
+            (f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})"), parameter.about)
+        )
+    out.print(terms(rows, out.width))
     return PROVEN
-
-
-def _assignment(parameter: Parameter) -> str:
-    """Return a parameter and its default as they are written after --set, and the value that is set instead."""
-    default, value = (_shorten(as_toml(given)) for given in (parameter.default, parameter.value))
-    return f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})")
-
-
-def _shorten(text: str) -> str:
-    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
 
 
 @click.command("init")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
 def init_command(file: Path) -> int:
     """Write a commented problem file to start from."""
+    from lin_freq_ocp.files.problem_file import init_problem_file
+
     init_problem_file(file)
     say(f"wrote {file}; next: lin-freq-ocp solve {file}")
     return PROVEN
@@ -91,6 +88,8 @@ def init_command(file: Path) -> int:
 
 def as_toml(value: object) -> str:
     """Return a value as it is written after --set, in one line."""
+    import tomli_w
+
     text = " ".join(tomli_w.dumps({"_": [[_without_null(value)]]}).split())  # nested, for inline tables
     return text.replace("[ ", "[").replace(", ]", "]").removeprefix("_ = [[").removesuffix("]]")
 

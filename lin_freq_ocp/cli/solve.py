@@ -6,8 +6,7 @@ checks the maximum principle for any trajectory; rerun repeats a dumped run.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -63,69 +62,45 @@ HELP = {
 }
 
 
-@dataclass(frozen=True)
-class Outputs:
-    """The files to write, by their options; None where an option is not given."""
+def require_outputs(outputs: Mapping[str, Path], problem: str) -> None:
+    """Raise ProblemError, before anything is solved, unless all can be written, each to a file of its own."""
+    taken: dict[Path, str] = {}
+    for name, file in outputs.items():
+        require_writable(f"--{name}", file, problem)
+        if file.absolute() in taken:
+            raise ProblemError(f"--{name} {file}", f"the file of --{taken[file.absolute()]}", "another file")
+        taken[file.absolute()] = name
+    if "save" in outputs:
+        kind_of_file(outputs["save"], f"--save {outputs['save']}")
+    if "plot" in outputs:
+        from matplotlib.figure import Figure  # here, because it takes long to import
 
-    save: Path | None = None
-    csv: Path | None = None
-    plot: Path | None = None
-    proof: Path | None = None
-    dump: Path | None = None
-
-    @property
-    def wanted(self) -> dict[str, Path]:
-        """Return the files whose options are given."""
-        files = {option.name: getattr(self, option.name) for option in fields(self)}
-        return {name: file for name, file in files.items() if file is not None}
-
-    def require_writable(self, problem: str) -> None:
-        """Raise ProblemError, before anything is solved, unless all can be written, each to a file of its own."""
-        taken: dict[Path, str] = {}
-        for name, file in self.wanted.items():
-            require_writable(f"--{name}", file, problem)
-            if file.absolute() in taken:
-                raise ProblemError(f"--{name} {file}", f"the file of --{taken[file.absolute()]}", "another file")
-            taken[file.absolute()] = name
-        if self.save is not None:
-            kind_of_file(self.save, f"--save {self.save}")
-        if self.plot is not None:
-            _require_picture(self.plot)
-        if self.proof is not None:
-            require_checker()
-
-    def writes(self, result: Result) -> list[Callable[[], None]]:
-        """Return the function that writes each file, and report the files that stay unwritten."""
-        writers = {
-            "save": result.save,
-            "csv": result.to_csv,
-            "plot": partial(_draw_figure, result),
-            "dump": result.dump,
-        }
-        writers["proof"] = result.write_proof
-        writes: list[Callable[[], None]] = []
-        for name, file in self.wanted.items():
-            if name in ("dump", "proof") or result.trajectory is not None:
-                writes.append(partial(writers[name], file))
-            else:
-                done = "drawn" if name == "plot" else "saved"
-                complain(f"nothing {done} to {file}: there is no trajectory.")
-        return writes
+        file, kinds = outputs["plot"], Figure().canvas.get_supported_filetypes()
+        if file.suffix.lower().removeprefix(".") not in kinds:
+            got = f"a name that ends in {file.suffix}" if file.suffix else "a name without a suffix"
+            raise ProblemError(f"--plot {file}", got, f"one that ends in .{', .'.join(kinds)}")
+    if "proof" in outputs:
+        require_checker()
 
 
-def _require_picture(file: Path) -> None:
-    from matplotlib.figure import Figure  # here, because it takes long to import
+def output_writes(outputs: Mapping[str, Path], result: Result) -> list[Callable[[], None]]:
+    """Return the function that writes each file, and report the files that stay unwritten."""
 
-    kinds = Figure().canvas.get_supported_filetypes()
-    if file.suffix.lower().removeprefix(".") not in kinds:
-        got = f"a name that ends in {file.suffix}" if file.suffix else "a name without a suffix"
-        raise ProblemError(f"--plot {file}", got, f"one that ends in .{', .'.join(kinds)}")
+    def draw_figure(file: Path) -> None:
+        figure = result.plot()
+        with replacing(file) as stream:
+            figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
 
-
-def _draw_figure(result: Result, file: Path) -> None:
-    figure = result.plot()
-    with replacing(file) as stream:
-        figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
+    writers = {"save": result.save, "csv": result.to_csv, "plot": draw_figure, "dump": result.dump}
+    writers["proof"] = result.write_proof
+    writes: list[Callable[[], None]] = []
+    for name, file in outputs.items():
+        if name in ("dump", "proof") or result.trajectory is not None:
+            writes.append(partial(writers[name], file))
+        else:
+            done = "drawn" if name == "plot" else "saved"
+            complain(f"nothing {done} to {file}: there is no trajectory.")
+    return writes
 
 
 def output_options(command: Command) -> Command:
@@ -159,8 +134,9 @@ def solve_command(
     **files: Path | None,
 ) -> int:
     """Solve a library problem or a problem file, and certify the answer."""
-    description, outputs = build(problem, settings), Outputs(**files)
-    outputs.require_writable(problem)
+    description = build(problem, settings)
+    outputs = {name: file for name in HELP if (file := files[name]) is not None}
+    require_outputs(outputs, problem)
     if with_trajectory and not as_json:
         raise click.UsageError("--trajectory needs --json: it adds times, x and u to the object. For a table: --csv.")
     options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
@@ -170,7 +146,7 @@ def solve_command(
         options["start"] = start_of(description, load_trajectory(start, description)[0]).saved
     if local:
         options["global_bound"] = False
-    with dumping_errors(outputs.dump, description, options):
+    with dumping_errors(outputs.get("dump"), description, options):
         with search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
         if result.status == Status.INFEASIBLE:
@@ -182,7 +158,7 @@ def solve_command(
         print_lines(str(result))
         print_conflict(result)
         print_certificate(description, result.certificate)
-    return write_files(exit_status(result), *outputs.writes(result))
+    return write_files(exit_status(result), *output_writes(outputs, result))
 
 
 @click.command("certify")

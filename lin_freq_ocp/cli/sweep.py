@@ -16,8 +16,8 @@ import click
 import numpy as np
 
 from lin_freq_ocp import __version__
-from lin_freq_ocp.api.batch import Sweep, sweep
-from lin_freq_ocp.api.minimum_time import MinimumTime, minimum_time
+from lin_freq_ocp.api.batch import sweep
+from lin_freq_ocp.api.minimum_time import minimum_time
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import replacing, writing
 from lin_freq_ocp.base.errors import ProblemError
@@ -101,9 +101,17 @@ def sweep_command(
     status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
     if folder is None:
         return status
-    return write_files(
-        status, lambda: found.to_csv(folder / "sweep.csv"), lambda: _draw_sweep(found, folder / "sweep.png")
-    )
+
+    def draw_sweep() -> None:
+        try:
+            figure = found.plot()
+        except ProblemError as error:
+            complain(f"no figure: {error}")
+            return
+        with replacing(folder / "sweep.png") as stream:
+            figure.savefig(stream, format="png", dpi=150)
+
+    return write_files(status, lambda: found.to_csv(folder / "sweep.csv"), draw_sweep)
 
 
 @contextmanager
@@ -135,16 +143,6 @@ def _progress_bar() -> Generator[Callable[[int, int], None] | None]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def _draw_sweep(found: Sweep, path: Path) -> None:
-    try:
-        figure = found.plot()
-    except ProblemError as error:
-        complain(f"no figure: {error}")
-        return
-    with replacing(path) as stream:
-        figure.savefig(stream, format="png", dpi=150)
-
-
 @click.command("minimum-time")
 @problem_argument
 @click.option("--horizons", nargs=2, type=int, required=True, metavar="LO HI", help="The range, both ends included.")
@@ -167,7 +165,22 @@ def minimum_time_command(
         tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
         found = minimum_time(source, horizons, method, backend, time_limit, tolerance, throw=False, progress=tell)
     if as_json:
-        print_json(_minimum_time_summary(found))
+        print_json(
+            {
+                "schema": SCHEMA,
+                "version": __version__,
+                "horizon": found.horizon,
+                "horizons": list(found.horizons),
+                "monotone": found.monotone,
+                "reason": found.reason,
+                "proven": found.proven,
+                "proof": found.proof,
+                "verdicts": {str(T): verdict for T, verdict in found.verdicts.items()},
+                "interrupted": found.interrupted,
+                # That of lin-freq-ocp solve --json
+                "result": None if found.result is None else result_summary(found.result),
+            }
+        )
     else:
         print_lines(str(found))
         if found.result is not None:
@@ -175,23 +188,6 @@ def minimum_time_command(
     if found.interrupted:
         return INTERRUPTED
     return NOT_PROVEN if not found.proven else NO_SOLUTION if found.horizon is None else PROVEN
-
-
-def _minimum_time_summary(found: MinimumTime) -> FileTable:
-    """Return the JSON object; ``result`` is that of ``lin-freq-ocp solve --json``."""
-    return {
-        "schema": SCHEMA,
-        "version": __version__,
-        "horizon": found.horizon,
-        "horizons": list(found.horizons),
-        "monotone": found.monotone,
-        "reason": found.reason,
-        "proven": found.proven,
-        "proof": found.proof,
-        "verdicts": {str(T): verdict for T, verdict in found.verdicts.items()},
-        "interrupted": found.interrupted,
-        "result": None if found.result is None else result_summary(found.result),
-    }
 
 
 def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValue]]:
@@ -203,23 +199,17 @@ def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValu
             raise ProblemError("--grid", repr(given), GRID_FORM)
         if key in result:
             raise ProblemError(f"--grid {key}", "this key twice", "one list for each key")
-        result[key] = _grid_values(key, text)
+        match = RANGE.fullmatch(text)
+        try:
+            values = _range(*match.groups()) if match else tomllib.loads(f"values = {text}")["values"]
+        except (ValueError, OverflowError, RecursionError) as error:
+            raise ProblemError(f"--grid {key}", brief(text), GRID_FORM, f"({error})") from None
+        if not isinstance(values, list):
+            raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"For a single one: {key}=[{text}].")
+        result[key] = [None if value == "none" else value for value in values]
     if isinstance(source, ProblemFile):  # the sweep itself checks the parameters of functions
         require_keys_of_file(result, "--grid ")
     return result
-
-
-def _grid_values(key: str, text: str) -> list[FileValue]:
-    match = RANGE.fullmatch(text)
-    try:
-        if match:
-            return _range(*match.groups())
-        values = tomllib.loads(f"values = {text}")["values"]
-    except (ValueError, OverflowError, RecursionError) as error:
-        raise ProblemError(f"--grid {key}", brief(text), GRID_FORM, f"({error})") from None
-    if not isinstance(values, list):
-        raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"For a single one: {key}=[{text}].")
-    return [None if value == "none" else value for value in values]
 
 
 def _range(first: str, last: str, count: str) -> list[float] | list[int]:

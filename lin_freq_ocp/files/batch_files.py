@@ -17,7 +17,7 @@ from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Self, get_type_hints
+from typing import Generic, Self, TypeVar, get_type_hints
 
 import numpy as np
 
@@ -25,8 +25,8 @@ from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import locked, write_text, writing
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.grid import grid_points, point_key
-from lin_freq_ocp.batch.many import Item, ManyHead
-from lin_freq_ocp.batch.sweep import MEASURED, Row, SweepHead, SweepOutcome
+from lin_freq_ocp.batch.many import Item
+from lin_freq_ocp.batch.sweep import MEASURED, Row, SweepOutcome
 from lin_freq_ocp.batch.tasks import ERROR
 from lin_freq_ocp.files.reading import (
     FileTable,
@@ -55,15 +55,23 @@ ANOTHER_PATH = "Give another path, or remove the file."
 
 MANY_KIND = "lin-freq-ocp solve_many"
 MANY_HEAD_KEYS = ("kind", "schema", "version", "fingerprint", "options")
-NUMBERS = ("cost", "lower_bound", "gap", "seconds")
-ITEM_KEYS = ("key", "status", "proven", "message", *NUMBERS, "x", "u")
+MANY_DIFFERENCES = (("schema", "another layout"), ("fingerprint", "another problem"), ("options", "other options"))
+ITEM_KEYS = ("key", "status", "proven", "message", "cost", "lower_bound", "gap", "seconds", "x", "u")
+
+Answer = TypeVar("Answer")
 
 
-class Log:
-    """A file of JSON lines that grows, for this process alone: what others append meanwhile would mix with it."""
+class Log(Generic[Answer]):
+    """A file of JSON lines that grows, for this process alone: what others append meanwhile would mix with it.
 
-    def __init__(self, path: Path):
-        self._path = path
+    A file of the same run, whose ``head`` says what makes two runs the same, is continued; any other is a ProblemError.
+    ``answers`` are those of the file when it was opened, by their keys, without those that ended with an error.
+    """
+
+    kind = ""
+
+    def __init__(self, path: str | PathLike[str], head: Mapping[str, object]):
+        self._path = path = Path(path)
         if path.exists():
             require_file(str(path), path)
         with writing(path), ExitStack() as stack:
@@ -72,14 +80,31 @@ class Log:
                 advice = "Wait until it ends, or choose another folder or name."
                 raise ProblemError(str(path), "a file that another run is writing", "one of its own", advice)
             self._open = stack.pop_all()
+        try:
+            first = {"kind": self.kind, "schema": SCHEMA, "version": version("lin-freq-ocp"), **head}
+            answers, line = self._resume(first)
+            self.answers: Mapping[str, Answer] = answers
+            with writing(path):
+                self._stream.truncate(read_bytes(path).rfind(b"\n") + 1)  # an incomplete last line is dropped
+            if line:
+                self._write(line)
+        except BaseException:
+            self.close()
+            raise
 
-    def truncate(self, size: int) -> None:
-        """Keep so many bytes: an incomplete last line is dropped."""
-        with writing(self._path):
-            self._stream.truncate(size)
+    def _resume(self, first: FileTable) -> tuple[dict[str, Answer], FileTable]:
+        """Return the answers of the file, and the line that it gets now, if any: ``first``, in a new file."""
+        raise NotImplementedError
 
-    def write(self, entry: Mapping[str, object]) -> None:
-        """Append a line; it is on the disk when this returns."""
+    def _line(self, key: str, answer: Answer) -> Mapping[str, object]:
+        """Return the line of an answer."""
+        raise NotImplementedError
+
+    def append(self, key: str, answer: Answer) -> None:
+        """Write one answer; it is on the disk when this returns."""
+        self._write(self._line(key, answer))
+
+    def _write(self, entry: Mapping[str, object]) -> None:
         with writing(self._path):
             self._stream.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
             self._stream.flush()
@@ -99,39 +124,27 @@ class Log:
         self.close()
 
 
-class SweepFile(Log):
-    """A file that gets a line per point; a file of the same sweep is continued, and any other is a ProblemError.
+class SweepFile(Log[Row]):
+    """A file that gets a line per point, and one with the grid whenever that is new."""
 
-    ``rows`` are those of the file when it was opened, without points that ended with an error.
-    """
+    kind = KIND
 
-    def __init__(self, path: str | PathLike[str], head: SweepHead, grid: Mapping[str, Sequence[FileValue]]):
-        super().__init__(Path(path))
-        try:
-            self.rows: list[Row] = self._begin(Path(path), head, grid)
-        except BaseException:
-            self.close()
-            raise
-
-    def _begin(self, path: Path, head: SweepHead, grid: Mapping[str, Sequence[FileValue]]) -> list[Row]:
-        """Return the finished points of the file, which gets its first line, or the grid if that is new."""
-        first = {"kind": KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
-        first |= {"problem": head.problem, "fingerprint": head.fingerprint, "names": sorted(head.names)}
-        lines = _sweep_lines(path)
-        rows = [row for row in _rows_of(lines) if row["status"] != ERROR]
-        if lines:
-            _require_same(path, lines[0], head)
-        self.truncate(read_bytes(path).rfind(b"\n") + 1 if lines else 0)
-        given = {name: list(values) for name, values in grid.items()}
+    def _resume(self, first: FileTable) -> tuple[dict[str, Row], FileTable]:
+        lines, path, grid = _sweep_lines(self._path), str(self._path), first["grid"]
+        rows = {point_key(row["parameters"]): row for row in _rows_of(lines) if row["status"] != ERROR}
         if not lines:
-            self.write(first | {"options": dict(head.options), "grid": given})
-        elif list(_last_grid(lines).items()) != list(given.items()):
-            self.write({"grid": given})
-        return rows
+            return rows, first
+        for key, difference in DIFFERENCES:
+            if lines[0][key] != first[key]:
+                got = f"a sweep of {difference} ({brief(lines[0][key])})"
+                raise ProblemError(path, got, brief(first[key]), ANOTHER_PATH)
+        if lines[0]["fingerprint"] != first["fingerprint"]:
+            got = f"a sweep of another problem, also called {first['problem']}"
+            raise ProblemError(path, got, f"{first['problem']}, with the same data and fixed arguments", ANOTHER_PATH)
+        return rows, {} if list(_last_grid(lines).items()) == list(grid.items()) else {"grid": grid}
 
-    def append(self, row: Row) -> None:
-        """Write one point; it is on the disk when this returns."""
-        self.write(row)
+    def _line(self, key: str, answer: Row) -> Mapping[str, object]:
+        return answer
 
 
 def _sweep_lines(path: Path) -> list[FileTable]:
@@ -141,7 +154,20 @@ def _sweep_lines(path: Path) -> list[FileTable]:
         return []
     if not head.startswith(BEGINNING):
         raise _no_sweep_error(path)
-    lines = [_sweep_line(path, number, text) for number, text in enumerate([head, *others[:-1]], 1)]
+    lines = list[FileTable]()
+    for number, text in enumerate([head, *others[:-1]], 1):
+        line, location = parsed_json(f"{path}, line {number}", text), f"{path.name}, line {number}"
+        require_keys(location, line, optional=() if not isinstance(line, dict) else line)
+        if "grid" in line:
+            grid = line["grid"]
+            if not isinstance(grid, dict) or not grid or not all(isinstance(v, list) and v for v in grid.values()):
+                raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
+        elif number > 1:
+            line.setdefault("bound", None)  # rows of earlier versions have none
+            require_keys(location, line, ("parameters", *MEASURED))
+            for key, kind in ROW_KINDS.items():
+                _require_kind(location, line, key, kind)
+        lines.append(line)
     require_keys(path.name, lines[0], HEAD_KEYS)
     for key, kind in HEAD_KINDS.items():
         _require_kind(path.name, lines[0], key, kind)
@@ -152,29 +178,6 @@ def _no_sweep_error(path: Path) -> ProblemError:
     return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")
 
 
-def _sweep_line(path: Path, number: int, text: str) -> FileTable:
-    line = parsed_json(f"{path}, line {number}", text)
-    location = f"{path.name}, line {number}"
-    require_keys(location, line, optional=() if not isinstance(line, dict) else line)
-    if "grid" in line:
-        _require_grid(location, line["grid"])
-    elif number > 1:
-        line.setdefault("bound", None)  # rows of earlier versions have none
-        require_keys(location, line, ("parameters", *MEASURED))
-        for key, kind in ROW_KINDS.items():
-            _require_kind(location, line, key, kind)
-    return line
-
-
-def _require_grid(location: str, grid: object) -> None:
-    if (
-        not isinstance(grid, dict)
-        or not grid
-        or not all(isinstance(values, list) and values for values in grid.values())
-    ):
-        raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
-
-
 def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
     value = line[key]
     if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
@@ -183,17 +186,6 @@ def _require_kind(location: str, line: Mapping[str, object], key: str, kind: Fil
 
 def _rows_of(lines: Sequence[FileTable]) -> list[FileValue]:
     return [line for line in lines if "grid" not in line]
-
-
-def _require_same(path: Path, found: FileTable, head: SweepHead) -> None:
-    expected = {"problem": head.problem, "names": sorted(head.names), "options": dict(head.options)}
-    for key, difference in DIFFERENCES:
-        if found[key] != expected[key]:
-            got = f"a sweep of {difference} ({brief(found[key])})"
-            raise ProblemError(str(path), got, brief(expected[key]), ANOTHER_PATH)
-    if found["fingerprint"] != head.fingerprint:
-        same = f"{head.problem}, with the same data and fixed arguments"
-        raise ProblemError(str(path), f"a sweep of another problem, also called {head.problem}", same, ANOTHER_PATH)
 
 
 def _last_grid(lines: Sequence[FileTable]) -> FileTable:
@@ -217,13 +209,11 @@ def save_sweep_csv(path: str | PathLike[str], sweep: SweepOutcome) -> None:
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(map(header, (*sweep.names, *MEASURED)))
-    writer.writerows([_cell(value) for value in row.values()] for row in sweep.table())
+    for row in sweep.table():
+        # No spreadsheet takes a cell for a formula; "-inf" is a number
+        texts = {name for name, value in row.items() if isinstance(value, str) and value not in ("-inf", "inf", "nan")}
+        writer.writerow([header(str(value)) if name in texts else value for name, value in row.items()])
     write_text(path, text.getvalue())
-
-
-def _cell(value: FileValue) -> FileValue:
-    """Return a value as a cell that no spreadsheet takes for a formula; "-inf" is a number."""
-    return value if not isinstance(value, str) or value in ("-inf", "inf", "nan") else header(value)
 
 
 def sweep_summary(sweep: SweepOutcome) -> FileTable:
@@ -240,73 +230,38 @@ def sweep_summary(sweep: SweepOutcome) -> FileTable:
     }
 
 
-class ManyFile(Log):
-    """A file that gets a line per answer; ``items`` are those of the file when it was opened, without errors."""
+class ManyFile(Log[Item]):
+    """A file that gets a line per answer."""
 
-    def __init__(self, path: str | PathLike[str], head: ManyHead):
-        super().__init__(Path(path))
-        try:
-            self.items: Mapping[str, Item] = self._begin(head)
-        except BaseException:
-            self.close()
-            raise
+    kind = MANY_KIND
 
-    def _begin(self, head: ManyHead) -> dict[str, Item]:
-        """Return the answers of the file, which gets its first line."""
-        first = {"kind": MANY_KIND, "schema": SCHEMA, "version": version("lin-freq-ocp")}
-        first |= {"fingerprint": head.fingerprint, "options": dict(head.options)}
+    def _resume(self, first: FileTable) -> tuple[dict[str, Item], FileTable]:
         text = read_text(self._path)
-        whole = text[: text.rfind("\n") + 1].encode()
+        whole = text[: text.rfind("\n") + 1]
         if not whole and not json.dumps(first)[:10].startswith(text[:10]):
             raise self._another(text)
-        lines = [parsed_json(f"{self._path}, line {i}", line) for i, line in enumerate(whole.decode().splitlines(), 1)]
-        if lines:
-            self._require_same(lines[0], first)
-        found = {line["key"]: _item_of_line(line) for line in map(self._require_item, lines[1:])}
-        self.truncate(len(whole))
+        lines = [parsed_json(f"{self._path}, line {i}", line) for i, line in enumerate(whole.splitlines(), 1)]
         if not lines:
-            self.write(first)
-        return {key: item for key, item in found.items() if item.status != ERROR}
+            return {}, first
+        if not isinstance(lines[0], dict) or lines[0].get("kind") != MANY_KIND:
+            raise self._another(lines[0])
+        require_keys(self._path.name, lines[0], MANY_HEAD_KEYS)
+        for key, difference in MANY_DIFFERENCES:
+            if lines[0][key] != first[key]:
+                raise ProblemError(str(self._path), f"a file of {difference}", brief(first[key]), ANOTHER_PATH)
+        items = dict[str, Item]()
+        for line in lines[1:]:
+            require_keys(self._path.name, line, ITEM_KEYS)
+            values: FileTable = {name: line[name] for name in ITEM_KEYS if name != "key"}
+            values |= {name: np.array(line[name], dtype=np.float64) for name in "xu" if line[name] is not None}
+            items[line["key"]] = Item(**values)
+        return {key: item for key, item in items.items() if item.status != ERROR}, {}
 
-    def append(self, key: str, item: Item) -> None:
-        """Write one answer; it is on the disk when this returns."""
-        numbers = {name: getattr(item, name) for name in NUMBERS}
-        x, u = (None if signal is None else signal.tolist() for signal in (item.x, item.u))
-        self.write(
-            {
-                "key": key,
-                "status": item.status,
-                "proven": item.proven,
-                "message": item.message,
-                **numbers,
-                "x": x,
-                "u": u,
-            }
-        )
-
-    def _require_same(self, found: FileTable, first: FileTable) -> None:
-        if not isinstance(found, dict) or found.get("kind") != MANY_KIND:
-            raise self._another(found)
-        require_keys(self._path.name, found, MANY_HEAD_KEYS)
-        for key, what in (
-            ("schema", "another layout"),
-            ("fingerprint", "another problem"),
-            ("options", "other options"),
-        ):
-            if found[key] != first[key]:
-                raise ProblemError(str(self._path), f"a file of {what}", brief(first[key]), ANOTHER_PATH)
-
-    def _require_item(self, line: FileTable) -> FileTable:
-        require_keys(self._path.name, line, ITEM_KEYS)
-        return line
+    def _line(self, key: str, answer: Item) -> Mapping[str, object]:
+        values = {name: getattr(answer, name) for name in ITEM_KEYS if name != "key"}
+        arrays = {name: None if values[name] is None else values[name].tolist() for name in "xu"}
+        return {"key": key} | values | arrays
 
     def _another(self, found: object) -> ProblemError:
-        return ProblemError(
-            str(self._path), brief(found, 30), "a file of solve_many, or a new name", "It is left as it is."
-        )
-
-
-def _item_of_line(line: FileTable) -> Item:
-    given = {name: line[name] for name in ITEM_KEYS if name not in ("key", "x", "u")}
-    x, u = (None if line[name] is None else np.array(line[name], dtype=np.float64) for name in ("x", "u"))
-    return Item(**given, x=x, u=u)
+        got = brief(found, 30)
+        return ProblemError(str(self._path), got, "a file of solve_many, or a new name", "It is left as it is.")

@@ -30,11 +30,6 @@ class Codec(Protocol):
         ...
 
 
-def as_given(location: str, given: FileValue) -> FileValue:
-    """Return a value of the file as it is: the constructor checks it."""
-    return given
-
-
 def plain(location: str, value: FileValue) -> FileValue:
     """Return a value with Python's own types in place of numpy's scalars and tuples."""
     if isinstance(value, np.generic):
@@ -46,7 +41,7 @@ def plain(location: str, value: FileValue) -> FileValue:
 class Value:
     """A codec of two functions; without them that of a number, text, an array or a list of names."""
 
-    read: Callable[[str, FileValue], FileValue] = as_given
+    read: Callable[[str, FileValue], FileValue] = lambda location, given: given  # the constructor checks it
     write: Callable[[str, FileValue], FileValue] = plain
 
 
@@ -148,17 +143,17 @@ class Record:
 
     def write(self, location: str, value: FileValue) -> FileTable:
         """Return the table of an object."""
-        values = self._attributes(value) if self._values is None else self._values(value)
+        if self._values is None:
+            keys = sorted(self._arguments, key=lambda key: isinstance(self._codecs[key], Tables))
+            values = {key: getattr(value, self._arguments[key], None) for key in keys}
+        else:
+            values = self._values(value)
         table = {
             key: self._codecs[key].write(join_location(location, key), entry)
             for key, entry in values.items()
             if entry is not None
         }
         return {key: entry for key, entry in table.items() if entry is not None}
-
-    def _attributes(self, value: object) -> FileTable:
-        keys = sorted(self._arguments, key=lambda key: isinstance(self._codecs[key], Tables))
-        return {key: getattr(value, self._arguments[key], None) for key in keys}
 
 
 def _parameters(make: Callable[..., object]) -> dict[str, bool]:

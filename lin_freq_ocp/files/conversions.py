@@ -211,10 +211,18 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
 
     require_problem(problem)
     _ = problem.equations  # which raises if there are modes
-    _require_convex(problem.quadratic)
+    nonconvex = problem.quadratic.nonconvexity()
+    if nonconvex is not None:
+        t, eigenvalue = nonconvex
+        which = "P" if t < 0 else f"[[Q, S], [S', R]] at t = {t}"
+        message = f"cost: {which} has the eigenvalue {eigenvalue:g} < 0, and CVXPY takes convex costs only."
+        raise UnsupportedError(message)
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     x, u = cp.Variable((T + 1, n), name="x"), cp.Variable((T, m), name="u")
-    states = problem.state_boxes
+    # Bounds on the state where an end fixes it would be redundant
+    lower, upper = problem.state_boxes.lower.copy(), problem.state_boxes.upper.copy()
+    for t, end in ((0, problem.initial_box), (-1, problem.terminal_box)):
+        lower[t, end.fixed], upper[t, end.fixed] = -np.inf, np.inf
     costs, terms = _conic_constraints(problem, x, u)
     taken = {constraint.label for constraint in terms}
     return cp.Problem(
@@ -223,22 +231,13 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
             _dynamics(problem, x, u),
             *_box_constraints(problem.initial_box, x[0], "initial state", taken),
             *_box_constraints(problem.terminal_box, x[T], "terminal state", taken),
-            *_box_constraints(_without_fixed_ends(states, problem), x, "state set", taken),
+            *_box_constraints(Box(lower, upper), x, "state set", taken),
             *_box_constraints(problem.control_tube, u, "control set", taken),
             *terms,
             *_stop_band_constraints(problem.control_stop, u, "control spectrum"),
             *_stop_band_constraints(problem.state_stop, x[: problem.state_samples], "state spectrum"),
         ],
     )
-
-
-def _require_convex(cost: QuadraticCost) -> None:
-    worst = cost.nonconvexity()
-    if worst is not None:
-        t, eigenvalue = worst
-        which = "P" if t < 0 else f"[[Q, S], [S', R]] at t = {t}"
-        message = f"cost: {which} has the eigenvalue {eigenvalue:g} < 0, and CVXPY takes convex costs only."
-        raise UnsupportedError(message)
 
 
 def _conic_constraints(
@@ -304,24 +303,16 @@ def _cost_expression(cost: QuadraticCost, x: cvxpy.Variable, u: cvxpy.Variable) 
 
     a, b = x - np.broadcast_to(cost.x_ref, x.shape), u - np.broadcast_to(cost.u_ref, u.shape)
     stages = cp.vec(cp.hstack([a[:-1], b]), order="C")
-    total = _half_square(_per_stage(cost.stage_hessians(), u.shape[0]), stages) + _half_square(cost.P, a[-1])
+    hessians = cost.stage_hessians()
+    if len(hessians) == 1:
+        hessian = sp.kron(sp.eye_array(u.shape[0]), hessians[0], format="csc")
+    else:
+        hessian = sp.block_diag(hessians, format="csc")
+    # H are known to be positive semidefinite up to rounding
+    total = 0.5 * cp.quad_form(stages, cp.psd_wrap(hessian)) + 0.5 * cp.quad_form(a[-1], cp.psd_wrap(cost.P))
     for term, signal in ((cost.q, x[:-1]), (cost.r, u), (cost.p, x[-1])):
         total += cp.sum(cp.multiply(np.broadcast_to(term, signal.shape), signal))
     return total
-
-
-def _half_square(hessian: Array | sp.csc_array, v: cvxpy.Expression) -> cvxpy.Expression:
-    """Return 1/2 v'H v for an H known to be positive semidefinite up to rounding."""
-    import cvxpy as cp
-
-    return 0.5 * cp.quad_form(v, cp.psd_wrap(hessian))
-
-
-def _per_stage(hessians: Array, horizon: int) -> sp.csc_array:
-    """Return the block diagonal matrix of T blocks, from one block for all times or one per time."""
-    if len(hessians) == 1:
-        return sp.kron(sp.eye_array(horizon), hessians[0], format="csc")
-    return sp.block_diag(hessians, format="csc")
 
 
 def _dynamics(problem: OptimalControlProblem, x: cvxpy.Variable, u: cvxpy.Variable) -> cvxpy.Constraint:
@@ -359,14 +350,6 @@ def _box_constraints(box: Box, signal: cvxpy.Expression, label: str, taken: set[
         (free & np.isfinite(upper), lambda here: signal[here] <= upper[here], f"{label} upper"),
     )
     return [constraint(here).set_label(name) for here, constraint, name in parts if here.any()]
-
-
-def _without_fixed_ends(states: Box, problem: OptimalControlProblem) -> Box:
-    """Return the state sets without the bounds where an end fixes the state, which would be redundant."""
-    lower, upper = states.lower.copy(), states.upper.copy()
-    for t, end in ((0, problem.initial_box), (-1, problem.terminal_box)):
-        lower[t, end.fixed], upper[t, end.fixed] = -np.inf, np.inf
-    return Box(lower, upper)
 
 
 def _stop_band_constraints(stopped: Mask, signal: cvxpy.Expression, label: str) -> list[cvxpy.Constraint]:

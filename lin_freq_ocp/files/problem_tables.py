@@ -251,14 +251,6 @@ SETS.records |= {
 SET_TABLES = Tables(SETS)
 
 
-def _read_sets(location: str, given: FileValue) -> FileValue:
-    return (SET_TABLES if isinstance(given, list) else SETS).read(location, given)
-
-
-def _write_sets(location: str, value: FileValue) -> FileValue:
-    return (SET_TABLES if isinstance(value, (list, tuple)) else SETS).write(location, value)
-
-
 def _read_end(location: str, given: FileValue) -> FileValue:
     if isinstance(given, Mapping):
         return SETS.read(location, given)
@@ -273,7 +265,11 @@ def _write_end(location: str, value: Box) -> FileValue:
     return None if free else SETS.write(location, value)
 
 
-SET_OR_SETS = Value(_read_sets, _write_sets)  # one set for all times, or a list with one per time
+# One set for all times, or a list with one per time.
+SET_OR_SETS = Value(
+    lambda location, given: (SET_TABLES if isinstance(given, list) else SETS).read(location, given),
+    lambda location, value: (SET_TABLES if isinstance(value, (list, tuple)) else SETS).write(location, value),
+)
 # The set of an end of the horizon: a point, which is an array in the file, a table, or nothing for a free end.
 END_SET = Value(_read_end, _write_end)
 

@@ -171,8 +171,17 @@ def load_solution(path: str | PathLike[str]) -> SavedSolution:
         trajectory = Trajectory(*(_number_array(arrays, name, 2) for name in ("x", "u")))
         multipliers = _multipliers(arrays)
         if multipliers is not None:
-            _require_same_size(trajectory, multipliers)
-        return SavedSolution(trajectory, multipliers, _summary(arrays.get("summary")))
+            shapes, expected = (
+                (multipliers.eta.shape, multipliers.nu.shape),
+                (trajectory.x[1:].shape, trajectory.u.shape),
+            )
+            if shapes != expected:
+                wanted = f"eta {expected[0]}, nu {expected[1]}, as the trajectory has it"
+                raise ProblemError("multipliers", f"eta {shapes[0]}, nu {shapes[1]}", wanted)
+        summary = parsed_json("summary", str(arrays["summary"])) if "summary" in arrays else {}
+        if not isinstance(summary, dict):
+            raise ProblemError("summary", brief(summary), "a JSON object")
+        return SavedSolution(trajectory, multipliers, summary)
 
 
 def _number_array(arrays: Mapping[str, FileArray], name: str, *dimensions: int) -> FileArray:
@@ -195,22 +204,6 @@ def _multipliers(arrays: Mapping[str, FileArray]) -> Multipliers | None:
     weights = _number_array(arrays, WEIGHTS, 2) if WEIGHTS in arrays else None
     eta_C = float(fields.pop("eta_C"))
     return Multipliers(eta_C, **fields, stage=stage, weights=weights, frequencies=frequencies)
-
-
-def _require_same_size(trajectory: Trajectory, multipliers: Multipliers) -> None:
-    got, expected = (multipliers.eta.shape, multipliers.nu.shape), (trajectory.x[1:].shape, trajectory.u.shape)
-    if got != expected:
-        wanted = f"eta {expected[0]}, nu {expected[1]}, as the trajectory has it"
-        raise ProblemError("multipliers", f"eta {got[0]}, nu {got[1]}", wanted)
-
-
-def _summary(text: FileValue) -> FileTable:
-    if text is None:
-        return {}
-    summary = parsed_json("summary", str(text))
-    if not isinstance(summary, dict):
-        raise ProblemError("summary", brief(summary), "a JSON object")
-    return summary
 
 
 def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Trajectory:
@@ -261,7 +254,11 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         if len(table.rows) != T + 1 and not (replay and len(table.rows) == T):
             also = f", or {T}" if replay else ""
             raise ProblemError("rows", f"{len(table.rows)}", f"{T + 1}{also}: one per time, below the header")
-        _require_table_clocks(table, problem.sampling_time)
+        for name, period in ((STEP, 1.0), (SECONDS, problem.sampling_time)):
+            clock = table.find(name)
+            if clock is not None and period is not None:
+                times = np.array([row[0] for row in table.numbers([clock], len(table.rows))])
+                require_clock(f"column {name!r}", times, period, [f"line {line}" for line in table.lines])
         x = None if replay else table.numbers(states, T + 1)
         return trajectory_from_signals(problem, x, table.numbers(controls, T))
 
@@ -307,18 +304,19 @@ class _Table:
     def numbers(self, columns: Sequence[int | None], count: int) -> list[list[float]]:
         """Return the first ``count`` rows of these columns."""
         found = [column for column in columns if column is not None]
-        return [[self._number(row, column) for column in found] for row in range(count)]
 
-    def _number(self, row: int, column: int) -> float:
-        cell = self.rows[row][column]
-        try:
-            number = float(cell)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            location = f"line {self.lines[row]}, column {self.head[column]!r}"
-            raise ProblemError(location, brief(cell) if cell else "an empty cell", "a finite number")
-        return number
+        def number_at(row: int, column: int) -> float:
+            cell = self.rows[row][column]
+            try:
+                number = float(cell)
+            except ValueError:
+                number = math.nan
+            if not math.isfinite(number):
+                location = f"line {self.lines[row]}, column {self.head[column]!r}"
+                raise ProblemError(location, brief(cell) if cell else "an empty cell", "a finite number")
+            return number
+
+        return [[number_at(row, column) for column in found] for row in range(count)]
 
 
 def _require_columns(table: _Table, names: Sequence[str], columns: Sequence[int | None]) -> None:
@@ -329,14 +327,6 @@ def _require_columns(table: _Table, names: Sequence[str], columns: Sequence[int 
             if len(table.head) == 1 and any(mark in table.head[0] for mark in ";\t"):
                 advice = "Separate columns by commas, and write numbers with decimal points."
             raise ProblemError(f"column {name!r}", got, "a column of this name", advice)
-
-
-def _require_table_clocks(table: _Table, sampling_time: float | None) -> None:
-    for name, period in ((STEP, 1.0), (SECONDS, sampling_time)):
-        column = table.find(name)
-        if column is not None and period is not None:
-            times = [row[0] for row in table.numbers([column], len(table.rows))]
-            require_clock(f"column {name!r}", np.array(times), period, [f"line {line}" for line in table.lines])
 
 
 def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:
@@ -411,10 +401,19 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
             there = [name for name in variables if not name.startswith("__")]
             got = f"nothing (there is {', '.join(there) or 'no variable'})"
             raise ProblemError("u", got, "a variable of this name", "Rename it in MATLAB, and save x, u and t.")
-        signals = {name: _real_matrix(name, variables[name]) for name in ("x", "u", "t") if name in variables}
+        signals = {name: variables[name] for name in ("x", "u", "t") if name in variables}
+        for name, value in signals.items():
+            if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf":
+                kinds = {"c": "a complex matrix", "U": "text"}
+                got = kinds.get(np.asarray(value).dtype.kind, "a sparse matrix or a structure")
+                raise ProblemError(name, got, "a matrix of real numbers, full")
         trajectory = trajectory_from_signals(problem, signals.get("x"), signals["u"])
         if "t" in signals:
-            _require_times(signals["t"], len(signals.get("x", signals["u"])), problem.sampling_time)
+            t, rows = signals["t"], len(signals.get("x", signals["u"]))
+            if t.shape not in ((rows, 1), (1, rows)):
+                raise ProblemError("t", f"shape {t.shape}", f"shape ({rows}, 1), one time for each row")
+            if problem.sampling_time is not None:
+                require_clock("t", real_array("t", t.ravel()), problem.sampling_time)
         return trajectory
 
 
@@ -437,21 +436,6 @@ def _require_modest_mat(field: str, content: bytes) -> None:
                 require_modest(field, entries, unpacked, len(content))
         require_modest(field, entries, 0, len(content))
         offset += size
-
-
-def _real_matrix(name: str, value: object) -> FileArray:
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf":
-        kinds = {"c": "a complex matrix", "U": "text"}
-        got = kinds.get(np.asarray(value).dtype.kind, "a sparse matrix or a structure")
-        raise ProblemError(name, got, "a matrix of real numbers, full")
-    return value
-
-
-def _require_times(t: FileArray, rows: int, sampling_time: float | None) -> None:
-    if t.shape not in ((rows, 1), (1, rows)):
-        raise ProblemError("t", f"shape {t.shape}", f"shape ({rows}, 1), one time for each row")
-    if sampling_time is not None:
-        require_clock("t", real_array("t", t.ravel()), sampling_time)
 
 
 def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:

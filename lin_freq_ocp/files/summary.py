@@ -19,19 +19,30 @@ from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 if TYPE_CHECKING:
     from lin_freq_ocp.comparison.compare import ComparisonOutcome
-    from lin_freq_ocp.comparison.moves import Move
 
 SCHEMA = 2
 
 
 def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
     """Return a result as the JSON object of ``lin-freq-ocp solve --json``, with ``--trajectory`` if asked for."""
+    found, use, multipliers, tree = tree_of(result), result.level_use, result.multipliers, None
+    if found is not None:
+        tree = {"nodes": len(found.tree.nodes), "leaves": found.bound.leaves, "covers": found.bound.covers}
+    extras: FileTable = {}
+    if multipliers is not None and multipliers.frequencies:
+        # Of masks at every frequency: where each multiplier stands, real and imaginary part
+        extras["atoms"] = {
+            name: np.column_stack([places, multipliers.stage[name]]).tolist()
+            for name, places in multipliers.frequencies.items()
+        }
+    if use is not None:  # how the control uses its levels: duty cycles by component, time and level
+        duty_cycles = [component.tolist() for component in use.duty_cycles]
+        extras["levels"] = {"fractional": use.fractional, "rows": use.rows, "duty_cycles": duty_cycles}
     return finite(
         {
             **head(result.problem),
@@ -47,10 +58,9 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
             "explanation": None if result.explanation is None else asdict(result.explanation),
             "direction": _direction(result.direction),
             "modes": None if result.sequence is None else result.sequence.tolist(),
-            "tree": _tree(result),
+            "tree": tree,
             "message": result.message or None,
-            **_atoms(result.multipliers),
-            **_levels(result),
+            **extras,
             **({"trajectory": _trajectory(result)} if with_trajectory else {}),
         }
     )
@@ -64,7 +74,18 @@ def certificate_summary(problem: OptimalControlProblem, certificate: Certificate
 
 def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
     """Return the JSON object of ``lin-freq-ocp compare --json``: the constrained result, and all beside it."""
-    constrained, moves = comparison.constrained_measures, comparison.moves
+    constrained, moves = comparison.constrained_measures, {}
+    if comparison.moves is not None:
+        moves["moves"] = {
+            move.name: {
+                "description": move.description,
+                "found": move.measured is not None,
+                "samples": move.samples,
+                "seconds": move.seconds,
+                "vibration": move.ratio,
+            }
+            for move in comparison.moves.all
+        }
     return finite(
         {
             **result_summary(comparison.constrained),
@@ -79,19 +100,9 @@ def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
                 }
                 for filtered in comparison.filtered
             },
-            **({} if moves is None else {"moves": {move.name: _move(move) for move in moves.all}}),
+            **moves,
         }
     )
-
-
-def _move(move: Move) -> FileTable:
-    return {
-        "description": move.description,
-        "found": move.measured is not None,
-        "samples": move.samples,
-        "seconds": move.seconds,
-        "vibration": move.ratio,
-    }
 
 
 def failed_comparison_summary(result: Outcome) -> FileTable:
@@ -141,26 +152,6 @@ def _certificate(certificate: Certificate | None) -> FileTable | None:
     }
 
 
-def _atoms(multipliers: Multipliers | None) -> FileTable:
-    """Return the multipliers of masks at every frequency, if any: where each stands, real and imaginary part."""
-    if multipliers is None or not multipliers.frequencies:
-        return {}
-    atoms = {
-        name: np.column_stack([found, multipliers.stage[name]]).tolist()
-        for name, found in multipliers.frequencies.items()
-    }
-    return {"atoms": atoms}
-
-
-def _levels(result: Outcome) -> FileTable:
-    """Return how the control uses its levels, if it has some: duty cycles by component, time and level."""
-    use = result.level_use
-    if use is None:
-        return {}
-    duty_cycles = [one.tolist() for one in use.duty_cycles]
-    return {"levels": {"fractional": use.fractional, "rows": use.rows, "duty_cycles": duty_cycles}}
-
-
 def _conditions(conditions: Sequence[Condition]) -> list[FileTable]:
     tables = [{**asdict(condition), "passed": condition.passed} for condition in conditions]
     for table in tables:
@@ -207,13 +198,6 @@ def _trajectory(result: Outcome) -> FileTable | None:
         "x": result.trajectory.x.tolist(),
         "u": result.trajectory.u.tolist(),
     }
-
-
-def _tree(result: Outcome) -> FileTable | None:
-    found = tree_of(result)
-    if found is None:
-        return None
-    return {"nodes": len(found.tree.nodes), "leaves": found.bound.leaves, "covers": found.bound.covers}
 
 
 def finite(value: FileValue) -> FileValue:

@@ -97,13 +97,18 @@ class Controller:
         if plan is None:
             return None, outcome
         own, compared = plan is outcome.trajectory, now() - solved
+        source = Source.PLAN if soft is None else Source.SOFTENED
+        if not own:
+            source = Source.PREVIOUS_PLAN
+        elif not outcome.status.solved:
+            source = Source.BEST_POINT
         certified = sum(one.seconds.get("certify", 0.0) for one in (hard, soft) if one is not None)
         certificate, parts = outcome.certificate if own else None, ((self._hard, hard), (self._soft, soft))
         step = Step(
             state=x,
             control=plan.u[0].copy(),
             status=hard.status,
-            source=_source(outcome, own, soft is not None),
+            source=source,
             method=outcome.solver,
             cost=outcome.problem.value(plan.x, plan.u),
             gap=float("nan") if certificate is None or certificate.gap is None else certificate.gap,
@@ -139,7 +144,9 @@ class Controller:
 
     def _answers(self, x: Array, preview: Preview) -> tuple[Outcome, Outcome | None]:
         """Return the answer of the problem of a measured state, and of the softened one where it has no solution."""
-        begin, bounds = self._after_delay(x), preview.bounds
+        last = self._applied[-1] if self._applied else np.zeros(self.problem.control_dim)
+        begin = self._step(0, x, last) if self.delay else x  # with a delay, where the last control leads
+        bounds = preview.bounds
         if bounds and bounds.get("state_set") is not None:
             first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
             bounds = {**bounds, "state_set": first_free.state_set}
@@ -152,29 +159,19 @@ class Controller:
     def _solve_step(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
         """Solve the problem of a step, from what was set up for all of them if its data are the same."""
         tree = self._trees[repeated]
-        problem = with_past(repeated.problem, *self._past(x)) if self._remembers else repeated.problem
+        problem = repeated.problem
+        if self._remembers:  # the states and controls before a plan that begins after the measured state
+            states, controls = [step.state for step in self._steps], list(self._applied)
+            if self.delay:
+                states, controls = [*states, x], [np.zeros(self.problem.control_dim), *controls]
+            dimensions = problem.state_dim, problem.control_dim
+            past = (np.array(part).reshape(-1, size) for part, size in zip((states, controls), dimensions, strict=True))
+            problem = with_past(problem, *past)
         if preview.disturbance is not None:
             problem = add_disturbance(problem, preview.disturbance)
         if problem is not repeated.problem:
             repeated = Repeated(problem, self._method)
         return repeated.solve(change, self._limit, self._later_plan(), tree)
-
-    def _after_delay(self, x: Array) -> Array:
-        """Return where a plan begins: with a delay, where the last control leads."""
-        return self._step(0, x, self._last_control) if self.delay else x
-
-    @property
-    def _last_control(self) -> Array:
-        return self._applied[-1] if self._applied else np.zeros(self.problem.control_dim)
-
-    def _past(self, x: Array) -> tuple[Array, Array]:
-        """Return the states and controls before a plan that begins after a measured state x."""
-        states, controls = [step.state for step in self._steps], list(self._applied)
-        if self.delay:
-            states, controls = [*states, x], [np.zeros(self.problem.control_dim), *controls]
-        return np.array(states).reshape(-1, self.problem.state_dim), np.array(controls).reshape(
-            -1, self.problem.control_dim
-        )
 
     def _later_plan(self) -> Trajectory | None:
         """Return the last plan from its second step on, its last control repeated; None without one."""
@@ -193,14 +190,6 @@ class Controller:
         if found.shape != (size,):
             raise ProblemError(field, f"shape {found.shape}", f"shape {(size,)}")
         return found
-
-
-def _source(outcome: Outcome, own: bool, is_soft: bool) -> Source:
-    if not own:
-        return Source.PREVIOUS_PLAN
-    if not outcome.status.solved:
-        return Source.BEST_POINT
-    return Source.SOFTENED if is_soft else Source.PLAN
 
 
 def _shift_controls(controls: Array) -> Array:

@@ -149,24 +149,22 @@ class LoopRecord:
     def table(self) -> list[dict[str, object]]:
         """Return a flat row for each step, for pandas.DataFrame."""
         names = [*self.problem.state_names, *self.problem.control_names]
-        return [_step_row(k, step, names) for k, step in enumerate(self.steps)]
-
-
-def _step_row(k: int, step: Step, names: Sequence[str]) -> dict[str, object]:
-    signals = zip(names, [*step.state.tolist(), *step.control.tolist()], strict=True)
-    return {
-        "step": k,
-        **dict(signals),
-        "status": str(step.status),
-        "source": str(step.source),
-        "method": step.method,
-        "cost": step.cost,
-        "gap": step.gap,
-        "nodes": step.nodes,
-        "excess": sum(step.excess.values()),
-        "solve_seconds": step.solve_seconds,
-        "certify_seconds": step.certify_seconds,
-    }
+        return [
+            {
+                "step": k,
+                **dict(zip(names, [*step.state.tolist(), *step.control.tolist()], strict=True)),
+                "status": str(step.status),
+                "source": str(step.source),
+                "method": step.method,
+                "cost": step.cost,
+                "gap": step.gap,
+                "nodes": step.nodes,
+                "excess": sum(step.excess.values()),
+                "solve_seconds": step.solve_seconds,
+                "certify_seconds": step.certify_seconds,
+            }
+            for k, step in enumerate(self.steps)
+        ]
 
 
 def plant_of(given: object, problem: OptimalControlProblem) -> Plant:

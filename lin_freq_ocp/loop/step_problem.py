@@ -39,7 +39,13 @@ SPECTRA = ("control_spectrum", "state_spectrum", "output_spectrum")
 def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
     """Return the problem without its state set and rows of the state alone at time 0."""
     given, T = problem.state_set, problem.horizon
-    changes: dict[str, object] = {"stage_rows": [_free_first_rows(rows, T) for rows in problem.stage_rows]}
+    freed = list[StageRows]()
+    for rows in problem.stage_rows:
+        limits = np.array(np.broadcast_to(rows.e, (T, rows.rows)))
+        on_control = np.broadcast_to(rows.D, (T, *rows.D.shape[-2:]))[0].any(axis=-1)
+        limits[0, ~on_control] = np.inf
+        freed.append(StageRows(rows.C, rows.D, limits, rows.name, rows.penalty))
+    changes: dict[str, object] = {"stage_rows": freed}
     if isinstance(given, Sequence) or (given is not None and given.members):
         later = list(given[1:]) if isinstance(given, Sequence) else [given] * T
         changes["state_set"] = [Everything(), *later]
@@ -48,14 +54,6 @@ def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
         lower[0], upper[0] = -np.inf, np.inf
         changes["state_set"] = Box(lower, upper)
     return replace(problem, **changes) if given is not None or problem.stage_rows else problem
-
-
-def _free_first_rows(rows: StageRows, horizon: int) -> StageRows:
-    """Return the rows with those of the state alone left out at time 0."""
-    limits = np.array(np.broadcast_to(rows.e, (horizon, rows.rows)))
-    on_control = np.broadcast_to(rows.D, (horizon, *rows.D.shape[-2:]))[0].any(axis=-1)
-    limits[0, ~on_control] = np.inf
-    return StageRows(rows.C, rows.D, limits, rows.name, rows.penalty)
 
 
 def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalControlProblem:
@@ -104,9 +102,15 @@ def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> Op
         if field in ("state_set", "terminal_state"):
             changes[field] = _soften_sets(given, penalty)
         elif field == "stage_rows":
-            changes[field] = [_soften_rows(rows, penalty) for rows in given]
+            changes[field] = [
+                rows if rows.penalty is not None else StageRows(rows.C, rows.D, rows.e, rows.name, penalty)
+                for rows in given
+            ]
         elif field == "output_spectrum":
-            changes[field] = [_soften_outputs(one, penalty) for one in entries_of(given)] or None
+            outputs: Sequence[OutputSpectrum] = entries_of(given)
+            bounds = [[_soften_bound(bound, penalty) for bound in one.constraints] for one in outputs]
+            pairs = zip(outputs, bounds, strict=True)
+            changes[field] = [OutputSpectrum(one.C, one.D, soft, one.output_names) for one, soft in pairs] or None
         else:
             changes[field] = [_soften_bound(one, penalty) for one in entries_of(given)] or None
     return replace(problem, **changes)
@@ -133,15 +137,6 @@ def _set_at(given: ConvexSet, t: int) -> ConvexSet:
     """Return a set whose bounds are given per time at one of the times."""
     bounds = box_of(given).at(t)
     return Intersection([bounds, *given.members]) if given.members else bounds
-
-
-def _soften_rows(rows: StageRows, penalty: float) -> StageRows:
-    return rows if rows.penalty is not None else StageRows(rows.C, rows.D, rows.e, rows.name, penalty)
-
-
-def _soften_outputs(outputs: OutputSpectrum, penalty: float) -> OutputSpectrum:
-    bounds = [_soften_bound(one, penalty) for one in outputs.constraints]
-    return OutputSpectrum(outputs.C, outputs.D, bounds, outputs.output_names)
 
 
 def _soften_bound(given: FrequencyConstraint, penalty: float) -> FrequencyConstraint:

@@ -155,6 +155,7 @@ def _shrink_cone(penalty: StandardCone, weights: Array) -> Array:
 
 def exact_slopes(problem: OptimalControlProblem, point: DualPoint) -> list[Balls]:
     """Return s_0 .. s_T: the gradient of the cost at z_t, what is pulled back, and mu_t; in balls of any precision."""
+    n, count = problem.state_dim, (problem.horizon + 1) * problem.state_dim
     slopes = [[arb(value) for value in row] for row in point.mu.tolist()]
     if point.normal:
         _add_cost(slopes, problem, point)
@@ -164,8 +165,15 @@ def exact_slopes(problem: OptimalControlProblem, point: DualPoint) -> list[Balls
         if term.map.dense_size[0]:
             pulled, _ = term.map.pull_back(weights, (point.x.shape, point.u.shape))
             _add_signal(slopes, pulled)
-        elif weights.any():
-            _add_rows(slopes, term, weights, problem)
+        elif weights.any():  # sparse rows pull back the sums of multipliers times coefficients of states
+            matrix, _ = term.map.rows(problem.horizon, n, problem.control_dim)
+            used = np.flatnonzero(weights)
+            found = matrix[used].tocoo()
+            of_x = found.col < count
+            multipliers = weights.ravel()[used][found.row[of_x]].tolist()
+            entries = zip(found.col[of_x].tolist(), found.data[of_x].tolist(), multipliers, strict=True)
+            for place, value, weight in entries:
+                slopes[place // n][place % n] += arb(value) * weight
     return slopes
 
 
@@ -199,18 +207,6 @@ def _add_signal(slopes: list[Balls], signal: Array) -> None:
     for slope, row in zip(slopes, signal.tolist(), strict=True):
         for i, value in enumerate(row):
             slope[i] += value
-
-
-def _add_rows(slopes: list[Balls], term: Term, weights: Array, problem: OptimalControlProblem) -> None:
-    """Add what sparse rows pull back: the sums of multipliers times coefficients of states."""
-    n, count = problem.state_dim, (problem.horizon + 1) * problem.state_dim
-    matrix, _ = term.map.rows(problem.horizon, n, problem.control_dim)
-    used = np.flatnonzero(weights)
-    found = matrix[used].tocoo()
-    of_x = found.col < count
-    multipliers = weights.ravel()[used][found.row[of_x]].tolist()
-    for place, value, weight in zip(found.col[of_x].tolist(), found.data[of_x].tolist(), multipliers, strict=True):
-        slopes[place // n][place % n] += arb(value) * weight
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,19 +72,14 @@ def points(
         if share < 1:
             found = at if inner is None else interpolate(at, inner, share)
             found = add_feedback(problem, found) if needs_feedback(problem) else found
-            yield point_of(problem, found, margin), found
-
-
-def point_of(problem: OptimalControlProblem, at: Trajectory, margin: float) -> Point:
-    """Return the point of a trajectory within its bounds; a margin is relative."""
-    levels = list[float]()
-    for term in problem.terms:
-        if term.everywhere is not None:
-            peak = proven_peak(term.everywhere, term.everywhere.map.signal(at.x, at.u))
-            above = min(peak.found * (1 + LEVEL_MARGINS * margin), peak.ratio * (1 + margin))
-            levels.append(1.0 if term.hard else max(1.0, above))
-    start, u = problem.state_tube.project(at.x)[0], problem.control_tube.project(at.u)
-    return Point(start, u, [0] * problem.horizon, levels)
+            levels = list[float]()
+            for term in problem.terms:
+                if term.everywhere is not None:
+                    peak = proven_peak(term.everywhere, term.everywhere.map.signal(found.x, found.u))
+                    above = min(peak.found * (1 + LEVEL_MARGINS * margin), peak.ratio * (1 + margin))
+                    levels.append(1.0 if term.hard else max(1.0, above))
+            start, u = problem.state_tube.project(found.x)[0], problem.control_tube.project(found.u)
+            yield Point(start, u, [0] * problem.horizon, levels), found
 
 
 def interpolate(at: Trajectory, inner: Trajectory, share: float) -> Trajectory:
@@ -217,21 +212,16 @@ def needs_feedback(problem: OptimalControlProblem) -> bool:
 
 def add_feedback(problem: OptimalControlProblem, at: Trajectory) -> Trajectory:
     """Return the trajectory with controls whose exact trajectory stays near it."""
-    with ctx.workprec(precision(problem.linear.A, problem.horizon)):
-        return Trajectory(at.x, _follow_with_feedback(problem, at, regulator_gains(problem, at)))
-
-
-def _follow_with_feedback(problem: OptimalControlProblem, at: Trajectory, gains: Array) -> Array:
-    """Return the rounded controls, (T, m), of a feedback from the trajectory that is their own."""
     start, fixed = problem.state_tube.project(at.x)[0], problem.control_tube.fixed
-    x, controls = arb_mat([[one] for one in start.tolist()]), problem.control_tube.project(at.u)
-    for t, gain in enumerate(gains):
-        A, B, d = problem.linear.at(t)
-        away = [float(x[i, 0] - one) for i, one in enumerate(at.x[t].tolist())]
-        controls[t] += np.where(fixed[t], 0.0, gain @ away)
-        now = arb_mat([[one] for one in controls[t].tolist()])
-        x = arb_mat(A.tolist()) * x + arb_mat(B.tolist()) * now + arb_mat([[one] for one in d.tolist()])
-    return controls
+    with ctx.workprec(precision(problem.linear.A, problem.horizon)):
+        x, controls = arb_mat([[one] for one in start.tolist()]), problem.control_tube.project(at.u)
+        for t, gain in enumerate(regulator_gains(problem, at)):
+            A, B, d = problem.linear.at(t)
+            away = [float(x[i, 0] - one) for i, one in enumerate(at.x[t].tolist())]
+            controls[t] += np.where(fixed[t], 0.0, gain @ away)
+            now = arb_mat([[one] for one in controls[t].tolist()])
+            x = arb_mat(A.tolist()) * x + arb_mat(B.tolist()) * now + arb_mat([[one] for one in d.tolist()])
+    return Trajectory(at.x, controls)
 
 
 def regulator_gains(problem: OptimalControlProblem, at: Trajectory) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 from flint import arb, ctx
@@ -78,7 +79,16 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
     """
     found = tree_of(outcome)
     proof, enclosure = _linear_proof(outcome) if found is None else _tree_proof(outcome, found.tree)
-    _require_cost(outcome, enclosure)
+    certificate = outcome.certificate
+    if certificate is not None and certificate.feasible:  # an optimal cost lies in the interval, others not below it
+        cost, slack = certificate.cost, certificate.allowed_gap
+        above = outcome.status == Status.OPTIMAL and cost > enclosure.upper + slack
+        if above or cost < enclosure.lower - slack:
+            raise SolveError(
+                f"The certified cost {cost!r} lies outside of the proven interval, {enclosure}: one of them is wrong. "
+                "Report the problem, and solve it with another method.",
+                outcome,
+            )
     return proof, enclosure
 
 
@@ -98,7 +108,12 @@ def _linear_proof(outcome: Outcome) -> tuple[Proof, Enclosure]:
 def _raised_proof(outcome: Outcome, least: float) -> tuple[Proof, Enclosure]:
     """Return a proof of the problem with Hessians that are raised at least so much, and the interval of the given."""
     bare, at = _bound_proof(outcome, least)
-    found = None if outcome.ray is not None else _first_accepted_point(bare, outcome, at)
+    found = None
+    for point, _ in () if outcome.ray is not None else points(bare.problem, outcome, at):
+        with suppress(Failed):  # the nearest to the trajectory that the checker accepts
+            proof = replace(bare, point=point)
+            found = proof, checked_enclosure(proof.lines())
+            break
     proof, enclosure = (bare, _confirmed_enclosure(bare, outcome)) if found is None else found
     given, multipliers = outcome.problem, outcome.multipliers
     if outcome.ray is None and multipliers is not None and convex_problem(given, least) is not given:
@@ -113,7 +128,10 @@ def _bound_proof(outcome: Outcome, least: float = 0.0) -> tuple[Proof, Trajector
     """Return a proof of a lower bound alone, without a claim, and the trajectory at which it is tight."""
     at, multipliers = outcome.trajectory, outcome.multipliers
     if outcome.ray is not None:
-        at, multipliers = _resting_trajectory(outcome.problem), outcome.ray
+        given, sizes = outcome.problem, (outcome.problem.state_dim, outcome.problem.control_dim)
+        x, u = (np.zeros((given.horizon + 1 - k, size)) for k, size in enumerate(sizes))
+        # The point nearest to zero within the bounds, at every time
+        at, multipliers = Trajectory(given.state_tube.project(x), given.control_tube.project(u)), outcome.ray
     if at is None or multipliers is None:
         raise SolveError(f"There is nothing to prove: the solve ended as '{outcome.status}'.", outcome)
     problem = convex_problem(at_frequencies(outcome.problem, multipliers.frequencies), least)
@@ -124,25 +142,10 @@ def _bound_proof(outcome: Outcome, least: float = 0.0) -> tuple[Proof, Trajector
     return Proof(problem, bits, NOTHING, None, dual), at
 
 
-def _resting_trajectory(problem: OptimalControlProblem) -> Trajectory:
-    """Return the point nearest to zero within the bounds, at every time."""
-    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    return Trajectory(problem.state_tube.project(np.zeros((T + 1, n))), problem.control_tube.project(np.zeros((T, m))))
-
-
 def _require_statement(problem: OptimalControlProblem) -> None:
     """Raise UnsupportedError if the format does not hold the problem."""
     for _ in problem_lines(problem):
         pass
-
-
-def _first_accepted_point(bare: Proof, outcome: Outcome, at: Trajectory) -> tuple[Proof, Enclosure] | None:
-    """Return the proof with the point nearest to the trajectory that the checker accepts; None if there is none."""
-    for point, _ in points(bare.problem, outcome, at):
-        proof = replace(bare, point=point)
-        with suppress(Failed):
-            return proof, checked_enclosure(proof.lines())
-    return None
 
 
 def _confirmed_enclosure(proof: Proof, outcome: Outcome) -> Enclosure:
@@ -196,21 +199,6 @@ def _reachable_box(problem: OptimalControlProblem) -> Region:
     return Region(x, problem.control_tube.bounds, np.inf, "forward reach")
 
 
-def _require_cost(outcome: Outcome, proven: Enclosure) -> None:
-    """Raise SolveError if a feasible cost is below a proven interval, or an optimal one above, by more than the gap."""
-    certificate = outcome.certificate
-    if certificate is None or not certificate.feasible:
-        return
-    cost, slack = certificate.cost, certificate.allowed_gap
-    above = outcome.status == Status.OPTIMAL and cost > proven.upper + slack
-    if above or cost < proven.lower - slack:
-        raise SolveError(
-            f"The certified cost {cost!r} lies outside of the proven interval, {proven}: one of them is wrong. Report "
-            "the problem, and solve it with another method.",
-            outcome,
-        )
-
-
 def unchecked_proof(outcome: Outcome) -> Proof:
     """Return a proof of what a solve found of linear dynamics, without a check; errors are those of ``proof_of``.
 
@@ -230,8 +218,10 @@ def unchecked_proof(outcome: Outcome) -> Proof:
 
 def checked_enclosure(lines: Iterable[str]) -> Enclosure:
     """Return what a proof proves; raise the checker's error if it proves nothing."""
+    rest = iter(lines)
+    stream = SimpleNamespace(readline=lambda limit: next(rest, "").encode())  # lines as a file of bytes
     with ctx.workprec(ctx.prec):  # the checker sets the precision
-        lower, upper = check(Lines(lines), lambda summary: None)
+        lower, upper = check(stream, lambda summary: None)
     return Enclosure(_round_towards(lower, -np.inf), _round_towards(upper, np.inf))
 
 
@@ -241,14 +231,3 @@ def _round_towards(exact: arb, towards: float) -> float:
     while arb(found) > exact if towards < 0 else arb(found) < exact:
         found = float(np.nextafter(found, towards))
     return found
-
-
-class Lines:
-    """Lines as a file of bytes."""
-
-    def __init__(self, lines: Iterable[str]):
-        self.lines = iter(lines)
-
-    def readline(self, limit: int) -> bytes:
-        """Return the next line."""
-        return next(self.lines, "").encode()

@@ -24,7 +24,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone, Within
 from lin_freq_ocp.problem.terms.penalty import Penalty
-from lin_freq_ocp.problem.terms.semi_infinite import Continuum, Frequencies
+from lin_freq_ocp.problem.terms.semi_infinite import Frequencies
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.proof.lines import Value, encode, line
@@ -165,7 +165,12 @@ def term_lines(terms: Sequence[Term], sizes: Sizes) -> Iterator[str]:
 def _term_fields(term: Term, sizes: Sizes) -> Iterator[str]:
     """Yield the fields of each line of a term."""
     if term.everywhere is not None:
-        yield _mask_fields(term.name, term.everywhere, sizes)
+        if type(term.everywhere) is not Frequencies:
+            raise UnsupportedError("the spectrum of a held signal, or a residual vibration")
+        limits = term.everywhere.limits
+        table = np.column_stack([limits.low, limits.high, limits.at_low, limits.at_high])
+        head = f'"name": {encode(term.name)}, "gauge": "all", "weight": {encode(float(term.everywhere.price))}'
+        yield f'{head}, {signal_text(term.everywhere.map, 0, sizes)}, "limits": {encode(table)}'
         return
     function = function_of(term.penalty, term.shape)
     head = f'"name": {encode(term.name)}, "gauge": "{function.gauge}"'
@@ -177,16 +182,6 @@ def _term_fields(term: Term, sizes: Sizes) -> Iterator[str]:
         for text, most, price in zip(units, limit, weight, strict=True):
             if np.isfinite(most):
                 yield f'{head}, "limit": "{most.hex()}", "weight": "{price.hex()}", "values": [{text}]'
-
-
-def _mask_fields(name: str, everywhere: Continuum, sizes: Sizes) -> str:
-    """Return the fields of a mask over all frequencies."""
-    if type(everywhere) is not Frequencies:
-        raise UnsupportedError("the spectrum of a held signal, or a residual vibration")
-    limits = everywhere.limits
-    table = np.column_stack([limits.low, limits.high, limits.at_low, limits.at_high])
-    head = f'"name": {encode(name)}, "gauge": "all", "weight": {encode(float(everywhere.price))}'
-    return f'{head}, {signal_text(everywhere.map, 0, sizes)}, "limits": {encode(table)}'
 
 
 def multiplier_lines(terms: Sequence[Term], weights: Sequence[Array]) -> Iterator[str]:

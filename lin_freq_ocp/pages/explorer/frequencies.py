@@ -62,7 +62,9 @@ def _sliders(problem: OptimalControlProblem) -> Iterator[Slider]:
     for key, one, names in _entries(problem):
         of = f"of the {_name(one)} of {component_words(one.component, names)}"
         edges = () if cutoff and key == "control_spectrum.0" else _edges(key, one, of, axis)
-        for slider in (*edges, *_level(key, one, of)):
+        low, high, notch = LEVELS  # in dB of the problem's own limit
+        level = Slider(f"level.{key}", GROUP, f"level {of}", "dB", low, high, notch, 0.0, high)
+        for slider in (*edges, *([] if one.scaled(1.0) is None else [level])):
             labels.append(slider.label)
             count = labels.count(slider.label)
             yield replace(slider, label=f"{slider.label} ({count})") if count > 1 else slider
@@ -188,13 +190,6 @@ def _range(kind: str, i: int, own: Sequence[float], step: float, axis: Axis) -> 
             return max(step, own[0] - NOTCHES * step), min(axis.nyquist - step, own[0] + NOTCHES * step), 0
         case _:
             return step, axis.nyquist - step, 1 if kind == "low_pass" else -1
-
-
-def _level(key: str, one: FrequencyConstraint, of: str) -> Iterator[Slider]:
-    """Yield the level of a limit, in dB of the problem's own."""
-    if one.scaled(1.0) is not None:
-        low, high, notch = LEVELS
-        yield Slider(f"level.{key}", GROUP, f"level {of}", "dB", low, high, notch, 0.0, high)
 
 
 def _move(key: str, one: FrequencyConstraint, moved: Values, axis: Axis) -> FrequencyConstraint:

@@ -55,12 +55,8 @@ HEADERS = {
 }
 
 
-def page(session: Session) -> str:
-    """Return the page that asks its server."""
-    return _render_page(session, None)
-
-
-def _render_page(session: Session, solved: list[Data] | None) -> str:
+def page(session: Session, solved: list[Data] | None = None) -> str:
+    """Return the page that asks its server, or that has these solved points inside."""
     data: Data = {"sliders": [slider.data for slider in session.sliders], "points": solved}
     return (
         _environment()
@@ -96,7 +92,7 @@ def static_page(session: Session, progress: Callable[[int, int], object] = lambd
     for values in grid:
         solved.append({"values": values, "answer": session.answer(values), "beside": session.beside(values)})
         progress(len(solved), len(grid))
-    return _render_page(session, solved)
+    return page(session, solved)
 
 
 def points(sliders: tuple[Slider, ...]) -> list[dict[str, float]]:

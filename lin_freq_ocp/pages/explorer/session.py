@@ -37,7 +37,6 @@ from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import everywhere_of
 from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
-from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.kept import Change
@@ -115,11 +114,6 @@ def checked_values(sliders: tuple[Slider, ...], given: object) -> dict[str, floa
             expected = f"a number from {slider.low:.6g} to {slider.high:.6g} {slider.unit}".rstrip()
             raise ProblemError(f"values.{key}", brief(value), expected)
     return {key: float(given.get(key, slider.value)) for key, slider in known.items()}
-
-
-def moved_values(sliders: tuple[Slider, ...], values: Values) -> dict[str, float]:
-    """Return the values that are not the problem's own."""
-    return {slider.key: values[slider.key] for slider in sliders if values[slider.key] != slider.value}
 
 
 def problem_at(problem: OptimalControlProblem, rebuild: Rebuild | None, moved: Values) -> OptimalControlProblem:
@@ -204,7 +198,7 @@ class Session:
 
     def outcome(self, values: Values, classical: bool = False) -> Outcome:
         """Return how the problem at these values ends, with or without its frequency constraints."""
-        moved = moved_values(self.sliders, values)
+        moved = {one.key: values[one.key] for one in self.sliders if values[one.key] != one.value}
         if classical:
             moved = self._values_of_groups(moved, lambda group: group != FREQUENCY)
         return self._outcomes.get((classical, *moved.items()), lambda: self._solve(moved, classical))
@@ -216,16 +210,17 @@ class Session:
 
     def _solve(self, moved: dict[str, float], classical: bool) -> Outcome:
         structure = self._values_of_groups(moved, lambda group: group not in KEPT)
-        repeated = self._repeated.get((classical, *structure.items()), lambda: self._prepare(structure, classical))
+
+        def prepare() -> Repeated:
+            problem = problem_at(self.problem, self.rebuild, structure)
+            if classical:
+                problem = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
+            return Repeated(problem)
+
+        repeated = self._repeated.get((classical, *structure.items()), prepare)
         sets, ends = sets_at(repeated.problem, moved), ends_at(repeated.problem, moved)
         change = Change(ends.get("initial_state"), ends.get("terminal_state"), bounds=sets or None)
         return repeated.solve(change, SOLVE_SECONDS)
-
-    def _prepare(self, structure: dict[str, float], classical: bool) -> Repeated:
-        problem = problem_at(self.problem, self.rebuild, structure)
-        if classical:
-            problem = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
-        return Repeated(problem)
 
 
 class Latest(Generic[Item]):
@@ -286,15 +281,23 @@ def frame_data(problem: OptimalControlProblem) -> Data:
         "horizon": problem.horizon,
         "time": {"step": time.factor, "label": time.label},
         "frequency": {"label": frequency.label},
-        "signals": [_signal_data(signal) for signal in _time_signals(problem)],
+        "signals": [
+            {"name": signal.name, "state": signal.is_state}
+            | {side: _bound_data(bound) for side, bound in zip(("lower", "upper"), signal.bounds, strict=True)}
+            for signal in _time_signals(problem)
+        ],
         "spectra": [_spectrum_data(signal, frequency.factor) for signal in _frequency_signals(problem)],
-        "vibrations": [_vibration_data(term, box) for term, box in everywhere_of(problem, PlantBox)],
+        "vibrations": [  # the axis of each, its box of natural frequencies, and its limit
+            {
+                "name": term.name,
+                "at": round_values(frequencies_around(box)),
+                "box": [float(box.low[0]), float(box.high[0])],
+                "limit": box.limit,
+                "top": ABOVE * box.limit,
+            }
+            for term, box in everywhere_of(problem, PlantBox)
+        ],
     }
-
-
-def _signal_data(signal: Signal) -> Data:
-    lower, upper = signal.bounds
-    return {"name": signal.name, "state": signal.is_state, "lower": _bound_data(lower), "upper": _bound_data(upper)}
 
 
 def _bound_data(values: Array) -> list[float | None]:
@@ -325,17 +328,6 @@ def _frequency_signals(problem: OptimalControlProblem) -> list[Signal]:
     """Return all controls, and the states and outputs with a limit on their spectrum."""
     limited = [state for state in states_of(problem) if state.stop.any()]
     return [*controls_of(problem), *limited, *outputs_of(problem)][:MOST_SIGNALS]
-
-
-def _vibration_data(term: Term, box: PlantBox) -> Data:
-    """Return the axis of a residual vibration, its box of natural frequencies, and its limit."""
-    return {
-        "name": term.name,
-        "at": round_values(frequencies_around(box)),
-        "box": [float(box.low[0]), float(box.high[0])],
-        "limit": box.limit,
-        "top": ABOVE * box.limit,
-    }
 
 
 def trajectory_data(problem: OptimalControlProblem, trajectory: Trajectory) -> Data:

@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
@@ -99,9 +98,11 @@ def four_panels(data: PlotData, with_states: bool = False) -> Figure:
     """Return each control in time beside its spectrum, and two views of the states below; on request, all in time."""
     problem = data.problem
     controls, groups = problem.control_dim, _groups_of_states(data) if with_states else []
-    state_rows = ceil(len(groups) / 2)
-    views = 0 if with_states and problem.state_dim == 1 else 1
-    heights = [ROW_HEIGHT] * (controls + views) + [STATE_ROW_HEIGHT] * state_rows
+    # Two phase portraits; where there are not two, the first state in time, unless all states follow
+    names, portraits = problem.state_names, phase_pairs(problem.state_dim)
+    views: list[tuple[int, ...]] = [*portraits, *([] if with_states or len(portraits) == 2 else [(0,)])]
+    view_rows = 1 if views else 0
+    heights = [ROW_HEIGHT] * (controls + view_rows) + [STATE_ROW_HEIGHT] * ceil(len(groups) / 2)
     legend = _legend_handles(data, problem.state_dim > 1, bool(problem.control_band.any()), with_bounds=True)
     figure = new_figure(sum(heights) + LEGEND_HEIGHT * legend_rows(legend) + mode_legend(data).height)
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
@@ -111,14 +112,15 @@ def four_panels(data: PlotData, with_states: bool = False) -> Figure:
         spectrum_panel(
             figure.add_subplot(grid[j, 1]), data, data.controls[j], f"{next(letters)} Spectrum of {short_name(name)}"
         )
-    if with_states and problem.state_dim == 2:
-        title = f"{next(letters)} {' and '.join(map(short_name, problem.state_names))}"
-        phase_panel(figure.add_subplot(grid[controls, :]), data, 0, 1, title)
-    else:
-        for column in range(2 * views):
-            _draw_states(figure, grid, data, column, controls, next(letters))
+    for column, states in enumerate(views):
+        ax = figure.add_subplot(grid[controls, column] if len(views) == 2 else grid[controls, :])
+        title = f"{next(letters)} {' and '.join(short_name(names[i]) for i in states)}"
+        if len(states) == 2:
+            phase_panel(ax, data, *states, title)
+        else:
+            state_panel(ax, data, 0, title)
     for k, group in enumerate(groups):
-        row, alone = controls + views + k // 2, k == len(groups) - 1 and not k % 2
+        row, alone = controls + view_rows + k // 2, k == len(groups) - 1 and not k % 2
         ax = figure.add_subplot(grid[row, :] if alone else grid[row, k % 2])
         states_panel(ax, data, group, next(letters))
     legend_above(figure, legend, handlelength=2.6)
@@ -143,19 +145,6 @@ def phase_pairs(n: int) -> list[tuple[int, int]]:
     half = n // 2
     pairs = [(i, i + half) for i in range(half)] if n % 2 == 0 else [(i, i + 1) for i in range(n - 1)]
     return pairs[:2]
-
-
-def _draw_states(figure: Figure, grid: GridSpec, data: PlotData, column: int, row: int, letter: str) -> None:
-    """Draw a phase portrait into a row; where there are not two, the first state in time."""
-    names, pairs = data.problem.state_names, phase_pairs(data.problem.state_dim)
-    if column < len(pairs):
-        i, j = pairs[column]
-        title = f"{letter} {short_name(names[i])} and {short_name(names[j])}"
-        phase_panel(figure.add_subplot(grid[row, column]), data, i, j, title)
-    elif pairs:
-        state_panel(figure.add_subplot(grid[row, column]), data, 0, f"{letter} {short_name(names[0])}")
-    elif column == 0:
-        state_panel(figure.add_subplot(grid[row, :]), data, 0, f"{letter} {short_name(names[0])}")
 
 
 def states_figure(data: PlotData) -> Figure:
@@ -227,7 +216,10 @@ def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
         frequency = data.frequency.factor * 2 * np.pi * np.arange(len(price)) / length
         for i, one in enumerate(components):
             shade_stop_band(ax, one.stop, length, data.frequency.factor)
-            _draw_prices(ax, one, frequency, price[:, one.index], i)
+            x, y = thin_out(frequency[one.stop], price[one.stop, one.index])  # one stem per stopped bin
+            color, marker = COMPONENTS[i % len(COMPONENTS)], MARKERS[i % len(MARKERS)]
+            ax.vlines(x, 0, y, color=color, linewidth=1.0, alpha=0.7)
+            ax.plot(x, y, label=short_name(one.name), marker=marker, linestyle="none", color=color, markersize=5)
         highest = float(price[:, [one.index for one in components]].max())
         ax.set_ylim(0, 1.08 * highest or 1.0)
         if len(components) > 1:
@@ -236,25 +228,12 @@ def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
         unit = f" [cost per {units.pop()}]" if len(units) == 1 and "" not in units else " [cost per unit]"
         style_axes(ax, f"Price of each removed {what} bin", data.frequency.label, f"|dJ* / d bin|{unit}")
         frequency_axis(ax, data)
-        _look_at(ax, frequency[np.any([one.stop for one in components], axis=0)])
+        stopped = frequency[np.any([one.stop for one in components], axis=0)]
+        margin = 0.12 * (stopped[-1] - stopped[0]) or 0.12 * stopped[0]
+        low, high = ax.get_xlim()
+        if margin > 0:  # what is far from all stopped bins is left out
+            ax.set_xlim(max(low, stopped[0] - margin), min(high, stopped[-1] + margin))
     return figure
-
-
-def _look_at(ax: Axes, frequency: np.ndarray) -> None:
-    """Leave out what is far from all stopped bins."""
-    margin = 0.12 * (frequency[-1] - frequency[0]) or 0.12 * frequency[0]
-    low, high = ax.get_xlim()
-    if margin > 0:
-        ax.set_xlim(max(low, frequency[0] - margin), min(high, frequency[-1] + margin))
-
-
-def _draw_prices(ax: Axes, component: Signal, frequency: np.ndarray, price: np.ndarray, i: int) -> None:
-    """Draw one stem per stopped bin."""
-    color = COMPONENTS[i % len(COMPONENTS)]
-    x, y = thin_out(frequency[component.stop], price[component.stop])
-    ax.vlines(x, 0, y, color=color, linewidth=1.0, alpha=0.7)
-    marker = MARKERS[i % len(MARKERS)]
-    ax.plot(x, y, label=short_name(component.name), marker=marker, linestyle="none", color=color, markersize=5)
 
 
 def _two_columns(count: int, height: float, below: float = 0.0) -> tuple[Figure, list[Axes]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import ceil
 
 import numpy as np
@@ -39,14 +38,12 @@ def loop_figure(loop: LoopRecord) -> Figure:
     figure = new_figure(0.8 * ROW_HEIGHT * rows)
     grid = figure.add_gridspec(rows, 2)
     for j in range(m):
-        _in_time(
-            figure.add_subplot(grid[j, 0]), loop, loop.controls[:, j], loop.problem.control_names[j], _bounds(loop, j)
-        )
+        _in_time(figure.add_subplot(grid[j, 0]), loop, j)
         _spectrogram(figure.add_subplot(grid[j, 1]), loop, j)
     for i in range(states):
         alone = i == states - 1 and i % 2 == 0
         ax = figure.add_subplot(grid[m + i // 2, :] if alone else grid[m + i // 2, i % 2])
-        _in_time(ax, loop, loop.states[:, i], loop.problem.state_names[i], _bounds(loop, i, of_state=True))
+        _in_time(ax, loop, i, of_state=True)
     _times(figure.add_subplot(grid[-1, 0]), loop)
     _gaps(figure.add_subplot(grid[-1, 1]), loop)
     return figure
@@ -60,20 +57,19 @@ def _clock(loop: LoopRecord, count: int) -> tuple[Array, str]:
     return step * np.arange(float(count)), "time [s]"
 
 
-def _bounds(loop: LoopRecord, component: int, of_state: bool = False) -> Iterator[float]:
-    """Yield the bounds that hold at the first time of a plan after the one that is measured."""
-    box = loop.problem.state_boxes.at(1) if of_state else loop.problem.control_tube.at(0)
-    for limit in (box.lower[component], box.upper[component]):
-        if abs(limit) < NO_BOUND:
-            yield float(limit)
-
-
-def _in_time(ax: Axes, loop: LoopRecord, values: Array, name: str, bounds: Iterator[float]) -> None:
+def _in_time(ax: Axes, loop: LoopRecord, i: int, of_state: bool = False) -> None:
+    """Draw a component with its bounds at the first time of a plan after the one that is measured."""
+    problem = loop.problem
+    if of_state:
+        values, name, box = loop.states[:, i], problem.state_names[i], problem.state_boxes.at(1)
+    else:
+        values, name, box = loop.controls[:, i], problem.control_names[i], problem.control_tube.at(0)
     times, label = _clock(loop, len(values))
     held = len(values) == len(loop.steps)
     ax.plot(*thin_out(times, values), color=COMPONENTS[0], linewidth=1.5, drawstyle="steps-post" if held else "default")
-    for limit in bounds:
-        ax.axhline(limit, color=BOUND, linewidth=1.1)
+    for limit in (box.lower[i], box.upper[i]):
+        if abs(limit) < NO_BOUND:
+            ax.axhline(float(limit), color=BOUND, linewidth=1.1)
     other = np.array([source is not Source.PLAN for source in loop.sources], dtype=bool)
     if other.any():
         ax.plot(times[: len(other)][other], values[: len(other)][other], "x", color=FILTERED, markersize=5)

@@ -172,14 +172,28 @@ def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: flo
         ax.plot(
             *thin_out(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, marker=marker, markersize=3.2
         )
-        for kink in found:
-            _draw_kink(ax, data, kink, i)
         end = data.time.factor * data.problem.horizon
+        for kink in found:  # the interval as a bar with caps, and beside it what the adjoint equation requires
+            at, half = data.time.factor * kink.time, 0.5 * BAR * end
+            low, high = float(kink.lower[i]), float(kink.upper[i])
+            bar = Rectangle((at - half, low), 2 * half, high - low)
+            bar.set(facecolor=FILTERED, alpha=0.28, linewidth=0, zorder=5)
+            ax.add_patch(bar)
+            ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=FILTERED, linewidth=1.8, zorder=6)
+            (point,) = ax.plot(at, kink.required[i], "D", zorder=8)
+            point.set(**REQUIRED)
         ax.set_xlim(-BAR * end, (1 + BAR) * end)
         notes = _show_all(ax, np.concatenate([eta[:, i], *(one.of(i) for one in found)]), least)
         short, unit = split_unit(name)
         style_axes(ax, f"Adjoint of {short}", data.time.label, f"{ETA} [cost per {unit or 'unit'}]", notes)
-    _adjoint_legend(figure, bool(found))
+    adjoint = Line2D([], [], color=COMPONENTS[0], linewidth=1.5, marker="o", markersize=3.2, label=f"adjoint {ETA}")
+    handles: list[Artist] = [adjoint]
+    if found:
+        handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=f"$D_x$ <{ETA}, f> over all derivatives at a kink"))
+        required = "what the adjoint equation requires of it"
+        handles.append(Line2D([], [], linestyle="none", marker="D", label=required))
+        handles[-1].set(**REQUIRED)
+    legend_above(figure, handles)
     mode_legend(data).draw(figure)
     return figure
 
@@ -201,30 +215,6 @@ def _show_all(ax: Axes, shown: Array, least: float) -> list[Note]:
     if not SMALL <= max(-low, high) < LARGE:  # the power of ten would stand where the title is
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 3)))
     return []
-
-
-def _draw_kink(ax: Axes, data: PlotData, kink: Kink, i: int) -> None:
-    """Draw the interval as a bar with caps, and beside it what the adjoint equation requires."""
-    factor = data.time.factor
-    at, half = factor * kink.time, 0.5 * factor * BAR * data.problem.horizon
-    low, high = float(kink.lower[i]), float(kink.upper[i])
-    bar = Rectangle((at - half, low), 2 * half, high - low)
-    bar.set(facecolor=FILTERED, alpha=0.28, linewidth=0, zorder=5)
-    ax.add_patch(bar)
-    ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=FILTERED, linewidth=1.8, zorder=6)
-    (point,) = ax.plot(at, kink.required[i], "D", zorder=8)
-    point.set(**REQUIRED)
-
-
-def _adjoint_legend(figure: Figure, with_kinks: bool) -> None:
-    adjoint = Line2D([], [], color=COMPONENTS[0], linewidth=1.5, marker="o", markersize=3.2, label=f"adjoint {ETA}")
-    handles: list[Artist] = [adjoint]
-    if with_kinks:
-        handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=f"$D_x$ <{ETA}, f> over all derivatives at a kink"))
-        required = "what the adjoint equation requires of it"
-        handles.append(Line2D([], [], linestyle="none", marker="D", label=required))
-        handles[-1].set(**REQUIRED)
-    legend_above(figure, handles)
 
 
 def _draw_strip(ax: Axes, span: Span, row: int, factor: float, horizon: int, names: Sequence[str]) -> None:

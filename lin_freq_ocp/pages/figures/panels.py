@@ -108,7 +108,11 @@ def spectrum_panel(ax: Axes, data: PlotData, component: Signal, title: str) -> N
     shade_stop_band(ax, component.stop, length, data.frequency.factor)
     highest = _draw_levels(ax, data, component, floor, ABOVE * top)
     for trace, spectrum in zip(traces, padded, strict=True):
-        omega, magnitude = _drawn_line(*spectrum)
+        omega, magnitude = spectrum[0], spectrum[1][:, 0]
+        gaps = (len(omega) - 1) // ZERO_PADDING
+        if gaps > FEW_BINS:  # whose lobes would fill the panel: the top of every lobe
+            lobes = magnitude[: gaps * ZERO_PADDING].reshape(gaps, ZERO_PADDING)
+            omega, magnitude = omega[np.arange(gaps) * ZERO_PADDING + lobes.argmax(1)], lobes.max(1)
         ax.plot(
             *thin_out(data.frequency.factor * omega, np.maximum(magnitude, floor)),
             color=trace.style.color,
@@ -117,7 +121,12 @@ def spectrum_panel(ax: Axes, data: PlotData, component: Signal, title: str) -> N
         )
         frequency = data.frequency.factor * 2 * np.pi * np.arange(length // 2 + 1) / length
         _draw_bins(ax, trace, frequency, np.abs(np.fft.rfft(trace.of(component)[:length])), floor)
-        _draw_touching(ax, trace, component, data.frequency.factor)
+        touching = component.touching(trace.trajectory)
+        if len(touching.at):  # where a spectrum reaches the limit of a mask at every frequency
+            at = data.frequency.factor * touching.at
+            points = Line2D(at, touching.values, linestyle="none", color=trace.style.color)
+            points.set(marker="o", markersize=4, markerfacecolor="none", zorder=trace.style.order + 2)
+            ax.add_line(points)
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(floor / 1.6, 3 * max(top, highest))
@@ -218,16 +227,6 @@ def _draw_box(ax: Axes, pair: Sequence[Signal], views: Sequence[View]) -> None:
     ax.add_patch(box)
 
 
-def _drawn_line(omega: Array, magnitude: Array) -> tuple[Array, Array]:
-    """Return the zero-padded spectrum; for many bins, whose lobes would fill the panel, the top of every lobe."""
-    values, gaps = magnitude[:, 0], (len(omega) - 1) // ZERO_PADDING
-    if gaps <= FEW_BINS:
-        return omega, values
-    inside = values[: gaps * ZERO_PADDING].reshape(gaps, ZERO_PADDING)
-    at = inside.argmax(1)
-    return omega[np.arange(gaps) * ZERO_PADDING + at], inside.max(1)
-
-
 def _draw_bins(ax: Axes, trace: Trace, frequency: Array, magnitude: Array, floor: float) -> None:
     """Draw the bins as points, and those too small for the axis as hollow triangles at its lower edge."""
     low, style = magnitude < floor, trace.style
@@ -239,15 +238,6 @@ def _draw_bins(ax: Axes, trace: Trace, frequency: Array, magnitude: Array, floor
     for x, y, look in looks:
         points = Line2D(*thin_out(x, y), linestyle="none", color=style.color, zorder=style.order + 1)
         points.set(**look)
-        ax.add_line(points)
-
-
-def _draw_touching(ax: Axes, trace: Trace, component: Signal, factor: float) -> None:
-    """Mark where a spectrum reaches the limit of a mask at every frequency."""
-    touching = component.touching(trace.trajectory)
-    if len(touching.at):
-        points = Line2D(factor * touching.at, touching.values, linestyle="none", color=trace.style.color)
-        points.set(marker="o", markersize=4, markerfacecolor="none", zorder=trace.style.order + 2)
         ax.add_line(points)
 
 

@@ -131,7 +131,10 @@ def _draw_marks(ax: Axes, lines: Sequence[Line], kinds: Mapping[str, tuple[str, 
         return
     pitch = min(PITCH, STRIP / len(marked))
     strip = pitch * (len(marked) + 1)
-    _make_room(ax, strip, above)
+    axis = ax.yaxis.get_transform()
+    low, high = axis.transform(ax.get_ylim())
+    room = (high - low) * strip / (1 - strip)  # for a fraction of the height that is free of costs
+    ax.set_ylim(*map(float, axis.inverted().transform([low, high + room] if above else [low - room, high])))
     edge = 1 - strip if above else strip
     ax.axhline(edge, color=MUTED, linewidth=0.7, zorder=1).set_transform(ax.transAxes)
     text, at, side = ("no solution", 1.0, "top") if above else ("no cheapest", 0.0, "bottom")
@@ -148,14 +151,6 @@ def _draw_marks(ax: Axes, lines: Sequence[Line], kinds: Mapping[str, tuple[str, 
             found = found or bool(x)
         if found:
             ax.plot([], [], linestyle="none", marker=marker, color=MUTED, markersize=6, label=label)
-
-
-def _make_room(ax: Axes, strip: float, above: bool) -> None:
-    """Leave a fraction of the height free of costs."""
-    axis = ax.yaxis.get_transform()
-    low, high = axis.transform(ax.get_ylim())
-    room = (high - low) * strip / (1 - strip)
-    ax.set_ylim(*map(float, axis.inverted().transform([low, high + room] if above else [low - room, high])))
 
 
 def _kind(row: Row) -> str:

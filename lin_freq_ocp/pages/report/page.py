@@ -85,7 +85,16 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
     if comparison.moves is not None:
         title, caption = moves_title(comparison.moves), moves_caption(comparison.moves)
         yield "vibration", title, caption, moves_figure(comparison.moves)
-    yield from _draw_continua(data, comparison.moves is None)
+    held, vibrations = held_figure(data), vibrations_figure(data) if comparison.moves is None else None
+    if held is not None:
+        caption = (
+            "What the plant sees of a signal that is held between its samples: |sinc(f h) V(2 pi f h)|, images above "
+            "the Nyquist frequency included (for many bins, its largest value between neighbours)."
+        )
+        yield "held_spectra", "Spectra of held signals below their limits", caption, held
+    if vibrations is not None:
+        caption = "The amplitude that is left in a mode of this natural frequency, the largest over the damping ratios."
+        yield "vibration", "Residual vibration over the natural frequency, with its limit", caption, vibrations
     if data.modes:
         rows = strip_rows(comparison)
         yield "modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows)
@@ -107,19 +116,6 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
             "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
         )
         yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
-
-
-def _draw_continua(data: PlotData, with_boxes: bool) -> Iterator[tuple[str, str, str, Figure]]:
-    held, vibrations = held_figure(data), vibrations_figure(data) if with_boxes else None
-    if held is not None:
-        caption = (
-            "What the plant sees of a signal that is held between its samples: |sinc(f h) V(2 pi f h)|, images above "
-            "the Nyquist frequency included (for many bins, its largest value between neighbours)."
-        )
-        yield "held_spectra", "Spectra of held signals below their limits", caption, held
-    if vibrations is not None:
-        caption = "The amplitude that is left in a mode of this natural frequency, the largest over the damping ratios."
-        yield "vibration", "Residual vibration over the natural frequency, with its limit", caption, vibrations
 
 
 def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
@@ -188,13 +184,14 @@ def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
 def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
     """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
     drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
+    counts = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
     page = render_template(
         "loop.html.jinja",
         title=loop.problem.name or "Control loop",
         finding=_loop_finding(loop),
         tiles=_loop_tiles(loop),
         drawing=drawing,
-        counts=_loop_counts(loop),
+        counts=[(*key, count) for key, count in counts.most_common()],
         excess=_loop_violations(loop),
         facts=problem_facts(loop.problem, loop.problem.gap),
         problem=loop.problem,
@@ -223,12 +220,6 @@ def _loop_tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
         ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
         ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
     ]
-
-
-def _loop_counts(loop: LoopRecord) -> list[tuple[str, str, str, int]]:
-    """Return status, source and method of the steps, with how many there are of each."""
-    found = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
-    return [(*key, count) for key, count in found.most_common()]
 
 
 def _loop_violations(loop: LoopRecord) -> list[tuple[str, str, int]]:
