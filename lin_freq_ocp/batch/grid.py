@@ -177,4 +177,7 @@ def _text_of(value: object) -> str:
 
 
 def _qualified_name(value: object) -> str:
-    return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '')}"
+    """Return module and name; names of this package count without their module, which may move."""
+    module = getattr(value, "__module__", "") or ""
+    package = __name__.partition(".")[0]
+    return f"{package if module.partition('.')[0] == package else module}.{getattr(value, '__qualname__', '')}"
