@@ -91,6 +91,14 @@ def test_a_fingerprint_tells_problems_apart():
     )
 
 
+def test_where_the_package_defines_a_function_is_no_part_of_its_fingerprint(monkeypatch):
+    ours, theirs = fingerprint(lfo.library.double_integrator), fingerprint(broken_builder)
+    monkeypatch.setattr(lfo.library.double_integrator, "__module__", "lin_freq_ocp.elsewhere")
+    monkeypatch.setattr(broken_builder, "__module__", "elsewhere")
+    assert fingerprint(lfo.library.double_integrator) == ours
+    assert fingerprint(broken_builder) != theirs
+
+
 def test_a_point_that_is_no_problem_does_not_end_the_sweep():
     found = lfo.sweep(broken_builder, {"horizon": [-1, 2, 60]})
     assert found.column("status") == ["error", "error", "optimal"]
