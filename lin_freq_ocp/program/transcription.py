@@ -49,29 +49,29 @@ class LinearTranscription:
     @cached_property
     def program(self) -> Program:
         """Return the program in the problem's own units; UnsupportedError if it does not fit into memory."""
-        problem, terms, dense = self.problem, self.conic_terms, dense_rows(self.problem)
+        problem, dense = self.problem, dense_rows(self.problem)
         require_memory(
             f"the frequency constraints, {dense.count} dense rows of a program of {dense.variables} variables,",
             dense.size,
             "Method 'spectral' needs no dense rows (time-invariant linear dynamics, quadratic costs, boxes, joint rows "
             "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
         )
+        terms = self.conic_terms
         parts = {
             Block.DYNAMICS: self._dynamics_rows(),
-            Block.STATE_SET: _box_rows(problem.state_tube, self.signals, 0),
-            Block.CONTROL_SET: _box_rows(problem.control_tube, self.signals, self._states),
+            Block.STATE_SET: _box_rows(problem.state_tube, self._variables, 0),
+            Block.CONTROL_SET: _box_rows(problem.control_tube, self._variables, self._states),
         }
         for block, stop, length, first in (
             (Block.STATE_SPECTRUM, problem.state_stop, problem.state_samples, 0),
             (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, self._states),
         ):
-            matrix = spectrum_rows(stop, length, self.signals, first)
+            matrix = spectrum_rows(stop, length, self._variables, first)
             parts[block] = matrix, np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0])
         parts[Block.TERMS] = terms.matrix, terms.lower, terms.upper
         rows, count = dict[Block, slice](), 0
         for block, (matrix, *_) in parts.items():
             rows[block], count = slice(count, count + matrix.shape[0]), count + matrix.shape[0]
-            matrix.resize(matrix.shape[0], self.signals + terms.slacks)  # columns of zeros for the slacks
         matrices, lower, upper = zip(*parts.values(), strict=True)
         A, P = sp.csc_array(sp.vstack(matrices)), self._hessian()
         A.eliminate_zeros()
@@ -151,21 +151,26 @@ class LinearTranscription:
     def _states(self) -> int:
         return (self.problem.horizon + 1) * self.problem.state_dim
 
+    @property
+    def _variables(self) -> int:
+        return self.signals + self.conic_terms.slacks
+
     def _dynamics_rows(self) -> tuple[sp.csc_array, Array, Array]:
         T, n = self.problem.horizon, self.problem.state_dim
         response = self.problem.dynamics.response(T)
         if response is not None:  # x_{t+1} is a sum over all controls
             through_u = response.matrix[n:]
-            matrix = sp.hstack([sp.csc_array((T * n, n)), sp.eye_array(T * n), sp.csc_array(-through_u)])
+            slacks = sp.csc_array((T * n, self.conic_terms.slacks))
+            matrix = sp.hstack([sp.csc_array((T * n, n)), sp.eye_array(T * n), sp.csc_array(-through_u), slacks])
             return sp.csc_array(matrix), response.base[1:].ravel(), response.base[1:].ravel()
         dynamics = self.problem.linear
         offset = np.broadcast_to(dynamics.offset, (T, n)).ravel()
         parts = [(np.eye(n), 0, n), (-dynamics.A, 0, 0), (-dynamics.B, 0, self._states)]
-        return _sparse_matrix([_block_diagonal(*part, T) for part in parts], (T * n, self.signals)), offset, offset
+        return _sparse_matrix([_block_diagonal(*part, T) for part in parts], (T * n, self._variables)), offset, offset
 
     def _hessian(self) -> sp.csc_array:
         cost, T, first = self.problem.quadratic, self.problem.horizon, self._states
-        last, variables = first - self.problem.state_dim, self.signals + self.conic_terms.slacks
+        last = first - self.problem.state_dim
         parts = [
             _block_diagonal(cost.Q, 0, 0, T),
             _block_diagonal(cost.P, last, last, 1),
@@ -173,7 +178,7 @@ class LinearTranscription:
             _block_diagonal(np.swapaxes(cost.S, -1, -2), first, 0, T),
             _block_diagonal(cost.R, first, first, T),
         ]
-        return _sparse_matrix(parts, (variables, variables))
+        return _sparse_matrix(parts, (self._variables, self._variables))
 
 
 def _block_diagonal(matrices: Array, row: int, column: int, times: int) -> tuple[Array, Indices, Indices]:

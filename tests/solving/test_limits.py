@@ -13,7 +13,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.base import arrays
+from lin_freq_ocp.base import resources
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
@@ -159,8 +159,8 @@ def test_a_limit_error_without_a_result_has_none_of_them() -> None:
 
 
 def small_memory(monkeypatch: pytest.MonkeyPatch, size: float) -> None:
-    monkeypatch.setattr(arrays, "memory_limit", lambda: size)
-    monkeypatch.setattr(arrays, "ALWAYS_THERE", 0.0)
+    monkeypatch.setattr(resources, "memory_limit", lambda: size)
+    monkeypatch.setattr(resources, "ALWAYS_THERE", 0.0)
 
 
 def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
