@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Mask, with_columns
+from lin_freq_ocp.base.arrays import with_columns
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -25,7 +25,6 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import wider
 from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
@@ -51,26 +50,17 @@ class AbsorbedCost:
 
     def _without_outputs(self, given: Multipliers) -> Multipliers:
         """Return the multipliers without those of the further outputs."""
-        n = self.given.state_dim
-        stage = dict(given.stage)
+        n, stage = self.given.state_dim, dict(given.stage)
+        sizes = {term.name: term.shape[1] for term in self.given.terms}
         for term in self.problem.terms:
-            if term.name in stage and stage[term.name].shape[1] > self._group_sizes[term.name]:
-                stage[term.name] = stage[term.name][:, self._own_values(term)]
+            if term.name in stage and stage[term.name].shape[1] > sizes[term.name]:
+                # the values of the given signals: further outputs have their own bounds
+                form, own = term.map.stage_form(self.problem.state_dim, self.given.control_dim), slice(sizes[term.name])
+                if form is not None:
+                    matrix = form[0][0]
+                    own = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
+                stage[term.name] = stage[term.name][:, own]
         return replace(given, eta=given.eta[:, :n], mu=given.mu[:, :n], rho_x=given.rho_x[:, :n], stage=stage)
-
-    @property
-    def _group_sizes(self) -> dict[str, int]:
-        """Return the number of values of each group of the given problem's terms."""
-        return {term.name: term.shape[1] for term in self.given.terms}
-
-    def _own_values(self, term: Term) -> Mask | slice:
-        """Return which values of a group of a term are of the given signals: further outputs have their own bounds."""
-        n, m = self.given.state_dim, self.given.control_dim
-        form = term.map.stage_form(self.problem.state_dim, m)
-        if form is None:
-            return slice(0, self._group_sizes[term.name])
-        matrix = form[0][0]
-        return np.asarray(matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1))
 
     def _with_given_gradients(self, found: Multipliers, at: Trajectory) -> Multipliers:
         """Return multipliers whose gradients are those of the given cost at a trajectory."""

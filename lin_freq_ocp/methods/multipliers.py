@@ -63,7 +63,25 @@ def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, near
 def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Array, Array]:
     """Return y (rows,) in the normal cone at z with the least s = P z + q + A'y, and s, or raise NumericalError."""
     cone = _normal_cone(program, z, near)
-    solution = backend("clarabel")(_fitting_program(program, z, cone), DEFAULT_TOLERANCE, None)
+    # least squares in (w, s), with rows s - A'y = g and the conditions on w
+    variables, count = program.A.shape[1], len(cone.lower)
+    gradient = program.P @ z + program.q
+    bounded = np.flatnonzero(np.isfinite(cone.lower) | np.isfinite(cone.upper))
+    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.polars] or [np.zeros(0, dtype=int)])
+    identity, unit = sp.eye_array(variables), sp.eye_array(count, format="csr")
+    fitting = Program(
+        P=sp.csc_array(sp.block_diag([sp.csc_array((count, count)), identity])),
+        q=np.concatenate([cone.prices, np.zeros(variables)]),
+        constant=0.0,
+        A=sp.csc_array(
+            sp.block_array([[-(program.A.T @ cone.basis), identity], [unit[bounded], None], [-unit[curved], None]])
+        ),
+        lower=np.concatenate([gradient, cone.lower[bounded], np.zeros(len(curved))]),
+        upper=np.concatenate([gradient, cone.upper[bounded], np.full(len(curved), np.inf)]),
+        rows={},
+        cones=consecutive(cone.polars, variables + len(bounded)),
+    )
+    solution = backend("clarabel")(fitting, DEFAULT_TOLERANCE, None)
     if solution.z is None:
         raise NumericalError(f"No multipliers fit the trajectory ({solution.message}); pass multipliers=.")
     w, s = np.split(solution.z, [len(cone.lower)])
@@ -170,25 +188,3 @@ def _normal_cone(program: Program, z: Array, near: float, at_edges: bool = False
         lower = np.append(lower, np.full(block.shape[1], low))
         upper = np.append(upper, np.full(block.shape[1], np.inf))
     return _NormalCone(sp.csc_array(sp.hstack(columns)), lower, upper, tuple(polars), prices)
-
-
-def _fitting_program(program: Program, z: Array, cone: _NormalCone) -> Program:
-    """Return the least-squares problem in (w, s), with rows s - A'y = g and the conditions on w."""
-    variables, count = program.A.shape[1], len(cone.lower)
-    gradient = program.P @ z + program.q
-    bounded = np.flatnonzero(np.isfinite(cone.lower) | np.isfinite(cone.upper))
-    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.polars] or [np.zeros(0, dtype=int)])
-    identity, unit = sp.eye_array(variables), sp.eye_array(count, format="csr")
-    first = variables + len(bounded)
-    return Program(
-        P=sp.csc_array(sp.block_diag([sp.csc_array((count, count)), identity])),
-        q=np.concatenate([cone.prices, np.zeros(variables)]),
-        constant=0.0,
-        A=sp.csc_array(
-            sp.block_array([[-(program.A.T @ cone.basis), identity], [unit[bounded], None], [-unit[curved], None]])
-        ),
-        lower=np.concatenate([gradient, cone.lower[bounded], np.zeros(len(curved))]),
-        upper=np.concatenate([gradient, cone.upper[bounded], np.full(len(curved), np.inf)]),
-        rows={},
-        cones=consecutive(cone.polars, first),
-    )

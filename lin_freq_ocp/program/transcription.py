@@ -49,29 +49,47 @@ class LinearTranscription:
     @cached_property
     def program(self) -> Program:
         """Return the program in the problem's own units; UnsupportedError if it does not fit into memory."""
-        require_dense_memory(self.problem)
-        problem, stack = self.problem, _RowStack()
-        states, controls = self._states, self._controls
-        stack.add(Block.DYNAMICS, *self._dynamics_rows())
-        stack.add(Block.STATE_SET, *_box_rows(problem.state_tube, states, states + controls, 0))
-        stack.add(Block.CONTROL_SET, *_box_rows(problem.control_tube, controls, states + controls, states))
+        problem, dense = self.problem, dense_rows(self.problem)
+        require_memory(
+            f"the frequency constraints, {dense.count} dense rows of a program of {dense.variables} variables,",
+            dense.size,
+            "Method 'spectral' needs no dense rows (time-invariant linear dynamics, quadratic costs, boxes, joint rows "
+            "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
+        )
+        terms = self.conic_terms
+        parts = {
+            Block.DYNAMICS: self._dynamics_rows(),
+            Block.STATE_SET: _box_rows(problem.state_tube, self._variables, 0),
+            Block.CONTROL_SET: _box_rows(problem.control_tube, self._variables, self._states),
+        }
         for block, stop, length, first in (
             (Block.STATE_SPECTRUM, problem.state_stop, problem.state_samples, 0),
-            (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, states),
+            (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, self._states),
         ):
-            matrix = spectrum_rows(stop, length, states + controls, first)
-            stack.add(block, matrix, np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0]))
-        terms = self.conic_terms
-        stack.add(Block.TERMS, terms.matrix, terms.lower, terms.upper)
+            matrix = spectrum_rows(stop, length, self._variables, first)
+            parts[block] = matrix, np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0])
+        parts[Block.TERMS] = terms.matrix, terms.lower, terms.upper
+        rows, count = dict[Block, slice](), 0
+        for block, (matrix, *_) in parts.items():
+            rows[block], count = slice(count, count + matrix.shape[0]), count + matrix.shape[0]
+        matrices, lower, upper = zip(*parts.values(), strict=True)
+        A, P = sp.csc_array(sp.vstack(matrices)), self._hessian()
+        A.eliminate_zeros()
+        P.eliminate_zeros()
+        # in deviations from the references
         x, u = self._references
         gradient = [part.ravel() for part in problem.quadratic.gradient(x, u)]
-        origin = np.concatenate([x.ravel(), u.ravel(), np.zeros(terms.slacks)])
-        return stack.program(
-            self._hessian(),
+        shift = A @ np.concatenate([x.ravel(), u.ravel(), np.zeros(terms.slacks)])
+        first = rows[Block.TERMS].start
+        return Program(
+            P,
             np.concatenate([*gradient, terms.prices]),
             problem.quadratic.value(x, u),
-            origin,
-            terms.cones,
+            A,
+            np.concatenate(lower) - shift,
+            np.concatenate(upper) - shift,
+            rows,
+            tuple(slice(first + cone.start, first + cone.stop) for cone in terms.cones),
         )
 
     @cached_property
@@ -121,7 +139,7 @@ class LinearTranscription:
     @property
     def signals(self) -> int:
         """Return how many variables are states and controls; slacks follow."""
-        return self._states + self._controls
+        return self._states + self.problem.horizon * self.problem.control_dim
 
     @property
     def _references(self) -> tuple[Array, Array]:
@@ -134,25 +152,25 @@ class LinearTranscription:
         return (self.problem.horizon + 1) * self.problem.state_dim
 
     @property
-    def _controls(self) -> int:
-        return self.problem.horizon * self.problem.control_dim
+    def _variables(self) -> int:
+        return self.signals + self.conic_terms.slacks
 
     def _dynamics_rows(self) -> tuple[sp.csc_array, Array, Array]:
         T, n = self.problem.horizon, self.problem.state_dim
         response = self.problem.dynamics.response(T)
         if response is not None:  # x_{t+1} is a sum over all controls
             through_u = response.matrix[n:]
-            matrix = sp.hstack([sp.csc_array((T * n, n)), sp.eye_array(T * n), sp.csc_array(-through_u)])
+            slacks = sp.csc_array((T * n, self.conic_terms.slacks))
+            matrix = sp.hstack([sp.csc_array((T * n, n)), sp.eye_array(T * n), sp.csc_array(-through_u), slacks])
             return sp.csc_array(matrix), response.base[1:].ravel(), response.base[1:].ravel()
         dynamics = self.problem.linear
         offset = np.broadcast_to(dynamics.offset, (T, n)).ravel()
         parts = [(np.eye(n), 0, n), (-dynamics.A, 0, 0), (-dynamics.B, 0, self._states)]
-        matrix = _sparse_matrix([_block_diagonal(*part, T) for part in parts], (T * n, self._states + self._controls))
-        return matrix, offset, offset
+        return _sparse_matrix([_block_diagonal(*part, T) for part in parts], (T * n, self._variables)), offset, offset
 
     def _hessian(self) -> sp.csc_array:
         cost, T, first = self.problem.quadratic, self.problem.horizon, self._states
-        last, variables = first - self.problem.state_dim, self.signals + self.conic_terms.slacks
+        last = first - self.problem.state_dim
         parts = [
             _block_diagonal(cost.Q, 0, 0, T),
             _block_diagonal(cost.P, last, last, 1),
@@ -160,39 +178,7 @@ class LinearTranscription:
             _block_diagonal(np.swapaxes(cost.S, -1, -2), first, 0, T),
             _block_diagonal(cost.R, first, first, T),
         ]
-        return _sparse_matrix(parts, (variables, variables))
-
-
-class _RowStack:
-    """Rows under their block's name, in the order they came."""
-
-    def __init__(self):
-        self._parts: list[tuple[sp.csc_array, Array, Array]] = []
-        self._rows: dict[Block, slice] = {}
-        self._count = 0
-
-    def add(self, block: Block, matrix: sp.csc_array, lower: Array, upper: Array) -> None:
-        self._parts.append((matrix, lower, upper))
-        self._rows[block] = slice(self._count, self._count + matrix.shape[0])
-        self._count += matrix.shape[0]
-
-    def program(self, P: sp.csc_array, q: Array, constant: float, origin: Array, cones: Sequence[slice]) -> Program:
-        """Return the program in deviations from ``origin``; ``cones`` count from the first row of the last block."""
-        matrices, lower, upper = zip(*self._parts, strict=True)
-        A = sp.csc_array(sp.vstack([_add_columns(matrix, len(q)) for matrix in matrices]))
-        A.eliminate_zeros()
-        P.eliminate_zeros()
-        shift = A @ origin
-        first = self._count - matrices[-1].shape[0]
-        placed = tuple(slice(first + cone.start, first + cone.stop) for cone in cones)
-        limits = np.concatenate(lower) - shift, np.concatenate(upper) - shift
-        return Program(P, q, constant, A, *limits, self._rows, placed)
-
-
-def _add_columns(matrix: sp.csc_array, columns: int) -> sp.csc_array:
-    """Return the matrix with columns of zeros for the slacks."""
-    pointers = np.append(matrix.indptr, np.full(columns - matrix.shape[1], matrix.indptr[-1]))
-    return sp.csc_array((matrix.data, matrix.indices, pointers), shape=(matrix.shape[0], columns))
+        return _sparse_matrix(parts, (self._variables, self._variables))
 
 
 def _block_diagonal(matrices: Array, row: int, column: int, times: int) -> tuple[Array, Indices, Indices]:
@@ -214,7 +200,7 @@ def _bounded_components(tube: Box) -> Mask:
     return np.isfinite(tube.lower) | np.isfinite(tube.upper)
 
 
-def _box_rows(tube: Box, size: int, columns: int, first: int) -> tuple[sp.csc_array, Array, Array]:
+def _box_rows(tube: Box, columns: int, first: int) -> tuple[sp.csc_array, Array, Array]:
     bounded = _bounded_components(tube)
     chosen = np.flatnonzero(bounded.ravel())
     matrix = sp.csc_array(
@@ -388,14 +374,3 @@ class DenseRows:
     def seconds(self) -> float:
         """Return the least time to an answer, estimated."""
         return SECONDS_PER_ENTRY * self.entries + LEAST_FACTORISATIONS * self.factorisation_seconds
-
-
-def require_dense_memory(problem: OptimalControlProblem) -> None:
-    """Raise UnsupportedError if the dense rows of a problem do not fit into memory."""
-    rows = dense_rows(problem)
-    require_memory(
-        f"the frequency constraints, {rows.count} dense rows of a program of {rows.variables} variables,",
-        rows.size,
-        "Method 'spectral' needs no dense rows (time-invariant linear dynamics, quadratic costs, boxes, joint rows "
-        "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
-    )

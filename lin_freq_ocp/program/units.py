@@ -117,17 +117,7 @@ def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Arr
 def _scaling_of_units(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:
     """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
     program, problem = transcription.program, transcription.problem
-    slopes = columns * (abs(program.P) @ typical + np.abs(program.q))
-    costs = np.append(np.ones(transcription.signals, dtype=bool), transcription.conic_terms.of_costs)
-    steepest = float(slopes[costs].max(initial=0.0))
-    if steepest == 0:  # nothing but penalties
-        steepest = float(slopes.max(initial=0.0))
-    cost = COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
-    return Scaling(columns=columns, rows=_row_units(program, columns, problem), cost=cost)
-
-
-def _row_units(program: Program, columns: Array, problem: OptimalControlProblem) -> Array:
-    """Return one factor per row: a dynamics or bound row is divided by its component's unit, any other likewise."""
+    # a dynamics or bound row is divided by its component's unit, any other likewise
     rows = np.empty(program.A.shape[0])
     rows[program.rows[Block.DYNAMICS]] = 1.0 / columns[problem.state_dim : (problem.horizon + 1) * problem.state_dim]
     norms = _row_norms(_scale_matrix(program.A, np.ones(len(rows)), columns))
@@ -135,7 +125,13 @@ def _row_units(program: Program, columns: Array, problem: OptimalControlProblem)
         rows[program.rows[block]] = 1.0 / norms[program.rows[block]]
     for cone in program.cones:
         rows[cone] = rows[cone].min()
-    return rows
+    slopes = columns * (abs(program.P) @ typical + np.abs(program.q))
+    costs = np.append(np.ones(transcription.signals, dtype=bool), transcription.conic_terms.of_costs)
+    steepest = float(slopes[costs].max(initial=0.0))
+    if steepest == 0:  # nothing but penalties
+        steepest = float(slopes.max(initial=0.0))
+    cost = COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
+    return Scaling(columns, rows, cost)
 
 
 def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, Array]) -> tuple[Array, Array]:

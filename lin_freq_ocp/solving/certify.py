@@ -81,29 +81,27 @@ def certify(
             f"tolerance: got {tolerance!r}; expected a number above zero, {LARGEST_TOLERANCE:g} at most."
         )
     allowed = CONDITION_TOLERANCE if tolerance is None else tolerance
-    evidence = getattr(trajectory, "evidence", None)
-    trajectory, multipliers = _unpacked(trajectory, multipliers)
+    evidence: Evidence | None = getattr(trajectory, "evidence", None)
+    if hasattr(trajectory, "trajectory"):  # of what solve or load returned
+        result, trajectory = trajectory, getattr(trajectory, "trajectory", None)
+        if trajectory is None:
+            expected = "a trajectory, controls, or a result that has a trajectory"
+            got = f"a result without one, which ended as {getattr(result, 'status', None)!r}"
+            raise ProblemError("trajectory", got, expected)
+        multipliers = getattr(result, "multipliers", None) if multipliers is None else multipliers
     if not isinstance(trajectory, Trajectory):
         trajectory = simulate(problem, real_array("u", trajectory))
     problem.require(trajectory)
     translation = translation_of(problem)
-    at = translation.translated(trajectory)
-    return _certified(translation.problem, at, multipliers, evidence, allowed).raised(translation.cost)
-
-
-def _certified(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    multipliers: Multipliers | None,
-    evidence: Evidence | None,
-    allowed: float,
-) -> Certificate:
-    """Judge a trajectory with given multipliers, or with those that fit best."""
-    if multipliers is not None:
-        certificate = judge(problem, trajectory, multipliers, allowed)
-        return certificate if evidence is None else replace(certificate, bound=evidence.verified(problem))
-    problem = at_frequencies(problem, peak_points(problem, trajectory.x, trajectory.u, NEAR_LIMIT))
-    return entry_for(CERTIFIERS, problem.dynamics)(problem, trajectory, allowed)
+    problem, at = translation.problem, translation.translated(trajectory)
+    if multipliers is None:  # those that fit best
+        problem = at_frequencies(problem, peak_points(problem, at.x, at.u, NEAR_LIMIT))
+        certificate = entry_for(CERTIFIERS, problem.dynamics)(problem, at, allowed)
+    else:
+        certificate = judge(problem, at, multipliers, allowed)
+        if evidence is not None:
+            certificate = replace(certificate, bound=evidence.verified(problem))
+    return certificate.raised(translation.cost)
 
 
 def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allowed: float) -> Certificate:
@@ -129,18 +127,6 @@ def _rounded(problem: OptimalControlProblem, trajectory: Trajectory) -> Rounded 
         if judge(problem, trajectory, fit.multipliers, level).pmp == "satisfied":
             return Rounded(decimals, level)
     return None
-
-
-def _unpacked(given: object, multipliers: Multipliers | None) -> tuple[object, Multipliers | None]:
-    """Return the trajectory of what solve or load returned, and its multipliers unless others are given."""
-    if not hasattr(given, "trajectory"):
-        return given, multipliers
-    trajectory: Trajectory | None = getattr(given, "trajectory", None)
-    if trajectory is None:
-        expected = "a trajectory, controls, or a result that has a trajectory"
-        got = f"a result without one, which ended as {getattr(given, 'status', None)!r}"
-        raise ProblemError("trajectory", got, expected)
-    return trajectory, getattr(given, "multipliers", None) if multipliers is None else multipliers
 
 
 CERTIFIERS: dict[type, Callable[[OptimalControlProblem, Trajectory, float], Certificate]] = {

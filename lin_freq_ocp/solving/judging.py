@@ -9,7 +9,7 @@ import numpy as np
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.rays import Direction, prove_infeasible, unbounded_direction
+from lin_freq_ocp.certificate.rays import prove_infeasible, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate
@@ -42,7 +42,11 @@ def judged(
             status, message = _verified(status, message, certificate, allowed)
     direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
     if status == Status.UNBOUNDED and direction is not None:
-        message = _descent(problem, direction)
+        t, j = direction.steepest, int(np.argmax(np.abs(direction.u).max(0)))
+        message = (
+            f"the cost decreases without bound along a verified direction, most with {problem.control_names[j]} "
+            f"{'up' if direction.u[t, j] > 0 else 'down'} at t = {t}"
+        )
     elif status == Status.UNBOUNDED:
         status, message = Status.NUMERICAL_ERROR, f"{message}, without a verified direction of descent"
     ray = candidate.ray if status == Status.INFEASIBLE else _diverged(candidate)
@@ -122,14 +126,6 @@ def _missing(certificate: Certificate) -> str:
         return "the bound holds near the trajectory only, as something is not bounded"
     worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
     return f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"
-
-
-def _descent(problem: OptimalControlProblem, direction: Direction) -> str:
-    t, j = direction.steepest, int(np.argmax(np.abs(direction.u).max(0)))
-    return (
-        f"the cost decreases without bound along a verified direction, most with {problem.control_names[j]} "
-        f"{'up' if direction.u[t, j] > 0 else 'down'} at t = {t}"
-    )
 
 
 def _diverged(candidate: Candidate) -> Multipliers | None:

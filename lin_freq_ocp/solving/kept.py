@@ -20,7 +20,6 @@ from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
-from lin_freq_ocp.problem.trajectory import Multipliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +71,8 @@ class SpectralForm:
             return candidate
         candidate = candidate if self.absorbed is None else self.absorbed.candidate(candidate)
         found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
-        return replace(candidate, **{name: one and self._of_given(one) for name, one in found.items()})
-
-    def _of_given(self, found: Multipliers) -> Multipliers:
-        return self.bins.multipliers(self.rows.multipliers(found))
+        given = {name: one and self.bins.multipliers(self.rows.multipliers(one)) for name, one in found.items()}
+        return replace(candidate, **given)
 
 
 def spectral_form(problem: OptimalControlProblem) -> SpectralForm:

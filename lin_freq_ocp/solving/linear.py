@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -80,21 +79,24 @@ class Convex:
         if excluded is not None:
             return excluded
         backend = PROVER if self.backend == "auto" else self.backend
-        candidates = convex_candidates(problem, backend, self.tolerance, _left(end))
+        candidates = convex_candidates(problem, backend, self.tolerance, seconds_left(end))
 
         def verified(candidate: Candidate) -> Outcome:
             return _judged(problem, candidate, "convex", backend, self.tolerance, end)
 
         first = next(candidates)
         if first.status not in ("optimal", "limit") and backend != PROVER:
-            first = _diagnosed(problem, first, _left(end))
-        outcome = verified(first)
-        outcome = _at_no_cost(outcome, self.tolerance, end)
+            diagnosis = solve_convex(problem, PROVER, None, seconds_left(end))
+            first = diagnosis if diagnosis.status in ("infeasible", "unbounded") else first
+        outcome = _at_no_cost(verified(first), self.tolerance, end)
         unproven = outcome.status in UNPROVEN or _only_practical(outcome)
         if outcome.interrupted or not (unproven or (backend == PROVER and _at_odds(outcome))):
             return outcome
-        further = (other for other in map(verified, candidates) if not _only_practical(other))
-        return next((other for other in further if _counts(other)), outcome)
+        for other in map(verified, candidates):
+            accepted = other.interrupted or (_rank(other) > 0 and not _at_odds(other))
+            if accepted and not _only_practical(other):
+                return other
+        return outcome
 
 
 @dataclass(frozen=True)
@@ -125,11 +127,11 @@ class Spectral:
             return excluded
         if request.again is None:
             form = spectral_form(problem)
-            found = SpectralSolver(form.problem).solve(tolerance=self.tolerance, time_limit=_left(end))
+            found = SpectralSolver(form.problem).solve(tolerance=self.tolerance, time_limit=seconds_left(end))
             candidate = form.given(found)
         else:
             kept, change = request.again
-            candidate = kept.spectral(problem, change, self.tolerance, _left(end))
+            candidate = kept.spectral(problem, change, self.tolerance, seconds_left(end))
         return _judged(problem, candidate, "spectral", None, self.tolerance, end)
 
 
@@ -162,14 +164,18 @@ class Structured:
             return excluded
         first, doubtful, certified = None, False, 0.0
         prepared = None if request.again is None else request.again[0].prepared
-        again = None if prepared is None else solve_again(problem, prepared, self.tolerance, _left(end))
+        again = None if prepared is None else solve_again(problem, prepared, self.tolerance, seconds_left(end))
         if prepared is not None and again is not None:
             outcome = judged(problem, again, "structured", None, self.tolerance)
             if outcome.status == Status.OPTIMAL and _final(outcome):  # what is not proven is solved from scratch
                 prepared.near = outcome.trajectory
                 return outcome
-        excludes = partial(_excluding, problem)
-        for candidate in solve_structured(problem, self.tolerance, _left(end), excludes, prepared=prepared):
+
+        def excludes(ray: Multipliers) -> bool:  # rigorously, and not by a margin of rounding
+            proof = prove_infeasible(problem, ray)
+            return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
+
+        for candidate in solve_structured(problem, self.tolerance, seconds_left(end), excludes, prepared=prepared):
             doubtful = candidate.status in ("unbounded", "numerical_error")
             outcome = _judged(problem, candidate, "structured", None, self.tolerance, end)
             certified += outcome.seconds["certify"]
@@ -215,7 +221,7 @@ class LinearAuto:
         best: Outcome | None = None
         refusals = list[str]()
         for method in self._in_turn(problem):
-            left = _left(end)
+            left = seconds_left(end)
             try:
                 outcome = method.solve(problem, request if left is None else replace(request, time_limit=left))
             except UnsupportedError as error:
@@ -250,15 +256,12 @@ def _why(problem: OptimalControlProblem, method: Method, refusals: list[str], be
 
 def _better(outcome: Outcome, best: Outcome) -> bool:
     """Whether an answer replaces that of a method before it."""
-    if best.status == Status.INFEASIBLE and (outcome.status == Status.OPTIMAL or _refutes(outcome, best)):
+    # it satisfies all constraints where a numerical ray said that no trajectory of practical size does
+    refutes = _only_practical(best) and outcome.status == Status.LOCALLY_OPTIMAL and outcome.primal
+    if best.status == Status.INFEASIBLE and (outcome.status == Status.OPTIMAL or refutes):
         return True
     counts = outcome.status != Status.LIMIT and not _only_practical(outcome)
     return counts and _rank(outcome) >= _rank(best) and not _violates_more(outcome, best)
-
-
-def _refutes(outcome: Outcome, best: Outcome) -> bool:
-    """Whether an answer satisfies all constraints where a numerical ray said that none of practical size does."""
-    return _only_practical(best) and outcome.status == Status.LOCALLY_OPTIMAL and outcome.primal
 
 
 def _violates_more(outcome: Outcome, best: Outcome) -> bool:
@@ -273,22 +276,12 @@ def _at_no_cost(outcome: Outcome, tolerance: float | None, end: float) -> Outcom
     problem, near = outcome.problem, outcome.trajectory
     if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
         return outcome
-    for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, _left(end))):
+    for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, seconds_left(end))):
         if candidate is not None:
             found = judged(problem, candidate, outcome.method, outcome.backend, tolerance)
             if found.status == Status.OPTIMAL and not _violates_more(found, outcome):
                 return replace(found, seconds=outcome.seconds)
     return outcome
-
-
-def _excluding(problem: OptimalControlProblem, ray: Multipliers) -> bool:
-    """Whether a ray proves rigorously, and not by a margin of rounding, that a problem is infeasible."""
-    proof = prove_infeasible(problem, ray)
-    return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
-
-
-def _left(end: float) -> float | None:
-    return seconds_left(end, now())
 
 
 def _excluded_at_ends(problem: OptimalControlProblem, method: str, tolerance: float | None) -> Outcome | None:
@@ -327,21 +320,10 @@ def _at_odds(outcome: Outcome) -> bool:
     return outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp != "satisfied"
 
 
-def _counts(outcome: Outcome) -> bool:
-    """Whether a further candidate is accepted, or was interrupted."""
-    return outcome.interrupted or (_rank(outcome) > 0 and not _at_odds(outcome))
-
-
-def _diagnosed(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
-    """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the candidate."""
-    diagnosis = solve_convex(problem, PROVER, None, time_limit)
-    return diagnosis if diagnosis.status in ("infeasible", "unbounded") else candidate
-
-
 def _with_proof(outcome: Outcome, tolerance: float | None, end: float) -> Outcome:
     """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
     try:
-        diagnosis = solve_convex(outcome.problem, PROVER, None, _left(end))
+        diagnosis = solve_convex(outcome.problem, PROVER, None, seconds_left(end))
     except UnsupportedError:  # it does not fit into memory
         return outcome
     if diagnosis.status not in ("infeasible", "unbounded"):
@@ -364,7 +346,7 @@ def _judged(
     finite optimum it says where the solver stopped.
     """
     if candidate.status == "unbounded":
-        candidate = _if_feasible(problem, candidate, _left(end))
+        candidate = _if_feasible(problem, candidate, seconds_left(end))
     outcome = judged(problem, candidate, method, backend, tolerance)
     if _rank(outcome) == 2 or outcome.interrupted or not (candidate.status == "unbounded" or _far(outcome)):
         return outcome
@@ -372,7 +354,7 @@ def _judged(
         along = steepest_recession(problem)
         if along is None or unbounded_direction(problem, along) is None:
             return outcome
-        claim = _if_feasible(problem, replace(candidate, status="unbounded", descent=along), _left(end))
+        claim = _if_feasible(problem, replace(candidate, status="unbounded", descent=along), seconds_left(end))
     except UnsupportedError:  # the program does not fit into memory
         return outcome
     found = judged(problem, replace(claim, trajectory=None, multipliers=None), method, backend, tolerance)

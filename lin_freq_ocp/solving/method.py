@@ -8,6 +8,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
@@ -46,6 +47,6 @@ class Method(Protocol):
         ...
 
 
-def seconds_left(end: float, now: float) -> float | None:
+def seconds_left(end: float) -> float | None:
     """Return the seconds from now to the end, never zero; None without an end."""
-    return None if end == np.inf else max(end - now, LEAST_SECONDS)
+    return None if end == np.inf else max(end - now(), LEAST_SECONDS)

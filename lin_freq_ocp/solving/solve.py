@@ -22,14 +22,13 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE, PEAK_TOLERANCE
-from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, at_frequencies, translation_of
-from lin_freq_ocp.problem.starts import Start, start_of
+from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
-from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import backend as solver_named
 from lin_freq_ocp.program.backends.base import names
@@ -48,85 +47,47 @@ SMALL = 2e-7  # below the excess that the judge allows
 Frequencies = dict[str, Array]
 
 
-def solved_by(
-    method: Method, problem: OptimalControlProblem, request: Request, tolerance: float | None = None
-) -> Outcome:
-    """Solve a problem by a method, in rounds if it has masks at every frequency."""
-    if all(term.everywhere is None for term in problem.terms):
-        return method.solve(problem, request)
-    return solve_at_every_frequency(problem, method, request, tolerance)
-
-
 def solve_at_every_frequency(
     problem: OptimalControlProblem, method: Method, request: Request, tolerance: float | None = None
 ) -> Outcome:
     """Solve a problem with masks at every frequency by any method, and judge the answer."""
     request = replace(request, again=None, tree=None)
     end = now() + request.time_limit
-    frequencies = {term.name: term.map.places for term in problem.terms if term.everywhere is not None}
+    masks = [(term, term.everywhere) for term in problem.terms if term.everywhere is not None]
+    frequencies = {term.name: term.map.places for term, _ in masks}
     seconds, excess, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
-        left = seconds_left(end, now())
+        left = seconds_left(end)
         relaxed = at_frequencies(problem, frequencies, relaxed=True)
         found = method.solve(relaxed, request if left is None else replace(request, time_limit=left))
         seconds |= {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}
         if found.trajectory is None or found.multipliers is None:
             rounds.append(_Round(found, frequencies, np.inf))
             break
-        added, largest = _added(problem, frequencies, found.trajectory)
+        # the frequencies of peaks above their limit, and the largest excess
+        x, u, added, largest = found.trajectory.x, found.trajectory.u, Frequencies(), 0.0
+        for term, mask in masks:
+            known, raised = frequencies[term.name], 1.0
+            if not term.hard:  # by how much a soft mask is paid to be exceeded at its frequencies
+                size = np.linalg.norm(mask.map.placed(known).values(x, u), axis=1)
+                raised = float((size / mask.limit_at(known)).max(initial=1.0))
+            added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + EXCESS / 2))
+            largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
         rounds.append(_Round(found, frequencies, largest))
         converged = largest <= EXCESS or (largest < SMALL and largest > LESS * excess)
         if converged or found.status == Status.LIMIT or found.interrupted:
             break
-        excess = largest
-        frequencies = _next(problem, frequencies, added, found.trajectory, found.multipliers)
+        excess, before, frequencies = largest, frequencies, Frequencies()
+        for term, mask in masks:
+            known, new = before[term.name], added[term.name]
+            weight = np.linalg.norm(found.multipliers.stage[term.name], axis=1)
+            kept = weight > IDLE * weight.max(initial=0.0)
+            nearest = mask.distances(known, new).min(axis=1, initial=np.inf)
+            joined = np.unique(np.concatenate([known[kept & (nearest > APART)], new]), axis=0)
+            frequencies[term.name] = joined if len(joined) else known
     proven = [one for one in rounds if one.found.status == Status.OPTIMAL and one.excess < PEAK_TOLERANCE]
     best = min(proven, key=lambda one: one.excess) if proven else rounds[-1]
     return best.restated(problem, seconds, tolerance)
-
-
-def _added(
-    problem: OptimalControlProblem, frequencies: Frequencies, trajectory: Trajectory
-) -> tuple[Frequencies, float]:
-    """Return the frequencies of peaks above their limit, by name of the term, and the largest excess."""
-    added, largest = Frequencies(), 0.0
-    for term in problem.terms:
-        if term.everywhere is not None:
-            raised = _raised(term, frequencies[term.name], trajectory)
-            above = raised * (1.0 + EXCESS / 2)
-            added[term.name], ratios = peaks_above(term.everywhere, trajectory.x, trajectory.u, above)
-            largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
-    return added, largest
-
-
-def _raised(term: Term, frequencies: Array, trajectory: Trajectory) -> float:
-    """Return the factor by which a soft mask is paid to be exceeded at its frequencies; 1 of a hard one."""
-    if term.hard or term.everywhere is None:
-        return 1.0
-    values, limits = term.everywhere.map.placed(frequencies), term.everywhere.limit_at(frequencies)
-    size = np.linalg.norm(values.values(trajectory.x, trajectory.u), axis=1)
-    return float((size / limits).max(initial=1.0))
-
-
-def _next(
-    problem: OptimalControlProblem,
-    frequencies: Frequencies,
-    added: Frequencies,
-    trajectory: Trajectory,
-    multipliers: Multipliers,
-) -> Frequencies:
-    """Return the frequencies of the next round."""
-    found = Frequencies()
-    for term in problem.terms:
-        if term.everywhere is None:
-            continue
-        own, new = frequencies[term.name], added[term.name]
-        weight = np.linalg.norm(multipliers.stage[term.name], axis=1)
-        kept = weight > IDLE * weight.max(initial=0.0)
-        nearest = term.everywhere.distances(own, new).min(axis=1, initial=np.inf)
-        joined = np.unique(np.concatenate([own[kept & (nearest > APART)], new]), axis=0)
-        found[term.name] = joined if len(joined) else own
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +103,12 @@ class _Round:
         found = self.found
         if problem.dynamics.mode_names:
             return self._of_modes(problem, seconds)
+        unsolved = found.status in (Status.UNBOUNDED, Status.LIMIT, Status.NUMERICAL_ERROR)
         candidate = Candidate(
-            "infeasible" if found.ray is not None else _claimed(found.status),
+            "infeasible" if found.ray is not None else str(found.status) if unsolved else "optimal",
             found.trajectory,
-            self._placed(found.multipliers),
-            self._placed(found.ray),
+            found.multipliers and self._placed(found.multipliers),
+            found.ray and self._placed(found.ray),
             message=found.message,
             seconds=seconds,
             interrupted=found.interrupted,
@@ -157,8 +119,8 @@ class _Round:
 
     def _of_modes(self, problem: OptimalControlProblem, seconds: dict[str, float]) -> Outcome:
         """Return the outcome of a search over modes: its bound is that of the relaxed problem, below the optimum."""
-        found, multipliers = self.found, self._placed(self.found.multipliers)
-        evidence = None if found.evidence is None else found.evidence.with_multipliers(self._placed_all)
+        found, multipliers = self.found, self.found.multipliers and self._placed(self.found.multipliers)
+        evidence = None if found.evidence is None else found.evidence.with_multipliers(self._placed)
         outcome = replace(found, problem=problem, multipliers=multipliers, seconds=seconds, evidence=evidence)
         if found.certificate is None or found.trajectory is None or multipliers is None:
             return outcome
@@ -174,10 +136,7 @@ class _Round:
             return replace(outcome, certificate=certificate, status=status, message=message)
         return replace(outcome, certificate=certificate)
 
-    def _placed(self, multipliers: Multipliers | None) -> Multipliers | None:
-        return None if multipliers is None else self._placed_all(multipliers)
-
-    def _placed_all(self, multipliers: Multipliers) -> Multipliers:
+    def _placed(self, multipliers: Multipliers) -> Multipliers:
         """Return multipliers with the frequencies that they stand at; those of zero are left out."""
         stage, frequencies = dict(multipliers.stage), Frequencies()
         for name, w in self.frequencies.items():
@@ -185,10 +144,6 @@ class _Round:
             used = np.flatnonzero(weights.any(axis=1))
             stage[name], frequencies[name] = weights[used], w[used]
         return replace(multipliers, stage=stage, frequencies=frequencies)
-
-
-def _claimed(status: Status) -> str:
-    return str(status) if status in (Status.UNBOUNDED, Status.LIMIT, Status.NUMERICAL_ERROR) else "optimal"
 
 
 COARSE = 1e-8  # rounding of a state, relative to what it moves, that may be worth as much as the allowed gap
@@ -249,13 +204,18 @@ def solve_translated(
 
     Start and progress of the request are those of the given problem; what it keeps of earlier solves is not.
     """
-    start, progress = request.start, request.progress
-    request = replace(
-        request,
-        start=None if start is None else _translated_start(translation, start),
-        progress=None if progress is None else _raised_report(progress, translation.cost),
-    )
-    return solved_by(method, translation.problem, request, tolerance)
+    problem, start, progress, constant = translation.problem, request.start, request.progress, translation.cost
+    if start is not None and start.trajectory is not None:
+        request = replace(request, start=replace(start, trajectory=translation.translated(start.trajectory)))
+    if progress is not None and constant:
+
+        def report(at: Progress) -> None:  # for the cost of the given problem
+            progress(replace(at, cost=at.cost + constant, lower_bound=at.lower_bound + constant))
+
+        request = replace(request, progress=report)
+    if all(term.everywhere is None for term in problem.terms):
+        return method.solve(problem, request)
+    return solve_at_every_frequency(problem, method, request, tolerance)
 
 
 def restored_outcome(translation: Translation, outcome: Outcome, tolerance: float | None = None) -> Outcome:
@@ -273,8 +233,12 @@ def restored_outcome(translation: Translation, outcome: Outcome, tolerance: floa
     trajectory = translation.restored(outcome.trajectory)
     if outcome.certificate is None or outcome.multipliers is None:
         return replace(outcome, trajectory=trajectory)
-    before = outcome.certificate
-    after = _judged_again(translation, trajectory, outcome.multipliers, before, allowed_residual(tolerance))
+    # bounds and directions of a search do not depend on the rounding
+    before, at = outcome.certificate, translation.translated(trajectory)
+    after = judge(translation.problem, at, outcome.multipliers, allowed_residual(tolerance))
+    after = replace(after, descent=before.descent)
+    if translation.given.dynamics.mode_names:
+        after = replace(after, bound=before.bound, borders=before.borders)
     status, message = outcome.status, outcome.message
     if status in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
         gap = max(before.gap or 0.0, 0.0) + GAP_TOLERANCE
@@ -288,16 +252,6 @@ def restored_outcome(translation: Translation, outcome: Outcome, tolerance: floa
     )
 
 
-def _judged_again(
-    translation: Translation, trajectory: Trajectory, multipliers: Multipliers, before: Certificate, allowed: float
-) -> Certificate:
-    """Return the certificate of a rounded trajectory; bounds and directions of a search do not depend on it."""
-    after = judge(translation.problem, translation.translated(trajectory), multipliers, allowed)
-    if translation.given.dynamics.mode_names:
-        return replace(after, bound=before.bound, borders=before.borders, descent=before.descent)
-    return replace(after, descent=before.descent)
-
-
 def _rounding(translation: Translation, trajectory: Trajectory) -> str:
     """Return which state is rounded by how much, where that may be why an answer is not optimal; else nothing."""
     size, moves = np.spacing(np.abs(translation.origin)), np.ptp(trajectory.x, axis=0)
@@ -306,17 +260,3 @@ def _rounding(translation: Translation, trajectory: Trajectory) -> str:
         return ""
     name = translation.given.state_names[i]
     return f"{name} lies so far from zero that double precision rounds it by {size[i]:.1e}: count it from nearer"
-
-
-def _translated_start(translation: Translation, start: Start) -> Start:
-    at = start.trajectory
-    return start if at is None else replace(start, trajectory=translation.translated(at))
-
-
-def _raised_report(report: Report, constant: float) -> Report:
-    """Return a report of progress for the cost of the given problem."""
-
-    def raised(progress: Progress) -> None:
-        report(replace(progress, cost=progress.cost + constant, lower_bound=progress.lower_bound + constant))
-
-    return raised if constant else report

@@ -108,7 +108,11 @@ class Solves:
         if not program.P.nnz and not program.q.any():
             y = np.zeros_like(y)  # nothing to minimise: multipliers of zero are exact, the solver's are rounding
         point, duals = scaling.primal(z), scaling.dual(y)
-        residuals = _residuals(self.transcription, scaling, point, duals)
+        residuals = Residuals(np.inf, np.inf, np.inf)
+        if (np.abs(point) < DIVERGED_SIZE * scaling.columns).all():  # in the units of the point
+            own = own_scaling(self.transcription, point, scaling.columns)
+            at, sizes = own.scaled_primal(point), own.scaled_primal(own_sizes(self.transcription, point))
+            residuals = self.transcription.program.scaled(own).residuals(at, own.scaled_dual(duals), sizes)
         if late or claim in (Claim.LIMIT, Claim.INTERRUPTED):
             status = "limit"
         else:
@@ -145,12 +149,3 @@ def better_of(one: Attempt, other: Attempt) -> Attempt:
     if other.ended:
         return replace(one, candidate=replace(one.candidate, interrupted=other.candidate.interrupted))
     return other if other.error < one.error else one
-
-
-def _residuals(transcription: LinearTranscription, scaling: Scaling, z: Array, y: Array) -> Residuals:
-    """Return the residuals of a point and duals, both in the program's own units, in those of the point."""
-    if not (np.abs(z) < DIVERGED_SIZE * scaling.columns).all():
-        return Residuals(np.inf, np.inf, np.inf)
-    own = own_scaling(transcription, z, scaling.columns)
-    sizes = own.scaled_primal(own_sizes(transcription, z))
-    return transcription.program.scaled(own).residuals(own.scaled_primal(z), own.scaled_dual(y), sizes)

@@ -95,22 +95,25 @@ def convex_candidates(
     target = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
     asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
     solves = Solves(transcription, solver, tolerance, asked, end, target)
-    best = _best_attempt(solves, scaling)
+    best = _revise_units(solves, solves.attempt(scaling))
+    # other units where it is not accurate, each from the best attempt so far
+    ways: list[Callable[[Attempt], Attempt]] = [
+        lambda best: solves.attempt(
+            scaling if best.z is None else own_scaling(transcription, best.z, scaling.columns, per_time=True)
+        ),
+        lambda best: solves.attempt(stated_scaling(transcription)),
+        lambda best: solves.attempt(plain_scaling(transcription)),
+    ]
+    if asked > DEFAULT_TOLERANCE:
+        ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
+    for attempt in ways:
+        if best.ended or best.error <= max(SOLVED_TOLERANCE, tolerance or 0.0) or solves.over:
+            break
+        best = better_of(best, _revise_units(solves, attempt(best)))
     seconds = {"setup": ready - started, "solve": now() - ready}
     yield replace(best.candidate, seconds=seconds)
     for candidate in other_candidates(solves, scaling, best):
         yield replace(candidate, seconds={**seconds, "solve": now() - ready})
-
-
-def _best_attempt(solves: Solves, scaling: Scaling) -> Attempt:
-    """Return the best attempt: in the given units, in those of the answers, and in others if none is accurate."""
-    best = _revise_units(solves, solves.attempt(scaling))
-    allowed = max(SOLVED_TOLERANCE, solves.tolerance or 0.0)
-    for other in _other_attempts(solves, scaling):
-        if best.ended or best.error <= allowed or solves.over:
-            break
-        best = better_of(best, _revise_units(solves, other(best)))
-    return best
 
 
 def _revise_units(solves: Solves, attempt: Attempt) -> Attempt:
@@ -129,27 +132,26 @@ def _revise_units(solves: Solves, attempt: Attempt) -> Attempt:
     return best
 
 
-def _other_attempts(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Attempt]]:
-    """Return further solves, each from the best attempt so far."""
-    transcription = solves.transcription
-    ways: list[Callable[[Attempt], Attempt]] = [
-        lambda best: solves.attempt(
-            natural if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time=True)
-        ),
-        lambda best: solves.attempt(stated_scaling(transcription)),
-        lambda best: solves.attempt(plain_scaling(transcription)),
-    ]
-    if solves.asked > DEFAULT_TOLERANCE:
-        ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
-    return ways
-
-
 def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
     """Yield other candidates than the best attempt until the time limit or Ctrl-C; ``natural``: the expected units."""
     if best.ended:
         return
     yield from _versions(solves, natural, best)
-    for units in _other_units(solves, natural):
+    transcription = solves.transcription
+
+    def own(attempt: Attempt, per_time: bool) -> Scaling | None:
+        return None if attempt.z is None else own_scaling(transcription, attempt.z, natural.columns, per_time)
+
+    # each from the best attempt so far; units that need its point come last
+    others: list[Callable[[Attempt], Scaling | None]] = [
+        lambda _: plain_scaling(transcription),
+        lambda _: stated_scaling(transcription),
+        lambda _: natural,
+        lambda _: bounds_scaling(transcription, natural),
+        lambda attempt: own(attempt, per_time=False),
+        lambda attempt: own(attempt, per_time=True),
+    ]
+    for units in others:
         for solve in (solves.complete, solves.near):
             if solves.over:
                 return
@@ -165,23 +167,6 @@ def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterato
                 yield attempt.candidate
             yield from _versions(solves, natural, attempt)
             best = better_of(best, attempt)
-
-
-def _other_units(solves: Solves, natural: Scaling) -> list[Callable[[Attempt], Scaling | None]]:
-    """Return other units, each from the best attempt so far; units that need its point come last."""
-    transcription = solves.transcription
-
-    def own(best: Attempt, per_time: bool) -> Scaling | None:
-        return None if best.z is None else own_scaling(transcription, best.z, natural.columns, per_time)
-
-    return [
-        lambda _: plain_scaling(transcription),
-        lambda _: stated_scaling(transcription),
-        lambda _: natural,
-        lambda _: bounds_scaling(transcription, natural),
-        lambda best: own(best, per_time=False),
-        lambda best: own(best, per_time=True),
-    ]
 
 
 def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
@@ -239,7 +224,15 @@ def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: 
 
     It is computed where the slope at ``near`` is small.
     """
-    if any(not term.hard for term in problem.terms) or _slope(problem, near) > FLAT_SLOPE:
+    if any(not term.hard for term in problem.terms):
+        return None
+    # the largest slope of the cost, relative to that of terms of the stated sizes
+    signals = near.x, near.u
+    steady = [np.broadcast_to(size, at.shape) for size, at in zip(stated_sizes(problem), signals, strict=True)]
+    slopes = zip(problem.quadratic.gradient(*signals), steady, strict=True)
+    usual = zip(problem.quadratic.gradient_magnitudes(*steady), steady, strict=True)
+    most, least = (max(float(np.abs(g * size).max()) for g, size in pairs) for pairs in (usual, slopes))
+    if not most > 0 or least / most > FLAT_SLOPE:
         return None
     transcription, scaling, program = scaled_program(problem)
     curved = np.flatnonzero(abs(program.P).sum(1) + np.abs(program.q))
@@ -260,17 +253,6 @@ def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: 
     z: Array = scaling.primal(solution.z if better is None else better[0])
     none = transcription.multipliers(np.zeros(len(program.lower)), 1.0)
     return Candidate("optimal", transcription.trajectory(z), none, message="a point where the cost has no slope")
-
-
-def _slope(problem: OptimalControlProblem, at: Trajectory) -> float:
-    """Return the largest slope of the cost, relative to that of terms of the stated sizes."""
-    steady = [
-        np.broadcast_to(size, signal.shape) for size, signal in zip(stated_sizes(problem), (at.x, at.u), strict=True)
-    ]
-    slopes = zip(problem.quadratic.gradient(at.x, at.u), steady, strict=True)
-    usual = zip(problem.quadratic.gradient_magnitudes(*steady), steady, strict=True)
-    most, least = (max(float(np.abs(g * size).max()) for g, size in pairs) for pairs in (usual, slopes))
-    return least / most if most > 0 else np.inf
 
 
 def structured_first(problem: OptimalControlProblem) -> str:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -54,8 +53,13 @@ def bounded_qp(
     """
     if upper is not None and response is not None:
         decided = np.isfinite(upper) & (np.diagonal(S) < tol.DECIDED_SOFT * response)
-        if decided.any():
-            return _with_decided(S, d, start, unconstrained, stop, upper, decided)
+        if decided.any():  # they are at a bound of their multipliers
+            lam, rest, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
+            if rest.any():
+                free = None if unconstrained is None else unconstrained[rest]
+                target = d[rest] + S[np.ix_(rest, decided)] @ lam[decided]
+                lam[rest], accurate = bounded_qp(S[np.ix_(rest, rest)], target, start[rest], free, stop, upper[rest])
+            return lam, accurate
     unit = 1 / np.sqrt(np.maximum(np.diagonal(S), tol.TINY))
     size = max(float((np.abs(d) * unit).max()), tol.TINY)
     A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
@@ -67,24 +71,6 @@ def bounded_qp(
     thin = None if unconstrained is None else unconstrained * unit**2
     lam, accurate = interior_point(A, b, thin, stop, warm, most)
     return _in_units(lam, unit * size, most, upper), accurate
-
-
-def _with_decided(
-    S: Array,
-    d: Array,
-    start: Array,
-    unconstrained: Array | None,
-    stop: Callable[[], str | None],
-    upper: Array,
-    decided: Mask,
-) -> tuple[Array, bool]:
-    """Return the answer with rows that equations decide, (count,), at a bound of their multipliers."""
-    lam, rest, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
-    if rest.any():
-        free = None if unconstrained is None else unconstrained[rest]
-        target = d[rest] + S[np.ix_(rest, decided)] @ lam[decided]
-        lam[rest], accurate = bounded_qp(S[np.ix_(rest, rest)], target, start[rest], free, stop, upper[rest])
-    return lam, accurate
 
 
 def _in_units(lam: Array, units: Array, most: Array | None, upper: Array | None) -> Array:
@@ -150,6 +136,10 @@ def interior_point(
     weights = caps.inside(lam, least)
     z = caps.slacks(system.times(weights[:count]) + b, weights, least)
     best = np.inf, weights, z
+
+    def newton(target: Array) -> tuple[Array, Array]:  # the steps of no other unknowns and of (lam, w)
+        return np.zeros(0), caps.steps(system.solve(defect + caps.slope(target / weights)))
+
     for _ in range(INTERIOR_STEPS):
         lam = weights[:count]
         defect, mu = caps.slope(z) - system.times(lam) - b, float(weights @ z) / len(weights)
@@ -163,19 +153,11 @@ def interior_point(
             if ridge > tol.LARGEST_RIDGE:
                 break
             continue
-        newton = partial(_newton_step, system, caps, weights, defect)
         _, weights, z, length = predictor_corrector(newton, weights, z, mu, max(TO_BOUNDARY, 1 - mu))
         if length < tol.INTERIOR_ACCURATE:
             break
     error, weights, z = best
     return _polish(system, b, caps, weights, z), error < tol.INTERIOR_ACCURATE
-
-
-def _newton_step(
-    system: _Dense | _Thin, caps: Caps, weights: Array, defect: Array, target: Array
-) -> tuple[Array, Array]:
-    """Return the steps of no other unknowns and of (lam, w)."""
-    return np.zeros(0), caps.steps(system.solve(defect + caps.slope(target / weights)))
 
 
 def _polish(system: _Dense | _Thin, b: Array, caps: Caps, weights: Array, z: Array) -> Array:
@@ -382,21 +364,7 @@ class BorderedQp:
             step, weights, accurate = replace(self, upper=np.full(len(self.upper), np.inf)).solve(stop)
             if accurate and (weights <= self.upper).all():
                 return step, weights, True
-        scaled, border, rows, size = self._in_unit_scale()
-        p, weights, z, accurate = _bordered_interior_point(scaled, stop)
-        active, held = Caps(scaled.upper).split(weights, z)
-        polished = None if stop() else _bordered_polish(scaled, active, held)
-        weights, z = weights[: len(held)], z[: len(held)]
-        if polished is None:
-            idle = tol.IDLE_WEIGHT * np.maximum(z, float(weights.max(initial=0.0)))
-            weights = np.where(weights < idle, 0.0, weights)
-        else:
-            p, weights = polished
-        found = np.where(weights >= scaled.upper, self.upper, weights * rows * size)
-        return p * border * size, found, accurate
-
-    def _in_unit_scale(self) -> tuple[BorderedQp, Array, Array, float]:
-        """Return the problem in units of order 1, with the units of p, of l, and of both."""
+        # in units of order 1
         units = equilibration(np.block([[self.K, self.C], [self.C.T, self.S]]))
         border, rows = np.split(units, [len(self.K)])
         parts = self.r * border, self.slack * rows, self.weights / rows
@@ -412,7 +380,17 @@ class BorderedQp:
             weights=parts[2] / size,
             upper=self.upper / rows / size,
         )
-        return scaled, border, rows, size
+        p, weights, z, accurate = _bordered_interior_point(scaled, stop)
+        active, held = Caps(scaled.upper).split(weights, z)
+        polished = None if stop() else _bordered_polish(scaled, active, held)
+        weights, z = weights[: len(held)], z[: len(held)]
+        if polished is None:
+            idle = tol.IDLE_WEIGHT * np.maximum(z, float(weights.max(initial=0.0)))
+            weights = np.where(weights < idle, 0.0, weights)
+        else:
+            p, weights = polished
+        found = np.where(weights >= scaled.upper, self.upper, weights * rows * size)
+        return p * border * size, found, accurate
 
 
 def _bordered_interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Array, Array, Array, bool]:
@@ -424,6 +402,11 @@ def _bordered_interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> 
     matrix = np.empty((b + count, b + count), order="F")
     matrix[:b, :b], matrix[:b, b:], matrix[b:, :b] = qp.K, qp.C, qp.C.T
     diagonal = np.arange(b, b + count)
+
+    def newton(target: Array) -> tuple[Array, Array]:  # the steps of p and of (l, u - l)
+        step = dgetrs(factor, pivots, np.concatenate([r1, -r2 - caps.slope(target / weights)]))[0]
+        return step[:b], caps.steps(step[b:])
+
     for _ in range(INTERIOR_STEPS):
         change = weights[:count] - qp.weights
         r1 = qp.r - qp.C @ change - qp.K @ p
@@ -439,21 +422,12 @@ def _bordered_interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> 
         factor, pivots, failed = dgetrf(matrix)
         if failed:
             break
-        newton = partial(_bordered_newton_step, (factor, pivots), r1, r2, caps, weights)
         dp, weights, z, length = predictor_corrector(newton, weights, z, mu)
         p = p + dp
         if length < tol.SHORTEST_STEP:
             break
     error, p, weights, z = best
     return p, weights, z, error < tol.BORDERED_ACCURATE
-
-
-def _bordered_newton_step(
-    factor: tuple[Array, Array], r1: Array, r2: Array, caps: Caps, weights: Array, target: Array
-) -> tuple[Array, Array]:
-    """Return the Newton steps of p and of (l, u - l)."""
-    step = dgetrs(*factor, np.concatenate([r1, -r2 - caps.slope(target / weights)]))[0]
-    return step[: len(r1)], caps.steps(step[len(r1) :])
 
 
 def _bordered_polish(qp: BorderedQp, active: Mask, held: Array) -> tuple[Array, Array] | None:

@@ -22,7 +22,7 @@ from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import soft_sets
-from lin_freq_ocp.methods.spectral.rows import Rows, WorkingSet
+from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import Data, EndsModel, Structure, forces
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
@@ -75,8 +75,10 @@ def recover(structure: Structure, data: Data, outcome: ExchangeOutcome, spectrum
     band = through_controls - gradient[n:]
     stationarity = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon
     band[lti.passed] = 0.0
-    eta, on_rows = fft.irfft(eta_hat, lti.horizon), _row_multipliers(structure, working, y)
-    kkt = structure.kkt
+    eta, kkt = fft.irfft(eta_hat, lti.horizon), structure.kkt
+    on_rows, fixed = np.zeros((len(lti.F), lti.horizon + 1)), slice(lti.start_points, len(kkt.point_t))
+    np.add.at(on_rows, (working.f, working.t), working.sign * working.weights)
+    np.add.at(on_rows, (kkt.point_f[fixed], kkt.point_t[fixed]), y[fixed])
     on_bands, rho_x = y[len(y) - len(kkt.bands) :], np.zeros(lti.state_stop.shape, dtype=np.complex128)
     for i in kkt.band_components:
         rho_x[:, i] = bin_multipliers(lti.state_samples, lti.state_stop[:, i], on_bands[kkt.band_component == i])
@@ -98,16 +100,6 @@ def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) ->
         eta[:, singular.k] += singular.left * (scale * kkt.lti.horizon / weight * value)
         row += int(weight)
     return eta
-
-
-def _row_multipliers(structure: Structure, working: WorkingSet, y: Array) -> Array:
-    """Return the multipliers of F y_t at t < T and of x_T, (rows, T+1)."""
-    kkt, lti, n = structure.kkt, structure.kkt.lti, structure.kkt.lti.start_points
-    on_rows = np.zeros((len(lti.F), lti.horizon + 1))
-    np.add.at(on_rows, (working.f, working.t), working.sign * working.weights)
-    fixed = slice(n, len(kkt.point_t))
-    np.add.at(on_rows, (kkt.point_f[fixed], kkt.point_t[fixed]), y[fixed])
-    return on_rows
 
 
 def _set_ends(kkt: BorderedSystem, lti: Lti, outcome: ExchangeOutcome, found: Recovered, on_bands: Array) -> None:
@@ -235,8 +227,12 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUni
     forces = found.on_rows[: n + m].T * np.concatenate([x, u])
     on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in soft_sets(problem) or ()}
     on_ends: dict[str, Array] = {}
-    if structure.kkt.lti.periodic:
-        on_ends[Periodic.name] = _of_the_period(problem, found.eta[:, -1] * x, forces[:, :n])
+    if structure.kkt.lti.periodic:  # the multiplier of x_T - x_0 = 0; mu_0 moves to mu_T where x_T has the bound
+        tube, mu = problem.state_tube, forces[:, :n]
+        at_end = np.where(mu[0] > 0, tube.upper[-1] < tube.upper[0], tube.lower[-1] > tube.lower[0])
+        mu[-1] = np.where(at_end, mu[0], 0.0)
+        mu[0] -= mu[-1]
+        on_ends[Periodic.name] = sealed((-(found.eta[:, -1] * x) - mu[-1])[None])
     weights = found.on_rows[n + m :, :-1] * (units.cost / units.rows)[:, None]
     splits = np.cumsum([rows.e.shape[-1] for rows in problem.stage_rows])[:-1]
     on_stage_rows = np.split(weights, splits) if problem.stage_rows else []
@@ -249,15 +245,6 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUni
         found.rho_x * x,
         {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_sets | on_ends,
     )
-
-
-def _of_the_period(problem: OptimalControlProblem, eta: Array, mu: Array) -> Array:
-    """Return the multiplier of x_T - x_0 = 0, (1, n), from eta_{T-1}; mu_0 moves to mu_T where x_T has the bound."""
-    tube = problem.state_tube
-    at_end = np.where(mu[0] > 0, tube.upper[-1] < tube.upper[0], tube.lower[-1] > tube.lower[0])
-    mu[-1] = np.where(at_end, mu[0], 0.0)
-    mu[0] -= mu[-1]
-    return sealed((-eta - mu[-1])[None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,12 +265,6 @@ class Together:
     interrupted: bool = False
 
 
-def takes_batches(structure: Structure) -> bool:
-    """Whether a problem has neither joint or soft rows nor state bands."""
-    lti = structure.kkt.lti
-    return len(lti.F) == len(lti.M) and lti.prices is None and not len(structure.kkt.bands)
-
-
 class BatchRecovery:
     """Signals and multipliers of a batch of initial states, in the units of the method, time or bins last.
 
@@ -295,7 +276,11 @@ class BatchRecovery:
         self._structure, self._lti, kkt = structure, model.lti, structure.kkt
         lti, (n, T) = self._lti, (self._lti.state_dim, self._lti.horizon)
         self._theta, self._equations = np.split(step, [kkt.size], axis=1)
-        self._on_rows = self._row_multipliers(model, weights)
+        whole, fixed = model.whole, slice(n, len(kkt.point_t))
+        self._on_rows = np.zeros((len(weights), len(lti.F), T + 1))
+        self._on_rows[:, whole.rows, :-1] = weights[:, :-n].reshape(len(weights), -1, T)
+        self._on_rows[:, :n, -1] = weights[:, -n:]
+        self._on_rows[:, kkt.point_f[fixed], kkt.point_t[fixed]] += self._equations[:, fixed]
         pulses = self._on_rows[:, :, :T].copy()
         pulses[:, kkt.point_f[:n], kkt.point_t[:n]] += self._equations[:, :n]
         force = fft.rfft(pulses)
@@ -310,17 +295,12 @@ class BatchRecovery:
         eta_hat = self._adjoint(gradient)
         self._band = (np.einsum("ja,Njk->Nak", lti.B, eta_hat) - gradient[:, n:]) * ~lti.passed
         self._eta = fft.irfft(eta_hat, T)
-        self._set_ends()
-
-    def _row_multipliers(self, model: EndsModel, weights: Array) -> Array:
-        """Return the multipliers of F y_t at t < T and of x_T, (N, rows, T+1)."""
-        lti, kkt, whole, n = self._lti, self._structure.kkt, model.whole, self._lti.state_dim
-        on_rows = np.zeros((len(weights), len(lti.F), lti.horizon + 1))
-        on_rows[:, whole.rows, :-1] = weights[:, :-n].reshape(len(weights), -1, lti.horizon)
-        on_rows[:, :n, -1] = weights[:, -n:]
-        fixed = slice(n, len(kkt.point_t))
-        on_rows[:, kkt.point_f[fixed], kkt.point_t[fixed]] += self._equations[:, fixed]
-        return on_rows
+        # mu_0, mu_T where ends are fixed by transversality
+        first = self._y[:, :, 0] @ lti.M[:n].T + (0.0 if lti.linear is None else lti.linear[:n, 0])
+        last = self._last @ lti.P + lti.p
+        start, end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
+        self._on_rows[:, start, 0] = (self._eta[:, :, 0] @ lti.A - first)[:, start]
+        self._on_rows[:, end, -1] = (-self._eta[:, :, -1] - last)[:, end]
 
     def _spectrum(self, base: ComplexArray, force: ComplexArray) -> ComplexArray:
         """Return the spectrum of y, (N, n+m, bins)."""
@@ -344,15 +324,6 @@ class BatchRecovery:
             eta[:, :, singular.k] += (scale * self._lti.horizon / weight) * value[:, None] * singular.left
             row += weight
         return eta
-
-    def _set_ends(self) -> None:
-        """Set mu_0, mu_T where ends are fixed by transversality."""
-        lti, n = self._lti, self._lti.state_dim
-        first = self._y[:, :, 0] @ lti.M[:n].T + (0.0 if lti.linear is None else lti.linear[:n, 0])
-        last = self._last @ lti.P + lti.p
-        start, end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
-        self._on_rows[:, start, 0] = (self._eta[:, :, 0] @ lti.A - first)[:, start]
-        self._on_rows[:, end, -1] = (-self._eta[:, :, -1] - last)[:, end]
 
     def in_units(self, units: LtiUnits, found: Mask, rows: Rows | None) -> Together:
         """Return everything in the user's units, time before components."""

@@ -68,19 +68,16 @@ def row_form(problem: OptimalControlProblem) -> RowForm:
         return RowForm(problem, problem, ())
     polyhedra = tuple(rows for rows, _ in found)
     try:
-        prices = [None if term.hard else float(np.max(term.penalty.weights)) for _, term in found]
-        rows = [
-            joint
-            for (given, _), price in zip(found, prices, strict=True)
-            for joint in _stage_rows(problem, given, price)
-        ]
+        joint = list[StageRows]()
+        for rows, term in found:
+            joint += _stage_rows(problem, rows, None if term.hard else float(np.max(term.penalty.weights)))
         changed = replace(
             problem,
             state_set=problem.state_boxes,
             control_set=problem.control_tube,
             initial_state=problem.initial_box,
             terminal_state=problem.terminal_box,
-            stage_rows=[*problem.stage_rows, *rows],
+            stage_rows=[*problem.stage_rows, *joint],
         )
     except ProblemError:  # a row on x_T that no control and no state before it can change
         return RowForm(problem, problem, ())

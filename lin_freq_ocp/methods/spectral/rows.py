@@ -235,19 +235,16 @@ class WorkingSet:
         if not len(t):
             return 0
         self._mark(t, f, sign, True)
-        self.coupling, self._known_gram = np.hstack([self.coupling, self._coupling_columns(t, f, sign)]), None
+        kkt, inner = self._kkt, t < self._kkt.lti.horizon
+        columns = np.zeros((len(self.coupling), len(t)))
+        columns[: kkt.size, inner] = kkt.values(t[inner], f[inner]).T
+        columns[kkt.size :, inner] = -kkt.responses(t[inner], f[inner])
+        free = np.flatnonzero(~inner)
+        columns[kkt.at_end[np.searchsorted(kkt.free_end, f[free])], free] = 1.0
+        self.coupling, self._known_gram = np.hstack([self.coupling, columns * sign]), None
         self.t, self.f = np.concatenate([self.t, t]), np.concatenate([self.f, f])
         self.sign, self.weights = np.concatenate([self.sign, sign]), np.concatenate([self.weights, np.zeros(len(t))])
         return len(t)
-
-    def _coupling_columns(self, t: Indices, f: Indices, sign: Array) -> Array:
-        kkt, inner = self._kkt, t < self._kkt.lti.horizon
-        result = np.zeros((len(self.coupling), len(t)))
-        result[: kkt.size, inner] = kkt.values(t[inner], f[inner]).T
-        result[kkt.size :, inner] = -kkt.responses(t[inner], f[inner])
-        free = np.flatnonzero(~inner)
-        result[kkt.at_end[np.searchsorted(kkt.free_end, f[free])], free] = 1.0
-        return result * sign
 
     def keep(self, kept: Mask) -> None:
         """Drop all rows but these."""
@@ -370,21 +367,16 @@ class Neighbourhood:
         values -= kkt.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
         above, below = values - self._upper, self._lower - values
         violation = np.maximum(above, below) / self._scale
-        chosen = np.flatnonzero(self._select(violation, tolerance))
-        return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
-
-    def _select(self, violation: Array, tolerance: float) -> Mask:
-        """Return violated peaks of states, and violated or nearly active samples of the others."""
+        # violated peaks of states, and violated or nearly active samples of the others
         worst = float(violation.max(initial=0.0))
-        if worst <= tolerance:
-            return np.zeros(len(violation), dtype=bool)
-        chosen = violation > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
+        entering = violation > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
         if self._is_state.any():
             follows = np.append(False, (np.diff(self.t) == 1) & (np.diff(self.f) == 0))
             rises = np.append(True, np.diff(violation) >= 0) | ~follows
             falls = np.append(np.append(True, np.diff(violation) <= 0)[1:], True) | ~np.append(follows[1:], False)
-            chosen &= ~self._is_state | (rises & falls)
-        return chosen
+            entering &= ~self._is_state | (rises & falls)
+        chosen = np.flatnonzero(entering & (not worst <= tolerance))
+        return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
 
 
 class ActiveSetDuals(NamedTuple):

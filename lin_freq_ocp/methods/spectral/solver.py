@@ -33,7 +33,6 @@ from lin_freq_ocp.methods.spectral.recovery import (
     in_units,
     recover,
     residuals,
-    takes_batches,
     trajectory,
 )
 from lin_freq_ocp.methods.spectral.reductions import row_form
@@ -201,12 +200,22 @@ class SpectralSolver:
             if ray is not None:
                 message, both = ("an end lies outside the state set", {"setup": 0.0, "solve": now() - started})
                 return SpectralSolution("infeasible", ray=ray, message=message, seconds=both, problem=problem)
+            first, allowed = None, tolerance or tol.VIOLATION_TOLERANCE
             if warm_start is not None:
                 self._require_own(warm_start)
-            first = None if warm_start is None else warm_start.active
-            return self._solve_in_best_units(
-                problem, lti, first, tolerance or tol.VIOLATION_TOLERANCE, time_limit, started
-            )
+                first = warm_start.active
+            with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
+                stop = deadline(time_limit, interrupt.is_set)
+                answer = self._exchange(lti, first, allowed, stop)
+                y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
+                units = revised_units(self._units, y) if optimal else None
+                if units is not None:  # the first turned out to be wrong
+                    better = SpectralSolver._in_units(self.problem, units)
+                    second = better._exchange(lti_problem(problem, units), None, allowed, stop)
+                    if second.outcome.status == "optimal":
+                        self.__dict__.update(better.__dict__)
+                        answer = second
+                return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
 
     def _changed_problem(
         self,
@@ -262,29 +271,6 @@ class SpectralSolver:
             raise ProblemError(
                 "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
             )
-
-    def _solve_in_best_units(
-        self,
-        problem: OptimalControlProblem,
-        lti: Lti,
-        first: Rows | None,
-        allowed: float,
-        limit: float | None,
-        started: float,
-    ) -> SpectralSolution:
-        """Solve, in revised units if the first turn out to be wrong; the caller holds the lock."""
-        with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
-            stop = deadline(limit, interrupt.is_set)
-            answer = self._exchange(lti, first, allowed, stop)
-            y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
-            units = revised_units(self._units, y) if optimal else None
-            if units is not None:
-                better = SpectralSolver._in_units(self.problem, units)
-                second = better._exchange(lti_problem(problem, units), None, allowed, stop)
-                if second.outcome.status == "optimal":
-                    self.__dict__.update(better.__dict__)
-                    answer = second
-            return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
 
     def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> MeasuredOutcome:
         """Exchange from the first working rows, or a kept ray; with a stricter slope where residuals are too large."""
@@ -359,7 +345,10 @@ class SpectralSolver:
             Claims without residuals, for a judge. None where joint rows, state bands, or more than 2500 bounded values
             prevent it.
         """
-        if not takes_batches(self._structure) or np.isnan(self._lti.start).any():
+        lti = self._lti
+        if len(lti.F) > len(lti.M) or lti.prices is not None or len(self._structure.kkt.bands):
+            return None
+        if np.isnan(lti.start).any():
             return None
         if self._last_rows is None:
             self._last_rows = self.solve(initial_state=initial_states[0]).active  # which may revise the units

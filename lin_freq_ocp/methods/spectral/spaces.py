@@ -87,28 +87,24 @@ class NearBins:
         masks, mask_of = np.unique(np.vstack([lti.passed[:, k], real]), axis=1, return_inverse=True)
         for i, (*passed, is_real) in enumerate(masks.T):
             which = np.flatnonzero(mask_of.ravel() == i)
-            self._decompose(lti, which, np.array(passed), z[k[which]].real if is_real else z[k[which]])
+            at = z[k[which]].real if is_real else z[k[which]]
+            allowed = np.concatenate([np.ones(n, dtype=bool), np.array(passed)])
+            F = at[:, None, None] * np.eye(n, n + m) - np.hstack([lti.A, lti.B])
+            self.left[which], self.sigma[which], right = np.linalg.svd(F[:, :, allowed])
+            V = np.zeros((len(at), n + m, right.shape[1]), dtype=at.dtype)
+            V[:, allowed] = right.conj().swapaxes(1, 2)
+            self.right[which], null = V[:, :, :n], V[:, :, n:]
+            columns, cost = null.shape[2], null.conj().swapaxes(1, 2) @ lti.M @ null
+            if columns == 1:
+                self.null[which, :, :1], self.cost[which, :1] = null, cost.real[:, 0]
+            else:
+                h, vectors = np.linalg.eigh(cost)
+                self.null[which, :, :columns], self.cost[which, :columns] = null @ vectors, h
         largest = np.maximum(1.0, self.sigma[:, :1])
         self.sigma[self.sigma < tol.ZERO_SINGULAR_VALUE * largest] = 0.0
         resolved = lti.horizon * distance[k, None] > tol.RESOLVED_PHASE
         self.good = self.sigma > np.where(resolved, tol.LEAST_DIVISOR, tol.SMALL_SINGULAR_VALUE) * largest
         self._inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.good)
-
-    def _decompose(self, lti: Lti, which: Indices, passed: Mask, z: Array | ComplexArray) -> None:
-        """Fill in bins that share a mask of passed controls."""
-        n = lti.state_dim
-        allowed = np.concatenate([np.ones(n, dtype=bool), passed])
-        F = z[:, None, None] * np.eye(n, len(lti.M)) - np.hstack([lti.A, lti.B])
-        self.left[which], self.sigma[which], right = np.linalg.svd(F[:, :, allowed])
-        V = np.zeros((len(z), len(lti.M), right.shape[1]), dtype=z.dtype)
-        V[:, allowed] = right.conj().swapaxes(1, 2)
-        self.right[which], null = V[:, :, :n], V[:, :, n:]
-        columns, cost = null.shape[2], null.conj().swapaxes(1, 2) @ lti.M @ null
-        if columns == 1:
-            self.null[which, :, :1], self.cost[which, :1] = null, cost.real[:, 0]
-        else:
-            h, vectors = np.linalg.eigh(cost)
-            self.null[which, :, :columns], self.cost[which, :columns] = null @ vectors, h
 
     def particular(self, rhs: ComplexArray) -> ComplexArray:
         """Return the pseudo-inverse applied to rhs (n, columns, count), shape (n+m, columns, count)."""

@@ -37,11 +37,30 @@ class Structure:
     """
 
     def __init__(self, lti: Lti):
-        _require_memory(lti)
+        # spectra, kernels and signals must fit into memory (docs/spectral.md, Memory)
+        dimension, rows, n = len(lti.M), len(lti.F), lti.state_dim
+        free = int(np.isnan(lti.start).sum() + np.isnan(lti.end).sum())
+        spectra = 8 * dimension * lti.control_dim + 12 + 48 * dimension + 16 * dimension * free
+        in_time = 4 * rows * (rows + 1) + 9 * rows + 2 * rows
+        require_memory(
+            f"method 'spectral' with horizon = {lti.horizon}, {n} states and {lti.control_dim} controls",
+            TEMPORARIES * (spectra + in_time) * lti.horizon,
+            "Choose a shorter horizon or a longer sampling time.",
+        )
+        bands = 2.0 * lti.state_stop.sum()
+        require_memory(
+            f"the state bands, {bands:.0f} dense rows with their responses,",
+            16 * (dimension + 2) * bands * lti.horizon,
+            "Stop bands of controls need no dense rows; else choose a shorter horizon.",
+        )
         self.spaces = BinSpaces(lti)
         self.kernels = CirculantKernels(lti, self.spaces)
         self.kkt = BorderedSystem(lti, self.spaces, self.kernels)
-        self.unconstrained = _unconstrained_response(lti)
+        R = lti.M[n:, n:]
+        self.unconstrained: Array | None = None
+        if not lti.M[:n, n:].any() and np.array_equal(R, np.diag(np.diagonal(R))) and np.diagonal(R).all():
+            self.unconstrained = np.zeros(len(lti.F))
+            self.unconstrained[n:dimension] = 1 / np.diagonal(R)
         self._whole: WholeHorizon | None = None
 
     def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
@@ -52,35 +71,6 @@ class Structure:
         if self._whole is None or not np.array_equal(self._whole.rows, rows):
             self._whole = WholeHorizon(self.kkt, rows)
         return self._whole
-
-
-def _require_memory(lti: Lti) -> None:
-    """Raise UnsupportedError unless spectra, kernels and signals fit into memory (docs/spectral.md, Memory)."""
-    dimension, rows = len(lti.M), len(lti.F)
-    free = int(np.isnan(lti.start).sum() + np.isnan(lti.end).sum())
-    spectra = 8 * dimension * lti.control_dim + 12 + 48 * dimension + 16 * dimension * free
-    in_time = 4 * rows * (rows + 1) + 9 * rows + 2 * rows
-    require_memory(
-        f"method 'spectral' with horizon = {lti.horizon}, {lti.state_dim} states and {lti.control_dim} controls",
-        TEMPORARIES * (spectra + in_time) * lti.horizon,
-        "Choose a shorter horizon or a longer sampling time.",
-    )
-    bands = 2.0 * lti.state_stop.sum()
-    require_memory(
-        f"the state bands, {bands:.0f} dense rows with their responses,",
-        16 * (dimension + 2) * bands * lti.horizon,
-        "Stop bands of controls need no dense rows; else choose a shorter horizon.",
-    )
-
-
-def _unconstrained_response(lti: Lti) -> Array | None:
-    n = lti.state_dim
-    R = lti.M[n:, n:]
-    if lti.M[:n, n:].any() or not np.array_equal(R, np.diag(np.diagonal(R))) or not np.diagonal(R).all():
-        return None
-    response = np.zeros(len(lti.F))
-    response[n : n + lti.control_dim] = 1 / np.diagonal(R)
-    return response
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,15 +171,6 @@ class UnconstrainedPoint(NamedTuple):
 
     step: Array
     values: Array
-
-
-def unconstrained_point(
-    structure: Structure, data: Data, violations: Violations, whole: WholeHorizon
-) -> UnconstrainedPoint:
-    """Return the point without working rows, to the accuracy of K_b."""
-    at, residual = _point_without_forces(structure, data)
-    step = structure.kkt.inverse @ np.concatenate([-data.h, residual])
-    return UnconstrainedPoint(step, np.append(violations.values(at.y), at.last) + step @ whole.coupling)
 
 
 def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Array]:
@@ -315,7 +296,11 @@ class EndsModel:
             ends = np.full(2 * n, np.nan)
             ends[self._fixed] = p
             data.append(data_of(structure, lti.at_points(*np.split(ends, [n]))))
-            values.append(unconstrained_point(structure, data[-1], violations, whole))
+            # the point without working rows, to the accuracy of K_b
+            at, residual = _point_without_forces(structure, data[-1])
+            step = structure.kkt.inverse @ np.concatenate([-data[-1].h, residual])
+            of_step = np.append(violations.values(at.y), at.last) + step @ whole.coupling
+            values.append(UnconstrainedPoint(step, of_step))
         self.linear = data[0].linear
         self._base = _affine([one.base.view(np.float64) for one in data])
         self._h, self._e = _affine([one.h for one in data]), _affine([one.e for one in data])

@@ -7,9 +7,8 @@ ROUNDED_COMPONENT = 1e-13  # largest value below which a component holds roundin
 MUCH_LARGER = 30.0  # factor between a component's stated size and other evidence of it from which the evidence counts
 NEAR_RESOLVENT = 1e2  # size of the resolvent from which a bin is near an eigenvalue: dividing loses two digits
 NEAR_RADIUS = 0.3  # distance to an eigenvalue beyond which a bin is far, however large the resolvent
-SMALL_SINGULAR_VALUE = (
-    1e-5  # relative singular value of F_k below which its direction may become a bordering unknown ...
-)
+# Relative singular value of F_k below which its direction may become a bordering unknown ...
+SMALL_SINGULAR_VALUE = 1e-5
 LEAST_DIVISOR = 1e-11  # ... and below which it always does: fewer than five digits of it are known
 # ... unless the distance to every eigenvalue, times T, is above this: |1 - (lambda / z)^T| is then of order 1, or
 # |lambda| is far from 1 in T steps, and a jump leaves a response of its own size. Few bins per eigenvalue are nearer.

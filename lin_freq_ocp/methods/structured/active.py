@@ -42,7 +42,7 @@ MOST_NUMBERS = 5e6  # that are cached: 40 MB
 def solve_active(system: System, responses: RowResponses, targets: Targets, start: Array) -> Answer | None:
     """Return the answer from the active rows of y (T+1, n+k) near it; None if pivoting does not find it."""
     limits, present = flat(system.b), np.concatenate([cone.present.ravel() for cone in system.cones.values()])
-    y, z = responses.unconstrained(-system.stages.h, system.b)
+    y, z = responses.step.solve(-system.stages.h, system.b, False)  # without inequalities
     alone = flat(system.rows(y)) - limits
     active = present & (limits - flat(system.rows(start)) <= TIGHT)
     # Rows of controls enter all at once; of the rows of states alone, the peaks
@@ -92,7 +92,7 @@ def _refine(
     embedding = Embedding(system, responses.step, targets)
     left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
     for _ in range(REFINEMENTS):
-        dy, dz = responses.unconstrained(-system.stages.h - system.curvature(y) - system.adjoint(z), left)
+        dy, dz = responses.step.solve(-system.stages.h - system.curvature(y) - system.adjoint(z), left, False)
         responses.activate(dy, dz, left, rows)
         y, z = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
         left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
@@ -120,8 +120,15 @@ class RowResponses:
         """Find the responses of these rows that are missing; return whether there is room for them, and time."""
         new, shapes = rows[self._slots[rows] < 0], [part.shape for part in self._system.b]
         width = self._system.stages.h.size + sum(self._system.b[i].size for i in (DYNAMICS, INITIAL, EQUATIONS))
-        self._reserve(len(new), width)
-        if self._count + len(new) > len(self._answers):
+        # the cache is extended for as many new responses, if the limit allows them
+        most, count = int(MOST_NUMBERS / (width + len(self._slots))), self._count + len(new)
+        size = min(most, max(count, 2 * len(self._answers)))
+        if len(self._answers) < count <= size:
+            cached = self._answers[: self._count], self._values[: self._count]
+            self._answers, self._values = np.empty((size, width)), np.empty((size, len(self._slots)))
+            if self._count:  # else of width 0
+                self._answers[: self._count], self._values[: self._count] = cached
+        if count > len(self._answers):
             return False
         for row in new:
             if now() > end:
@@ -135,28 +142,14 @@ class RowResponses:
             self._count += 1
         return True
 
-    def _reserve(self, new: int, width: int) -> None:
-        """Extend the cache for as many new responses, if the limit allows them."""
-        most = int(MOST_NUMBERS / (width + len(self._slots)))
-        size = min(most, max(self._count + new, 2 * len(self._answers)))
-        if self._count + new > len(self._answers) and self._count + new <= size:
-            cached = self._answers[: self._count], self._values[: self._count]
-            self._answers, self._values = np.empty((size, width)), np.empty((size, len(self._slots)))
-            if self._count:  # else of width 0
-                self._answers[: self._count], self._values[: self._count] = cached
-
     def multipliers(self, rows: Indices, violation: Array) -> tuple[Array, Array]:
         """Return lambda for violations G_A y_0 - g_A of prepared rows, and the change of the values of all rows."""
         values = self._values[self._slots[rows]]
         found = Cholesky(-values[:, rows]).solve(violation)
         return found, found @ values
 
-    def unconstrained(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
-        """Return (y, z) with P y + A'z = of_y, A y = of_z, without inequalities."""
-        return self.step.solve(of_y, of_z, False)
-
     def activate(self, y: Array, z: Values, of_z: Values, rows: Indices) -> None:
-        """Change (y, z) of ``unconstrained`` to the solution with these prepared rows as equations."""
+        """Change (y, z) that ``step`` solves without inequalities to the solution with these rows as equations."""
         if not len(rows):
             return
         found, _ = self.multipliers(rows, flat(self._system.rows(y))[rows] - flat(of_z)[rows])

@@ -103,21 +103,15 @@ class Assembly:
         terminal = replace(coupling, terminal_state=deviation[1, coupling.terminal])
         initial = np.where(fixed[0], deviation[0], np.nan)
         stages = replace(self.stages, A=A, B=B, d=d, initial=initial, coupling=terminal)
-        if problem.quadratic is not old.quadratic:
-            stages = self._with_slopes(stages, problem)
+        if problem.quadratic is not old.quadratic:  # other references, at the same origin
+            units, size, h = self.recovery.units, n + problem.control_dim, stages.h.copy()
+            in_x, in_u = problem.quadratic.gradient(origin.x, origin.u)
+            h[:, :n], h[:-1, n:size] = in_x, np.where(origin.held[:-1, n:], 0.0, in_u)
+            h[:, :n] *= units.cost * units.columns[:, :n]
+            h[:-1, n:size] *= units.cost * units.columns[:-1, n:size]
+            stages = replace(stages, h=h, constant=problem.quadratic.value(origin.x, origin.u) * units.cost)
         stages.__dict__["coupled"] = self.stages.coupled
         return replace(self, stages=stages, recovery=replace(self.recovery, problem=problem))
-
-    def _with_slopes(self, stages: Stages, problem: OptimalControlProblem) -> Stages:
-        """Return the stages with the cost of a problem that differs in its references, at the same origin."""
-        origin, units, n = self.recovery.origin, self.recovery.units, problem.state_dim
-        size = n + problem.control_dim
-        in_x, in_u = problem.quadratic.gradient(origin.x, origin.u)
-        h = stages.h.copy()
-        h[:, :n], h[:-1, n:size] = in_x, np.where(origin.held[:-1, n:], 0.0, in_u)
-        h[:, :n] *= units.cost * units.columns[:, :n]
-        h[:-1, n:size] *= units.cost * units.columns[:-1, n:size]
-        return replace(stages, h=h, constant=problem.quadratic.value(origin.x, origin.u) * units.cost)
 
     def same_matrices(self, other: Assembly) -> bool:
         """Whether another assembly is of the same arrays but for right-hand sides (``exchanged``)."""
@@ -146,14 +140,6 @@ class _Builder:
         self.layout = multiplier_layout(problem)
         self.origin = origin_of(problem)
         self._fixed = _ends(problem)[1]
-        self._rows, of_terms = self._all_rows()
-        self._slots = assign_slots(self._rows)
-        self._width = n + m + self._slots.slack_count
-        self.slack_columns = tuple(self._flat_slacks[own] for own in of_terms)
-
-    def _all_rows(self) -> tuple[StageRowList, list[slice]]:
-        """Return the rows of single times, and of each term, which of their slacks are its own."""
-        problem, n, m, T = self._problem, self._n, self._m, self._T
         free = np.ones((T + 1, n), dtype=bool)
         free[[0, -1]] = ~self._fixed
         parts = [
@@ -170,8 +156,11 @@ class _Builder:
                 times = (spread + np.arange(len(prices))) % (T + 1)
                 parts.append(nonnegative_slacks(times, prices, n + m))
                 spread += len(prices)
-        firsts = np.cumsum([len(part.prices) for part in parts])
-        return concatenate_rows(parts), [slice(int(a), int(b)) for a, b in pairwise(firsts[1:])]
+        self._rows: StageRowList = concatenate_rows(parts)
+        self._slots = assign_slots(self._rows)
+        self._width = n + m + self._slots.slack_count
+        firsts = np.cumsum([len(part.prices) for part in parts])[1:]
+        self.slack_columns = tuple(self._flat_slacks[a:b] for a, b in pairwise(firsts.tolist()))
 
     def stages(self, coupling: Coupling) -> Stages:
         """Return the stages in the problem's own units; entries of y that are not used have Hessian 0."""

@@ -49,7 +49,15 @@ class Cone:
         self.w[inside] = np.sqrt(of_s / of_z)
         self._powers = {}
         for i, block in enumerate(self.blocks):
-            self._scale_block(i, block, s[:, block], z[:, block])
+            absent, unit = self._absent[:, block.start, None], np.eye(1, block.stop - block.start)
+            p, q = np.where(absent, unit, s[:, block]), np.where(absent, unit, z[:, block])
+            of_s, of_z = (np.sqrt(_square(v[:, 0], v[:, 1:])) for v in (p, q))
+            p, q = p / of_s[:, None], q / of_z[:, None]
+            gamma = np.sqrt(np.maximum((1 + (p * q).sum(1)) / 2, 1.0))
+            tail = (p[:, 1:] - q[:, 1:]) / (2 * gamma[:, None])
+            self.w[:, block.start] = np.sqrt(1 + (tail * tail).sum(1))
+            self.w[:, block.start + 1 : block.stop] = tail
+            self.eta[:, i] = np.sqrt(of_s / of_z)
         self.lam = self.scaled(z, 1)
 
     def leave_out(self) -> None:
@@ -151,18 +159,6 @@ class Cone:
         diagonal = np.arange(w.shape[1])
         square[:, diagonal, diagonal] += np.where(diagonal == 0, -1.0, 1.0)
         return self.eta[:, i, None, None] ** 2 * square
-
-    def _scale_block(self, i: int, block: slice, s: Array, z: Array) -> None:
-        absent = self._absent[:, block.start, None]
-        unit = np.eye(1, s.shape[1])
-        s, z = np.where(absent, unit, s), np.where(absent, unit, z)
-        of_s, of_z = (np.sqrt(_square(v[:, 0], v[:, 1:])) for v in (s, z))
-        s, z = s / of_s[:, None], z / of_z[:, None]
-        gamma = np.sqrt(np.maximum((1 + (s * z).sum(1)) / 2, 1.0))
-        tail = (s[:, 1:] - z[:, 1:]) / (2 * gamma[:, None])
-        self.w[:, block.start] = np.sqrt(1 + (tail * tail).sum(1))
-        self.w[:, block.start + 1 : block.stop] = tail
-        self.eta[:, i] = np.sqrt(of_s / of_z)
 
     def _block_scaled(self, i: int, w: Array, v: Array, power: int) -> Array:
         factor, sign = self.eta[:, i] ** power, 1.0 if power > 0 else -1.0

@@ -53,22 +53,17 @@ def origin_of(problem: OptimalControlProblem) -> Origin:
     """Return the origin of a problem."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     values, held, tube = np.zeros((T + 1, n + m)), np.zeros((T + 1, n + m), dtype=bool), problem.control_tube
-    fixed = (tube.lower == tube.upper) & ~_coupled_controls(problem)
-    values[:, :n] = problem.quadratic.x_ref
-    values[:-1, n:] = np.where(fixed, tube.lower, problem.quadratic.u_ref)
-    held[:-1, n:] = fixed
-    return Origin(values, held, n)
-
-
-def _coupled_controls(problem: OptimalControlProblem) -> Mask:
-    """Return which controls are in rows that couple times, (m,)."""
-    n, m = problem.state_dim, problem.control_dim
+    # controls in rows that couple times are not fixed
     coupled = problem.control_stop.any(axis=0)
     for term in problem.terms:
         if term.map.stage_form(n, m) is None:
             form = term.map.spectrum_form(n, m)
             coupled = coupled | (True if form is None else form.row[n:] != 0)
-    return np.asarray(coupled)
+    fixed = (tube.lower == tube.upper) & ~coupled
+    values[:, :n] = problem.quadratic.x_ref
+    values[:-1, n:] = np.where(fixed, tube.lower, problem.quadratic.u_ref)
+    held[:-1, n:] = fixed
+    return Origin(values, held, n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +141,16 @@ def _scale_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array
         factors.append(_inverse(part.rows.scaled(np.ones(part.rows.count), units).norms()))
         inequalities.append(replace(part, rows=part.rows.scaled(factors[-1], units), limits=part.limits * factors[-1]))
     balls = []
-    for part in coupling.balls:
-        changed, factor = _scale_balls(part, units)
-        balls.append(changed)
+    for part in coupling.balls:  # of radius 1, unless their slacks are larger
+        count, plain = len(part.radius), part.rows.scaled(np.ones(part.rows.count), units)
+        sizes = np.abs(part.radius)
+        if part.heads is not None:
+            sizes = np.maximum(sizes, part.heads.scaled(np.ones(count), units).norms())
+        factor = _inverse(np.where(sizes > 0, sizes, plain.norms().reshape(count, -1).max(axis=1)))
+        rows = part.rows.scaled(np.repeat(factor, part.dim), units)
+        heads = None if part.heads is None else part.heads.scaled(factor, units)
+        offset = None if part.offset is None else part.offset * factor[:, None]
+        balls.append(Balls(rows, part.radius * factor, heads, offset))
         factors.append(np.repeat(factor, 1 + part.dim))
     changed = replace(
         coupling,
@@ -158,24 +160,6 @@ def _scale_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array
         balls=tuple(balls),
     )
     return changed, np.concatenate(factors)
-
-
-def _scale_balls(part: Balls, units: Array) -> tuple[Balls, Array]:
-    """Return balls of radius 1, unless their slacks are larger, and the factor of each."""
-    count, plain = len(part.radius), part.rows.scaled(np.ones(part.rows.count), units)
-    sizes = np.abs(part.radius)
-    if part.heads is not None:
-        sizes = np.maximum(sizes, part.heads.scaled(np.ones(count), units).norms())
-    factor = _inverse(np.where(sizes > 0, sizes, plain.norms().reshape(count, -1).max(axis=1)))
-    return (
-        Balls(
-            part.rows.scaled(np.repeat(factor, part.dim), units),
-            part.radius * factor,
-            None if part.heads is None else part.heads.scaled(factor, units),
-            None if part.offset is None else part.offset * factor[:, None],
-        ),
-        factor,
-    )
 
 
 def _inverse(sizes: Array) -> Array:
@@ -275,27 +259,16 @@ class Recovery:
         )
         if not self.origin.held.any():
             return multipliers
-        nu = fixed_control_multipliers(problem, self.origin, multipliers, None if y is None else self.trajectory(y))
-        return replace(multipliers, nu=nu)
-
-
-def fixed_control_multipliers(
-    problem: OptimalControlProblem, origin: Origin, multipliers: Multipliers, trajectory: Trajectory | None
-) -> Array:
-    """Return nu, (T, m), with those of the fixed controls; at eta_C = 0, no trajectory is needed.
-
-    They follow from stationarity, nu = -(eta_C dJ/du - B'eta + (rows of stages)'lambda).
-    """
-    held, n, m = origin.held[:-1, origin.states :], problem.state_dim, problem.control_dim
-    shapes = (problem.horizon + 1, n), (problem.horizon, m)
-    slopes = -problem.linear.pull_back(multipliers.eta)[1]
-    for term in problem.terms:
-        if term.map.stage_form(n, m) is not None:
-            slopes += term.map.pull_back(multipliers.stage[term.name], shapes)[1]
-    if multipliers.eta_C:
-        assert trajectory is not None  # the cost has slopes
-        slopes += multipliers.eta_C * problem.quadratic.gradient(trajectory.x, trajectory.u)[1]
-    return np.where(held, -slopes, multipliers.nu)
+        # those of fixed controls follow from stationarity, nu = -(eta_C dJ/du - B'eta + (rows of stages)'lambda)
+        slopes = -problem.linear.pull_back(eta)[1]
+        for term in problem.terms:
+            if term.map.stage_form(n, m) is not None:
+                slopes += term.map.pull_back(multipliers.stage[term.name], ((T + 1, n), (T, m)))[1]
+        if eta_C:
+            assert y is not None  # the cost has slopes
+            trajectory = self.trajectory(y)
+            slopes += eta_C * problem.quadratic.gradient(trajectory.x, trajectory.u)[1]
+        return replace(multipliers, nu=np.where(self.origin.held[:-1, n:], -slopes, multipliers.nu))
 
 
 def _bins(pairs: Array, components: int) -> ComplexArray:

@@ -296,7 +296,8 @@ def term_parts(term: Term, columns: Columns, slack_columns: Indices, at: Array, 
     select = _Selection(term, form, columns, slack_columns)
     shift = np.where(form.entries >= 0, at.ravel()[form.entries], 0.0)
     lower, upper, cones = form.lower - shift, form.upper - shift, cone_rows(form)
-    alone = ~_slack_bounds(form)
+    # rows that say only that a slack is not negative are rows of stages
+    alone = (form.entries >= 0) | (np.diff(form.slacks.indptr) != 1) | (form.lower != 0) | np.isfinite(form.upper)
     alone[cone_members(cones)[0]] = False
     equal = alone & (form.lower == form.upper)
     rows = np.flatnonzero(equal & ~(select.empty & (lower == 0)))
@@ -312,13 +313,6 @@ def term_parts(term: Term, columns: Columns, slack_columns: Indices, at: Array, 
         values = members[:, 1:].ravel()
         ball = Balls(select.rows(values), -lower[members[:, 0]], select.heads(members[:, 0]), -lower[members[:, 1:]])
         yield CoupledPart(ball, targets[members], -1.0)
-
-
-def _slack_bounds(form: ConicForm) -> Mask:
-    """Return which rows say only that a slack is not negative."""
-    single = (form.entries < 0) & (np.diff(form.slacks.indptr) == 1) & (form.lower == 0) & np.isinf(form.upper)
-    single[cone_members(cone_rows(form))[0]] = False
-    return single
 
 
 class _Selection:

@@ -99,7 +99,11 @@ def backend(name: str, binaries: bool = False) -> Solver:
     family, _, member = name.partition(":")
     entry = REGISTER.get(family)
     if entry is None or entry.binaries != binaries or bool(member) != (entry.example is not None):
-        raise UnsupportedError(f"backend: got {name!r}; expected {_expected_names(binaries)}.")
+        expected = [(known, REGISTER[known].example) for known in names(binaries)]
+        listed = [f"'{known}'" if example is None else f"'{known}:NAME'" for known, example in expected]
+        examples = [f" (such as '{known}:{example}')" for known, example in expected if example]
+        purpose = " for a mixed-integer program" if binaries else "".join(examples)
+        raise UnsupportedError(f"backend: got {name!r}; expected {', '.join(listed[:-1])} or {listed[-1]}{purpose}.")
     if entry.package is not None and find_spec(entry.package) is None:
         raise MissingExtraError(
             f"backend {name!r}: {entry.package} is not installed. "
@@ -116,14 +120,6 @@ def backend(name: str, binaries: bool = False) -> Solver:
         return solver(program, tolerance, time_limit)
 
     return solve
-
-
-def _expected_names(binaries: bool) -> str:
-    entries = [(name, REGISTER[name].example) for name in names(binaries)]
-    listed = [f"'{name}'" if example is None else f"'{name}:NAME'" for name, example in entries]
-    examples = [f" (such as '{name}:{example}')" for name, example in entries if example]
-    purpose = " for a mixed-integer program" if binaries else "".join(examples)
-    return f"{', '.join(listed[:-1])} or {listed[-1]}{purpose}"
 
 
 def _module(name: str) -> ModuleType:

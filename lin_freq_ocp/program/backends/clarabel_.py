@@ -50,9 +50,15 @@ def solve_form(
     end = np.inf if time_limit is None else now() + time_limit
     cones = [clarabel.ZeroConeT(form.equations), clarabel.NonnegativeConeT(form.inequalities)]
     cones += [clarabel.SecondOrderConeT(count) for count in form.cones]
-    P, q, settings = COST_FACTOR * form.P, COST_FACTOR * form.q, _settings(tolerance, time_limit)
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = tolerance
+    settings.max_threads = 1
+    if time_limit is not None:
+        settings.time_limit = time_limit
     settings.iterative_refinement_enable = enough is None
-    run, stopped = clarabel.DefaultSolver(P, q, form.A, form.b, cones, settings), [False]
+    P, q, stopped = COST_FACTOR * form.P, COST_FACTOR * form.q, [False]
+    run = clarabel.DefaultSolver(P, q, form.A, form.b, cones, settings)
     with interrupts_noted() as noted:
 
         def ends(info: clarabel.DefaultInfo) -> bool:
@@ -70,13 +76,3 @@ def solve_form(
     if not (np.isfinite(z).all() and np.isfinite(dual).all()):
         return Solution(claim if claim is Claim.TIME_LIMIT else Claim.FAILED, None, None, message)
     return Solution(claim, z, dual / COST_FACTOR, message)
-
-
-def _settings(tolerance: float, time_limit: float | None) -> clarabel.DefaultSettings:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = tolerance
-    settings.max_threads = 1
-    if time_limit is not None:
-        settings.time_limit = time_limit
-    return settings

@@ -12,18 +12,17 @@ It cannot be interrupted: a Ctrl-C counts when it returns, at the latest at the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import daqp
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
-from lin_freq_ocp.program.program import Program, SingleBounds
+from lin_freq_ocp.program.program import Program
 
 # Of delta^2 - delta: much more weakens the relaxations, much less makes all rows parallel in DAQP's metric. The second
 # is tried where DAQP cycles with the first or finds nothing: of 200 random problems, it never cycled with both.
@@ -69,68 +68,57 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
 def _attempt(program: Program, curvature: float, time_limit: float | None, gap: float) -> Solution:
     """Solve with one curvature of the binaries."""
     rows = program.single_bounds()
-    dense = _dense_program(program, rows, curvature)
-    if dense is None:
-        return NO_POINT
-    with interrupts_noted() as noted:
-        x, flag, nodes = _call_daqp(dense, time_limit, gap)
-    claim, message = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
-    message = f"{message}, {nodes} nodes"
-    if noted.is_set():
-        claim, message = Claim.INTERRUPTED, f"interrupted ({message})"
-    if flag < 0 or not np.isfinite(x).all():
-        return Solution(claim, None, None, message)
-    z = dense.fixed.copy()
-    z[dense.free] = x
-    if claim is not Claim.SOLVED:
-        return Solution(claim, z, None, message)
-    bound, unsure = _bound(program, rows, dense, z, gap)
-    unknown = f", optimal but for {unsure:.1e} by regularisation" if unsure > 0 else ""
-    return Solution(claim, z, None, message + unknown, bound)
-
-
-@dataclass(frozen=True, eq=False)
-class _DenseProgram:
-    """The program without its fixed variables, strictly convex; bounds of variables are the first rows."""
-
-    hessian: Array
-    gradient: Array
-    A: Array
-    lower: Array
-    upper: Array
-    kinds: NDArray[np.intc]
-    fixed: Array  # values of fixed variables, 0 elsewhere
-    free: Indices  # the others
-    added: Array  # regularisation on the diagonal, (variables,)
-
-
-def _dense_program(program: Program, rows: SingleBounds, curvature: float) -> _DenseProgram | None:
-    """Return the program as DAQP takes it; None if its bounds alone have no point."""
+    # strictly convex, without its fixed variables
     free = np.flatnonzero(rows.below < rows.above)
     fixed = np.where(rows.below < rows.above, 0.0, rows.below)
     A, shift = rows.A.toarray()[:, free], rows.A @ fixed
     lower, upper = rows.lower - shift, rows.upper - shift
     empty = ~A.any(axis=1)
     if rows.violation > CONTRADICTION or (np.maximum(lower, -upper)[empty] > CONTRADICTION).any():
-        return None
+        return NO_POINT
     added, binaries = _regularisation(program), program.binaries
     hessian, gradient = program.P.toarray() + np.diag(added), program.q.copy()
     hessian[binaries, binaries] += 2 * curvature
     gradient[binaries] -= curvature
+    # bounds of variables are the first rows
     below, above = (np.append(*pair) for pair in ((rows.below[free], lower[~empty]), (rows.above[free], upper[~empty])))
     kinds = np.where(below == above, EQUATION, 0)
     kinds[: len(free)][np.isin(free, binaries)] = BINARY
-    return _DenseProgram(
-        hessian=np.ascontiguousarray(hessian[np.ix_(free, free)]),
-        gradient=(gradient + hessian @ fixed)[free],
-        A=np.ascontiguousarray(A[~empty]),
-        lower=np.clip(below, -DAQP_INFINITE, DAQP_INFINITE),
-        upper=np.clip(above, -DAQP_INFINITE, DAQP_INFINITE),
-        kinds=kinds.astype(np.intc),
-        fixed=fixed,
-        free=free,
-        added=added,
-    )
+    x, flag, nodes = np.zeros(0), 1, 0
+    with interrupts_noted() as noted:
+        if len(free):
+            x, _, flag, info = daqp.solve(
+                np.ascontiguousarray(hessian[np.ix_(free, free)]),
+                (gradient + hessian @ fixed)[free],
+                np.ascontiguousarray(A[~empty]),
+                np.clip(above, -DAQP_INFINITE, DAQP_INFINITE),
+                np.clip(below, -DAQP_INFINITE, DAQP_INFINITE),
+                kinds.astype(np.intc),
+                primal_tol=DAQP_FEASIBILITY,
+                rel_subopt=gap,
+                eps_prox=0.0,
+                time_limit=0.0 if time_limit is None else time_limit,
+            )
+            flag, nodes = int(flag), int(info["nodes"])
+    claim, message = CLAIMS.get(flag, (Claim.FAILED, f"exit flag {flag}"))
+    message = f"{message}, {nodes} nodes"
+    if noted.is_set():
+        claim, message = Claim.INTERRUPTED, f"interrupted ({message})"
+    if flag < 0 or not np.isfinite(x).all():
+        return Solution(claim, None, None, message)
+    z = fixed.copy()
+    z[free] = x
+    if claim is not Claim.SOLVED:
+        return Solution(claim, z, None, message)
+    # the bound that the claim implies, and the part of the cost that regularisation leaves unknown
+    objective, own = program.objective(z), 0.5 * float(added @ z**2)
+    searched = objective - program.objective(fixed) + own  # DAQP's cost, which the gap is relative to
+    widest = np.maximum(np.abs(rows.below), np.abs(rows.above))
+    most = 0.5 * float((added * np.where(added > 0, widest, 0.0) ** 2).sum()) - own
+    bound = objective - most - gap * abs(searched) if np.isfinite(most) else None
+    unsure = (own if bound is None else most) / max(1.0, abs(objective))
+    unknown = f", optimal but for {unsure:.1e} by regularisation" if unsure > 0 else ""
+    return Solution(claim, z, None, message + unknown, bound)
 
 
 def _regularisation(program: Program) -> Array:
@@ -145,35 +133,3 @@ def _regularisation(program: Program) -> Array:
         if np.linalg.eigvalsh(program.P[columns][:, columns].toarray())[0] < SINGULAR_BLOCK * largest:
             added[columns] = BLOCK_REGULARISATION * largest
     return added
-
-
-def _call_daqp(dense: _DenseProgram, time_limit: float | None, gap: float) -> tuple[Array, int, int]:
-    """Return the point, exit flag and number of nodes."""
-    if not len(dense.free):
-        return np.zeros(0), 1, 0
-    x, _, flag, info = daqp.solve(
-        dense.hessian,
-        dense.gradient,
-        dense.A,
-        dense.upper,
-        dense.lower,
-        dense.kinds,
-        primal_tol=DAQP_FEASIBILITY,
-        rel_subopt=gap,
-        eps_prox=0.0,
-        time_limit=0.0 if time_limit is None else time_limit,
-    )
-    return np.asarray(x), int(flag), int(info["nodes"])
-
-
-def _bound(
-    program: Program, rows: SingleBounds, dense: _DenseProgram, z: Array, gap: float
-) -> tuple[float | None, float]:
-    """Return the bound that the claim implies, and the part of the cost that regularisation leaves unknown."""
-    objective, own = program.objective(z), 0.5 * float(dense.added @ z**2)
-    searched = objective - program.objective(dense.fixed) + own  # DAQP's cost, which the gap is relative to
-    widest = np.maximum(np.abs(rows.below), np.abs(rows.above))
-    most = 0.5 * float((dense.added * np.where(dense.added > 0, widest, 0.0) ** 2).sum()) - own
-    if not np.isfinite(most):
-        return None, own / max(1.0, abs(objective))
-    return objective - most - gap * abs(searched), most / max(1.0, abs(objective))

@@ -8,7 +8,7 @@ quadratic row, 1/2 z'P z <= w, SCIP's bound was seen to stop 3e-6 short of the o
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from pyscipopt import Eventhdlr, Model, quicksum
 from pyscipopt.scip import PY_SCIP_EVENTTYPE, Event, Expr, Variable
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
@@ -133,16 +133,7 @@ def convex_model(program: Program, rows: SingleBounds) -> tuple[Model, list[Vari
             model.addCons(row <= float(high))
         if np.isfinite(low):
             model.addCons(row >= float(low))
-    _add_cones(model, program, z)
-    return model, z
-
-
-def _linear(values: Array, columns: Iterable[int], z: list[Variable]) -> Expr:
-    return quicksum(float(value) * z[j] for value, j in zip(values, columns, strict=True))
-
-
-def _add_cones(model: Model, program: Program, z: list[Variable]) -> None:
-    """Add s = A z - lower, s_0 >= 0, and s_1^2 + ... <= s_0^2; a constant s_0 makes it a ball."""
+    # s = A z - lower, s_0 >= 0, and s_1^2 + ... <= s_0^2; a constant s_0 makes it a ball
     A = sp.csr_array(program.A)
     for cone in program.cones:
         squares = list[Expr | float]()
@@ -156,16 +147,28 @@ def _add_cones(model: Model, program: Program, z: list[Variable]) -> None:
             model.addCons(s == row)
             squares.append(s * s)
         model.addCons(quicksum(squares[1:]) - squares[0] <= 0)
+    return model, z
+
+
+def _linear(values: Array, columns: Iterable[int], z: list[Variable]) -> Expr:
+    return quicksum(float(value) * z[j] for value, j in zip(values, columns, strict=True))
 
 
 def set_objective(model: Model, program: Program, z: list[Variable]) -> None:
     """Minimise the cost of a program in the variables of its model."""
     linear = _linear(program.q, np.arange(len(z)), z) + program.constant
     squares = list[Expr]()
-    for columns, values in _factor(program):
-        y = model.addVar(lb=None)
-        model.addCons(y == _linear(values, columns, z))
-        squares.append(y * y)
+    # the columns of L, P = L L', block by block
+    _, labels = connected_components(program.P, directed=False)
+    block = np.where(abs(program.P).sum(axis=0) > 0, labels, -1)
+    for b in np.unique(block[block >= 0]):
+        columns = np.flatnonzero(block == b)
+        eigenvalues, vectors = np.linalg.eigh(program.P[columns][:, columns].toarray())
+        for value, vector in zip(eigenvalues, vectors.T, strict=True):
+            if value > NEGLIGIBLE_EIGENVALUE * eigenvalues[-1]:
+                y = model.addVar(lb=None)
+                model.addCons(y == _linear(np.sqrt(value) * vector, columns, z))
+                squares.append(y * y)
     if not squares:
         model.setObjective(linear)
         return
@@ -174,18 +177,6 @@ def set_objective(model: Model, program: Program, z: list[Variable]) -> None:
     model.addCons(less == epigraph - 0.5)
     model.addCons(quicksum(squares) + less * less - more * more <= 0)
     model.setObjective(epigraph + linear)
-
-
-def _factor(program: Program) -> Iterator[tuple[Indices, Array]]:
-    """Yield rows and values of the columns of L, P = L L', block by block."""
-    _, labels = connected_components(program.P, directed=False)
-    block = np.where(abs(program.P).sum(axis=0) > 0, labels, -1)
-    for b in np.unique(block[block >= 0]):
-        columns = np.flatnonzero(block == b)
-        eigenvalues, vectors = np.linalg.eigh(program.P[columns][:, columns].toarray())
-        for value, vector in zip(eigenvalues, vectors.T, strict=True):
-            if value > NEGLIGIBLE_EIGENVALUE * eigenvalues[-1]:
-                yield columns, np.sqrt(value) * vector
 
 
 def _finite(bound: float) -> float | None:

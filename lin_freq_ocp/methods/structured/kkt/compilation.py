@@ -95,7 +95,10 @@ class Kernels:
         _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
         with self._lock():
             if not self.ready:  # no other process has compiled it meanwhile
-                self._forget()
+                # what is cached of other sources goes, and versions of inlined functions, which numba does not compare
+                for ending in ("complete", "nbi", "nbc"):
+                    for path in self._folder.glob(f"{self._sources[0].stem}.*.{ending}") if self._folder else ():
+                        path.unlink(missing_ok=True)
             self._load()
             if self._record is not None:
                 with suppress(OSError):
@@ -140,12 +143,6 @@ class Kernels:
         machine = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten(), platform.python_version()
         key = hashlib.sha256(repr((sources, machine, numba.__version__)).encode()).hexdigest()[:16]
         return self._folder / f"{self._sources[0].stem}.{key}.complete"
-
-    def _forget(self) -> None:
-        """Remove what is cached of other sources, and of versions of inlined functions that numba does not compare."""
-        for ending in ("complete", "nbi", "nbc"):
-            for path in self._folder.glob(f"{self._sources[0].stem}.*.{ending}") if self._folder else ():
-                path.unlink(missing_ok=True)
 
 
 def _tell(line: str) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from math import ceil, sqrt
 
 import numpy as np
@@ -154,7 +155,6 @@ class ClosedLoop:
         down = np.concatenate([U @ B[:, :, driven].swapaxes(1, 2), carry_last_state(gains.Ac).swapaxes(1, 2)], axis=1)
         inputs = np.concatenate([U @ of_w[driven], of_x + K.swapaxes(1, 2) @ of_w], axis=1)
         self._N, self._p = self._lift(down, inputs, len(driven), range(b)[::-1])
-        self._up: tuple[Array, Array] | None = None
         self._room: Array | None = None
 
     def _lift(self, step: Array, inputs: Array, outputs: int, order: range) -> tuple[Array, Array]:
@@ -201,7 +201,7 @@ class ClosedLoop:
 
     def responses(self, R: Array, E: Array) -> tuple[Array, Array]:
         """Return the solution on the channels, and x_T, for gradients R (T+1, channels, m), and E (n, m) on x_T."""
-        of_y, of_x = self._upward()
+        of_y, of_x = self._upward
         room, p = self._backward(R, E)
         n, m = E.shape
         x, free = np.zeros((n, m)), ~self._gains.fixed
@@ -213,15 +213,13 @@ class ClosedLoop:
             x = of_x[i] @ up[i]
         return (of_y @ up).reshape(self._times.size, -1, m)[self._times.size - len(R) :], x
 
+    @cached_property
     def _upward(self) -> tuple[Array, Array]:
         """Return the matrices of the blocks of the forward sweep, which takes N."""
-        if self._up is None:
-            B, K, W = self._gains.B, self._gains.K, self._W
-            of_w, of_x = self._entries[B.shape[1] :].T, self._entries[: B.shape[1]].T
-            up = np.concatenate([of_x + of_w @ K, carry_last_state(self._gains.Ac)], axis=1)
-            inputs = np.concatenate([of_w @ W, B @ W], axis=1)
-            self._up = self._lift(up, inputs, len(of_w), range(self._b))
-        return self._up
+        B, K, W = self._gains.B, self._gains.K, self._W
+        of_w, of_x = self._entries[B.shape[1] :].T, self._entries[: B.shape[1]].T
+        up = np.concatenate([of_x + of_w @ K, carry_last_state(self._gains.Ac)], axis=1)
+        return self._lift(up, np.concatenate([of_w @ W, B @ W], axis=1), len(of_w), range(self._b))
 
 
 class OpenLoop:

@@ -22,7 +22,8 @@ that of the response; hence the split.
 from __future__ import annotations
 
 from copy import copy
-from typing import ClassVar
+from itertools import pairwise
+from typing import ClassVar, Self
 
 import numpy as np
 import scipy.linalg as la
@@ -94,20 +95,25 @@ class Response:
         return gradient
 
 
-class RangeSpaceSolver:
-    """The dense Schur complement on all rows that couple times."""
+class _RangeSpace:
+    """A solver on multipliers of rows that do not depend on dynamics and Hessians; only the response does."""
 
     indefinite: ClassVar[bool] = False
+    _response: Response
 
-    def __init__(self, response: Response):
-        self._response, self._count = response, response.coupling.count
-        self._rows = response.rows.gradients
-
-    def exchanged(self, stages: Stages) -> RangeSpaceSolver:
+    def exchanged(self, stages: Stages) -> Self:
         """Return the same for stages with other dynamics and Hessians."""
         other = copy(self)
         other._response = self._response.exchanged(stages)
         return other
+
+
+class RangeSpaceSolver(_RangeSpace):
+    """The dense Schur complement on all rows that couple times."""
+
+    def __init__(self, response: Response):
+        self._response, self._count = response, response.coupling.count
+        self._rows = response.rows.gradients
 
     def factor(self, Phi: Array, compliance: Compliance) -> bool:
         """Prepare for Phi (T+1, n+k, n+k) and C."""
@@ -142,26 +148,20 @@ def _is_fine(part: Balls) -> bool:
     return part.rows.oversampling > 1 and part.heads is None
 
 
-class LowRankSolver:
+class LowRankSolver(_RangeSpace):
     """The Schur complement with rows of low rank."""
-
-    indefinite: ClassVar[bool] = False
 
     def __init__(self, response: Response, fine: Indices):
         self._response, coupling = response, response.coupling
         self._fine, self._plain = fine, np.setdiff1d(np.arange(coupling.count), fine)
         self._chosen = [_is_fine(part) for part in coupling.balls]
         self._of_hard = [fine for part, fine in zip(coupling.balls, self._chosen, strict=True) if part.heads is None]
+        ends = np.cumsum([0, *(part.rows.count for part in coupling.balls if _is_fine(part))])
+        self._families = [slice(a, b) for a, b in pairwise(ends.tolist())]  # of the fine rows
         V, self._G = self._basis()
         of_plain, end = response.rows.chosen(self._plain)
         none = np.zeros((len(end), V.shape[2]))
         self._gradients = np.concatenate([of_plain, V], axis=2), np.concatenate([end, none], axis=1)
-
-    def exchanged(self, stages: Stages) -> LowRankSolver:
-        """Return the same for stages with other dynamics and Hessians."""
-        other = copy(self)
-        other._response = self._response.exchanged(stages)
-        return other
 
     def factor(self, Phi: Array, compliance: Compliance) -> bool:
         """Prepare for Phi (T+1, n+k, n+k) and C."""
@@ -173,14 +173,23 @@ class LowRankSolver:
         self._eliminated = self._rows.solve(self._cross.T)
         self._H = Cholesky(J[e:, e:] - self._cross @ self._eliminated).rooted(self._G)
         self._roots = [roots for roots, fine in zip(compliance.roots, self._of_hard, strict=True) if fine]
-        self._split()
+        # which of the fine rows are strong, ball by ball
+        response, strong = np.einsum("ij,ij->i", self._H, self._H), list[Mask]()
+        for roots, own in zip(self._roots, self._families, strict=True):
+            balls, d = roots.shape[:2]
+            stiff = (roots * roots).sum((1, 2)) * response[own].reshape(balls, d).max(1) > STRONG
+            strong.append(np.repeat(stiff, d))
+        self._strong = np.concatenate(strong)
         self._stiff_H = self._apply_roots(self._H)
         M = gram(self._stiff_H)
         M.flat[:: len(M) + 1] += 1.0
         self._M, self._strong_H = Cholesky(M), self._H[self._strong]
         if len(self._strong_H):
             T = gram(self._M.whitened(self._strong_H.T))
-            Compliance(np.zeros(0), self._strong_blocks(compliance)).add_to(T)
+            of_fine = [ball for ball, fine in zip(compliance.balls, self._chosen, strict=True) if fine]
+            parts = zip(of_fine, self._families, strict=True)
+            blocks = tuple(ball[self._strong[own][:: ball.shape[1]]] for ball, own in parts)
+            Compliance(np.zeros(0), blocks).add_to(T)
             self._T = Cholesky(T)
         return True
 
@@ -214,34 +223,11 @@ class LowRankSolver:
         V: Array = np.ascontiguousarray(basis.reshape(signals.shape), dtype=float)
         return V, np.concatenate([rows.forward(V) for rows, _ in families])
 
-    def _split(self) -> None:
-        """Set which of the fine rows are strong, (rows,)."""
-        response = np.einsum("ij,ij->i", self._H, self._H)
-        strong, first = list[Mask](), 0
-        for roots in self._roots:
-            balls, d = roots.shape[:2]
-            own = response[first : first + balls * d].reshape(balls, d).max(1)
-            strong.append(np.repeat((roots * roots).sum((1, 2)) * own > STRONG, d))
-            first += balls * d
-        self._strong = np.concatenate(strong)
-
-    def _strong_blocks(self, compliance: Compliance) -> tuple[Array, ...]:
-        """Return the compliances of the strong rows, family by family."""
-        found, first = list[Array](), 0
-        for ball, fine in zip(compliance.balls, self._chosen, strict=True):
-            if fine:
-                balls, d = ball.shape[:2]
-                found.append(ball[self._strong[first : first + balls * d : d]])
-                first += balls * d
-        return tuple(found)
-
     def _apply_roots(self, v: Array) -> Array:
         """Return R v for rows (rows, k), R'R = C_w^-1, zero in the strong ones."""
-        found, first = np.empty_like(v), 0
-        for roots in self._roots:
+        found = np.empty_like(v)
+        for roots, own in zip(self._roots, self._families, strict=True):
             balls, d = roots.shape[:2]
-            own = slice(first, first + balls * d)
             np.matmul(roots, v[own].reshape(balls, d, -1), out=found[own].reshape(balls, d, -1))
-            first += balls * d
         found[self._strong] = 0.0
         return found

@@ -125,8 +125,20 @@ class BandedLoops:
         return BandedRegulator(A, B, Phi, fixed)
 
     def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
-        """Return whether the problem is strictly convex on its dynamics."""
-        return is_convex(A, B, Phi, fixed)
+        """Whether all pivots of the Riccati recursion are above rounding."""
+        AB, n = np.concatenate([A, B], axis=2), A.shape[1]
+        P, own = np.zeros((n, n)), CURVED * np.abs(np.einsum("tii->ti", Phi))
+        for t in range(len(A) - 1, -1, -1):
+            M = Phi[t] + AB[t].T @ (P @ AB[t])
+            L, info = lapack.dpotrf(M[n:, n:], lower=1, clean=1)
+            if info or not (np.diag(L) ** 2 > own[t, n:]).all():
+                return False
+            K = lapack.dtrtrs(L, M[n:, :n], lower=1)[0]
+            P = M[:n, :n] - K.T @ K
+        if fixed.all():
+            return True
+        L, info = lapack.dpotrf(P[np.ix_(~fixed, ~fixed)], lower=1, clean=1)
+        return not info and bool((np.diag(L) ** 2 > own[0, :n][~fixed]).all())
 
     def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
         """Return H + G'W^-2 G."""
@@ -178,21 +190,6 @@ class BandedLoops:
         return costates, gw, gstarts
 
 
-def is_convex(A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
-    """Whether all pivots of the Riccati recursion are above rounding."""
-    AB, n = np.concatenate([A, B], axis=2), A.shape[1]
-    P, own = np.zeros((n, n)), CURVED * np.abs(np.einsum("tii->ti", Phi))
-    for t in range(len(A) - 1, -1, -1):
-        M = Phi[t] + AB[t].T @ (P @ AB[t])
-        L, info = lapack.dpotrf(M[n:, n:], lower=1, clean=1)
-        if info or not (np.diag(L) ** 2 > own[t, n:]).all():
-            return False
-        K = lapack.dtrtrs(L, M[n:, :n], lower=1)[0]
-        P = M[:n, :n] - K.T @ K
-    L, info = lapack.dpotrf(P[np.ix_(~fixed, ~fixed)], lower=1, clean=1) if not fixed.all() else (np.zeros((0, 0)), 0)
-    return not info and bool((np.diag(L) ** 2 > own[0, :n][~fixed]).all())
-
-
 def simulate(A: Array, breaks: Indices, right: Array, transposed: bool) -> Array:
     """Return x_{t+1} = A_t x_t + right_{t+1}, or p_t = A_t'p_{t+1} + right_t, with A_{t-1} = 0 for t in ``breaks``."""
     stages, n, _ = A.shape
@@ -214,15 +211,10 @@ class BandedRegulator(BlockRegulator):
         self._band = 2 * A.shape[1] + B.shape[2] - 1
         matrix = banded_matrix(A, B, Phi, fixed)
         self._lu, self._pivots, info = lapack.dgbtrf(matrix, self._band, self._band)
-        if info > 0:
-            self._lu, self._pivots, _ = lapack.dgbtrf(self._raise_diagonal(matrix), self._band, self._band)
-
-    def _raise_diagonal(self, matrix: Array) -> Array:
-        """Return the matrix with diagonal entries of y raised to what rounding leaves of the others."""
-        n = self._A.shape[1]
-        diagonal = matrix.T.reshape(len(self._A), -1, 3 * self._band + 1)[:, n:, 2 * self._band]
-        diagonal += PIVOT * np.where(diagonal > 0, diagonal, diagonal.max(initial=0.0) or 1.0)
-        return matrix
+        if info > 0:  # diagonal entries of y are raised to what rounding leaves of the others
+            diagonal = matrix.T.reshape(len(A), -1, 3 * self._band + 1)[:, A.shape[1] :, 2 * self._band]
+            diagonal += PIVOT * np.where(diagonal > 0, diagonal, diagonal.max(initial=0.0) or 1.0)
+            self._lu, self._pivots, _ = lapack.dgbtrf(matrix, self._band, self._band)
 
     def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
         """Return y, eta and lam0."""
