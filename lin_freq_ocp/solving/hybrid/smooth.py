@@ -90,7 +90,13 @@ class Nonsmooth:
         if self.global_bound:
             limited = request.time_limit < np.inf
             left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
-            found, status, message = self._bounded(search, found, left, status, message)
+            if status == Status.LOCALLY_OPTIMAL and found is not None:
+                bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, now() + left)
+                message = bounding.run() if left > 0 else UNBOUNDED
+                found = bounding.found  # the bound may lead to a better answer
+                status = found[2].status_within(bounding.gap)
+            elif found is None and not search.message and left > 0 and _excluded(problem, left):
+                status, message = Status.INFEASIBLE, EXCLUDED
         trajectory, multipliers, certificate = (None, None, None) if found is None else found
         return Outcome(
             problem=problem,
@@ -105,18 +111,6 @@ class Nonsmooth:
             interrupted=search.interrupted,
             sequence=None if trajectory is None else _modes(problem, trajectory),
         )
-
-    def _bounded(
-        self, search: LocalSearch, found: Judged | None, left: float, status: Status, message: str
-    ) -> tuple[Judged | None, Status, str]:
-        """Return the answer, or a better answer that the bound leads to, with its status and message."""
-        if status == Status.LOCALLY_OPTIMAL and found is not None:
-            bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, now() + left)
-            message = bounding.run() if left > 0 else UNBOUNDED
-            return bounding.found, bounding.found[2].status_within(bounding.gap), message
-        if found is None and not search.message and left > 0 and _excluded(search.problem, left):
-            return None, Status.INFEASIBLE, EXCLUDED
-        return found, status, message
 
 
 def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
