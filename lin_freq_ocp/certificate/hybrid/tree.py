@@ -92,12 +92,11 @@ class IntervalReach:
             stages.append(Stage(lower[t], upper[t], *_zonotope(lower[t], upper[t]), np.ones(modes, dtype=bool), *pairs))
         return None if self._forward([stages], [0], known=False) else tuple(stages)
 
-    def restricted(self, before: Stages, t: int, modes: Mask) -> Stages | None:
-        """Return the stages with only these modes (modes,) at time t, or None if they are empty."""
-        return self.restricted_each([(before, t, modes)])[0]
-
     def restricted_each(self, choices: Sequence[tuple[Stages, int, Mask]]) -> list[Stages | None]:
-        """Return what ``restricted`` does for each choice; all go forward side by side, which takes less time."""
+        """Return, for each choice, its stages with only these modes (modes,) at a time, or None if they are empty.
+
+        All go forward side by side, which takes less time.
+        """
         found = [list(before) for before, _, _ in choices]
         for stages, (_, t, modes) in zip(found, choices, strict=True):
             stages[t] = replace(stages[t], modes=stages[t].modes & modes)

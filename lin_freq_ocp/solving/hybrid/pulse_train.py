@@ -17,11 +17,10 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.solving.hybrid.smooth import no_multipliers, polished
+from lin_freq_ocp.solving.hybrid.smooth import judged_outcome, no_multipliers, polished
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -36,8 +35,8 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     low, high = bound.low, bound.high
     order = np.diff(np.eye(len(angles)), axis=0)
 
-    def amplitudes(part: int, rows: Indices, angles: Array) -> Array:  # part 3: their slopes
-        return bound.at(steps, angles)[part][rows]
+    def amplitudes(derivative: int, rows: Indices, angles: Array) -> Array:  # of order 0, or 1: their slopes
+        return bound.at(steps, angles)[2:][derivative][rows]
 
     def relative_cost(angles: Array) -> tuple[float, Array]:
         cost, slope, _, _ = bound.at(steps, angles)
@@ -47,7 +46,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     limited = np.isfinite(low) | np.isfinite(high)
     for rows in (np.flatnonzero(low == high), np.flatnonzero((low < high) & limited)):
         if len(rows):
-            values, slopes = partial(amplitudes, 2, rows), partial(amplitudes, 3, rows)
+            values, slopes = partial(amplitudes, 0, rows), partial(amplitudes, 1, rows)
             constraints.append(NonlinearConstraint(values, low[rows], high[rows], jac=slopes))
     if len(order):
         constraints.append(LinearConstraint(order, 0.0, np.inf))
@@ -154,23 +153,13 @@ class _Search:
         """Return the refined answer with its bound, or why there is none."""
         solved, problem = now(), self._problem
         found = None if self._best is None else polished(problem, self._local(*self._best))
-        trajectory, multipliers, certificate = (None, None, None) if found is None else found
-        if certificate is not None:
+        if found is not None:
+            trajectory, multipliers, certificate = found
             certificate = replace(certificate, bound=Bound(self._bound.value, RIGOROUS, sets=ANGLES))
-            status = certificate.status_within(self._gap)
+            found, status = (trajectory, multipliers, certificate), certificate.status_within(self._gap)
         else:
             excluded = not message and self._bound.value == np.inf
             status, message = (Status.INFEASIBLE, EXCLUDED) if excluded else (Status.LIMIT, message)
-        return Outcome(
-            problem=problem,
-            status=status,
-            method=Angles.shorthand,
-            backend=None,
-            seconds={"setup": 0.0, "solve": solved - self._started, "certify": now() - solved},
-            trajectory=trajectory,
-            multipliers=multipliers,
-            certificate=certificate,
-            message="" if status == Status.OPTIMAL else message,
-            interrupted=interrupted,
-            sequence=None if trajectory is None else piecewise_smooth(problem).sequence_of(trajectory.x, trajectory.u),
-        )
+        ending = status, "" if status == Status.OPTIMAL else message
+        seconds = {"setup": 0.0, "solve": solved - self._started, "certify": now() - solved}
+        return judged_outcome(problem, Angles.shorthand, found, ending, seconds, interrupted)

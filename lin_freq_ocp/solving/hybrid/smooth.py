@@ -97,20 +97,33 @@ class Nonsmooth:
                 status = found[2].status_within(bounding.gap)
             elif found is None and not search.message and left > 0 and _excluded(problem, left):
                 status, message = Status.INFEASIBLE, EXCLUDED
-        trajectory, multipliers, certificate = (None, None, None) if found is None else found
-        return Outcome(
-            problem=problem,
-            status=status,
-            method="nonsmooth",
-            backend=None,
-            seconds={"setup": 0.0, "solve": solved - started, "certify": now() - solved},
-            trajectory=trajectory,
-            multipliers=multipliers,
-            certificate=certificate,
-            message=message,
-            interrupted=search.interrupted,
-            sequence=None if trajectory is None else _modes(problem, trajectory),
-        )
+        seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
+        return judged_outcome(problem, "nonsmooth", found, (status, message), seconds, search.interrupted)
+
+
+def judged_outcome(
+    problem: OptimalControlProblem,
+    method: str,
+    found: Judged | None,
+    ending: tuple[Status, str],
+    seconds: dict[str, float],
+    interrupted: bool,
+) -> Outcome:
+    """Return the outcome of a search that found an answer or none; ``ending`` is its status with the message."""
+    trajectory, multipliers, certificate = (None, None, None) if found is None else found
+    return Outcome(
+        problem=problem,
+        status=ending[0],
+        method=method,
+        backend=None,
+        seconds=seconds,
+        trajectory=trajectory,
+        multipliers=multipliers,
+        certificate=certificate,
+        message=ending[1],
+        interrupted=interrupted,
+        sequence=None if trajectory is None else _modes(problem, trajectory),
+    )
 
 
 def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
