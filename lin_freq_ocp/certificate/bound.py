@@ -152,7 +152,7 @@ def optimum_box(extremal: Extremal, allowed: float) -> Enclosure:
         cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
         _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
         summed = _sum_of_terms(extremal, np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms)
-        level = float(cost + allowed - unit_rounding(extremal) * summed - ARITHMETIC_ROUNDING * abs(cost))
+        level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
         farther = replace(deviations, left=deviations.left + allowed)
         nearby = nearby_bounds(problem, extremal.trajectory, farther, level, allowed)
         if nearby is not None:
@@ -190,7 +190,7 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float,
     x, u = extremal.trajectory.x, extremal.trajectory.u
     slopes = extremal.eta_before - extremal.in_x, -extremal.in_u
     terms = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
-    unit = unit_rounding(extremal)
+    unit = unit_rounding(extremal.problem)
     stage_gaps, losses, steepest = np.zeros(len(x)), list[Array](), list[Array]()
     for signal, exact, size, curvature, (lower, upper) in zip(
         (x, u), slopes, terms, curvatures, (box.x, box.u), strict=True
@@ -225,9 +225,8 @@ def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
     return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(extremal.problem.linear.offset)).sum())
 
 
-def unit_rounding(extremal: Extremal) -> float:
-    """Return a bound on rounding errors of the extremal, relative to the sum of the absolute values of its terms."""
-    problem = extremal.problem
+def unit_rounding(problem: OptimalControlProblem) -> float:
+    """Return a bound on rounding errors of extremals, relative to the sum of the absolute values of their terms."""
     rows = sum(term.map.additions for term in problem.terms)
     operations = problem.state_dim + problem.control_dim + rows + 5 * np.log2(problem.horizon + 2) + 10
     return float(operations * np.finfo(np.longdouble).eps)

@@ -9,7 +9,7 @@ follows from it holds for them, too, and the bound for multipliers of any sign.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.spectrum.bands import time_signal
-from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -136,17 +135,13 @@ def _priced_terms(problem: OptimalControlProblem, trajectory: Trajectory, multip
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
         misfit, everywhere = term.penalty.misfit(values, weights), term.everywhere
         signal = np.zeros(0) if everywhere is None else everywhere.map.signal(trajectory.x, trajectory.u)
-        found = PricedTerm(term, given, weights, values, sizes, gap, misfit, signal)
-        soft = everywhere is not None and not term.hard
-        priced.append(_raised(found, everywhere, multipliers.eta_C) if everywhere is not None and soft else found)
+        peak, beyond = None, 0.0
+        if everywhere is not None and not term.hard:  # the proven largest excess, whether its values have it or not
+            peak = proven_peak(everywhere, signal)
+            price = everywhere.price * max(peak.ratio - 1.0, 0.0)
+            beyond = multipliers.eta_C * (price - float(term.penalty.cost(values).sum()))
+        priced.append(PricedTerm(term, given, weights, values, sizes, gap, misfit, signal, peak, beyond))
     return priced
-
-
-def _raised(priced: PricedTerm, everywhere: Continuum, eta_C: float) -> PricedTerm:
-    """Return a soft term with its proven largest excess, whether its values have it or not."""
-    peak = proven_peak(everywhere, priced.signal)
-    price = everywhere.price * max(peak.ratio - 1.0, 0.0)
-    return replace(priced, peak=peak, beyond=eta_C * (price - float(priced.term.penalty.cost(priced.values).sum())))
 
 
 def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) -> None:

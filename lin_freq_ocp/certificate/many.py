@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, extended
-from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
+from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature, unit_rounding
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
-
-OPERATIONS = 10  # of an entry of the slopes, beside sums over states, controls and the FFT
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,7 @@ def verdicts(problem: OptimalControlProblem, starts: Array, given: Extremals) ->
     """Judge trajectories from initial states (N, n), of a problem that is otherwise the same."""
     with np.errstate(over="ignore", invalid="ignore"):
         slopes, sizes, signal = _slopes(problem, given)
-        unit = _unit(problem)
+        unit = unit_rounding(problem)
         certain = np.zeros(len(starts))
         summed = np.zeros(len(starts))
         cost = problem.quadratic
@@ -66,22 +64,21 @@ def verdicts(problem: OptimalControlProblem, starts: Array, given: Extremals) ->
             minimum = np.minimum(*box_minimum(np.stack([slope - error, slope + error]), curvature, low, high))
             certain += (ARITHMETIC_ROUNDING * np.abs(slope * values) - minimum).sum((1, 2))
             summed += (size * (np.abs(values) + reference)).sum((1, 2))
-        residual = _residuals(problem, given)
+        x, u, dynamics = extended(given.x), extended(given.u), problem.linear
+        residual = (x[:, 1:] - x[:, :-1] @ dynamics.A.T - u @ dynamics.B.T - dynamics.offset).astype(np.float64)
         products = [(given.eta * residual).sum((1, 2)), (signal * given.u).sum((1, 2))]
         costs, scale = _costs(problem, given)
         summed += (np.abs(given.eta) * np.abs(problem.linear.offset)).sum((1, 2))
         others = scale + sum(map(np.abs, products)) + np.abs(certain)
         bounds = costs + products[0] + products[1] - certain - unit * summed - ARITHMETIC_ROUNDING * others
-        worth = sum(map(np.abs, products)) + _worth_of_bounds(given, tubes)
+        in_x = np.abs(given.mu) * _violation(given.x, tubes[0])
+        of_bounds = in_x.sum((1, 2)) + (np.abs(given.nu) * _violation(given.u, tubes[1])).sum((1, 2))
+        worth = sum(map(np.abs, products)) + of_bounds
         gaps = np.divide(costs - bounds, scale, out=np.full(len(scale), np.inf), where=scale > 0)
-        proven = (np.abs(gaps) <= GAP_TOLERANCE) & (worth <= GAP_TOLERANCE * scale) & _inside(problem, starts)
+        lower, upper = problem.state_boxes.lower[0], problem.state_boxes.upper[0]
+        inside = ((lower <= starts) & (starts <= upper)).all(1)
+        proven = (np.abs(gaps) <= GAP_TOLERANCE) & (worth <= GAP_TOLERANCE * scale) & inside
         return Verdicts(costs, bounds, gaps, proven & _feasible(problem, given, residual, tubes))
-
-
-def _inside(problem: OptimalControlProblem, starts: Array) -> Mask:
-    """Return which initial states (N, n) lie in the state set of their time."""
-    lower, upper = problem.state_boxes.lower[0], problem.state_boxes.upper[0]
-    return ((lower <= starts) & (starts <= upper)).all(1)
 
 
 def _slopes(problem: OptimalControlProblem, given: Extremals) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:
@@ -122,12 +119,6 @@ def _tubes(problem: OptimalControlProblem, starts: Array) -> tuple[tuple[Array, 
     return (lower, upper), problem.control_tube.bounds
 
 
-def _residuals(problem: OptimalControlProblem, given: Extremals) -> Array:
-    """Return x_{t+1} - A x_t - B u_t - d_t, (N, T, n)."""
-    x, u, dynamics = extended(given.x), extended(given.u), problem.linear
-    return (x[:, 1:] - x[:, :-1] @ dynamics.A.T - u @ dynamics.B.T - dynamics.offset).astype(np.float64)
-
-
 def _costs(problem: OptimalControlProblem, given: Extremals) -> tuple[Array, Array]:
     """Return the costs and the sums of the absolute values of their terms, both (N,)."""
     cost, x, u = problem.quadratic, given.x, given.u
@@ -137,12 +128,6 @@ def _costs(problem: OptimalControlProblem, given: Extremals) -> tuple[Array, Arr
     linear = x[:, :-1] * cost.q, u * cost.r, x[:, -1:] * cost.p
     costs = squares.sum(1) + last + sum(part.sum((1, 2)) for part in linear)
     return costs, np.abs(squares).sum(1) + np.abs(last) + sum(np.abs(part).sum((1, 2)) for part in linear)
-
-
-def _worth_of_bounds(given: Extremals, tubes: tuple[tuple[Array, Array], tuple[Array, Array]]) -> Array:
-    """Return violations of bounds times their multipliers, (N,)."""
-    in_x = np.abs(given.mu) * _violation(given.x, tubes[0])
-    return in_x.sum((1, 2)) + (np.abs(given.nu) * _violation(given.u, tubes[1])).sum((1, 2))
 
 
 def _violation(values: Array, tube: tuple[Array, Array]) -> Array:
@@ -165,9 +150,3 @@ def _feasible(
     spectra = np.abs(np.fft.rfft(given.u, axis=1)) * problem.control_stop
     checks.append((spectra.max(1), np.linalg.norm(given.u, axis=1)))
     return np.all([(error <= CONDITION_TOLERANCE * scale).all(1) for error, scale in checks], axis=0)
-
-
-def _unit(problem: OptimalControlProblem) -> float:
-    """Return a bound on rounding errors of the slopes, relative to the sums of the absolute values of their terms."""
-    operations = problem.state_dim + problem.control_dim + 5 * np.log2(problem.horizon + 2) + OPERATIONS
-    return float(operations * np.finfo(np.longdouble).eps)

@@ -36,11 +36,13 @@ sum |v_t|. The limit times sin(phi), which is concave, is above its chord.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import singledispatch
 from math import factorial
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
@@ -53,6 +55,8 @@ from lin_freq_ocp.problem.terms.semi_infinite import (
     PlantBox,
     peaks_above,
 )
+
+Scalar = TypeVar("Scalar", np.float64, np.complex128)
 
 TERMS = 16  # of the series: what is left is 1e-20 of the sum of the samples' absolute values
 RATIO = 1e-10  # by which the proven ratio may exceed the largest found
@@ -94,24 +98,23 @@ class Cells:
 
     def chosen(self, at: Indices) -> Cells:
         """Return some of the cells."""
-        return Cells(self.a[at], *(array[at] for array in self.reals))
+        return Cells(*(getattr(self, field.name)[at] for field in fields(self)))
 
     def part(self, first: Array, last: Array) -> Cells:
         """Return the parts first <= y <= last of the cells."""
         centre, scale = (first + last) / 2, (last - first) / 2
+        a = self.a.copy()  # by Horner's scheme, the coefficients in z of polynomials in y = centre + scale z
+        for k in range(TERMS - 1):
+            for j in range(TERMS - 2, k - 1, -1):
+                a[:, j] += centre * a[:, j + 1]
         return Cells(
-            _shifted(self.a, centre, scale),
+            a * scale[:, None] ** np.arange(TERMS),
             self.middle + self.half * centre,
             self.half * scale,
             self.limit + self.slope * centre,
             self.slope * scale,
             self.error + SHIFT_ROUNDING * np.abs(self.a).sum(1),
         )
-
-    @property
-    def reals(self) -> tuple[Array, ...]:
-        """Return all fields but a."""
-        return self.middle, self.half, self.limit, self.slope, self.error
 
     @property
     def least(self) -> Array:
@@ -145,7 +148,7 @@ def _unclear(cells: Cells, ratio: float) -> Indices:
     if not len(left):
         return left
     few = cells.chosen(left)
-    square = _squared(few.a.real) + _squared(few.a.imag)
+    square = _product(few.a.real, few.a.real) + _product(few.a.imag, few.a.imag)
     centre, slope = ratio * few.limit - few.error, ratio * few.slope
     square[:, 0] -= centre**2
     square[:, 1] -= 2 * centre * slope
@@ -154,27 +157,17 @@ def _unclear(cells: Cells, ratio: float) -> Indices:
     return left[((square @ BERNSTEIN).max(1) + rounding > 0) | (margin[left] <= 0)]
 
 
-def _squared(p: Array) -> Array:
-    """Return the coefficients of the squares of polynomials (cells, TERMS)."""
-    found = np.zeros((len(p), 2 * TERMS - 1))
+def _product(p: NDArray[Scalar], q: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Return the coefficients of the products of polynomials (cells, TERMS)."""
+    found = np.zeros((len(p), 2 * TERMS - 1), dtype=p.dtype)
     for j in range(TERMS):
-        found[:, j : j + TERMS] += p[:, j : j + 1] * p
+        found[:, j : j + TERMS] += p[:, j : j + 1] * q
     return found
-
-
-def _shifted(a: ComplexArray, centre: Array, scale: Array) -> ComplexArray:
-    """Return the coefficients in z of polynomials in y = centre + scale z."""
-    found = a.copy()
-    for first in range(TERMS - 1):
-        for j in range(TERMS - 2, first - 1, -1):
-            found[:, j] += centre * found[:, j + 1]
-    return found * scale[:, None] ** np.arange(TERMS)
 
 
 def joined(parts: list[Cells]) -> Cells:
     """Return all cells of several."""
-    reals = zip(*(part.reals for part in parts), strict=True)
-    return Cells(np.concatenate([part.a for part in parts]), *map(np.concatenate, reals))
+    return Cells(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Cells)))
 
 
 def _bernstein(degree: int) -> Array:
@@ -280,10 +273,7 @@ class HeldSeries(Series):
         a, error = super().on(k)
         turns = np.exp(2j * np.pi * np.arange(TERMS) / TERMS)
         half = self.step * (k[:, None] + turns / 2)  # w / 2
-        b = np.fft.fft(np.sin(half) / half, axis=1) / TERMS
-        whole = np.zeros((len(k), 2 * TERMS - 1), dtype=complex)
-        for j in range(TERMS):
-            whole[:, j : j + TERMS] += b[:, j : j + 1] * a
+        whole = _product(np.fft.fft(np.sin(half) / half, axis=1) / TERMS, a)
         return whole[:, :TERMS], error + np.abs(whole[:, TERMS:]).sum(1) + ROUNDING * np.abs(a).sum(1)
 
 

@@ -22,7 +22,6 @@ from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import SCALE_FLOOR
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import at_frequencies
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -251,11 +250,13 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
     Constraints that the trajectory violates count as active: the direction does not make them worse.
     """
     x, u = trajectory.x, trajectory.u
-    along, sizes = _normalised(problem, along, trajectory_sizes(problem, trajectory))
+    sizes = trajectory_sizes(problem, trajectory)
+    along = _normalised(problem, along, sizes)
     residuals = _linear_residuals(problem, along, sizes)
     slopes, scales = _quadratic_slope(problem, along, problem.quadratic.gradient(x, u))
     scales.append(_least_slope(problem, trajectory, along, sizes))
-    for signal, change, tube, size in zip((x, u), (along.x, along.u), _tubes(problem), sizes, strict=True):
+    tubes = problem.state_tube, problem.control_tube
+    for signal, change, tube, size in zip((x, u), (along.x, along.u), tubes, sizes, strict=True):
         near = TOUCHING * (size + np.abs(signal))
         residuals.append(_box_residual(change / size, tube.upper - signal <= near, signal - tube.lower <= near))
     for term in problem.terms:
@@ -271,13 +272,17 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
 
 def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
     """Return the direction if every multiple of it is feasible and the cost decreases without bound, else None."""
-    along, sizes = _normalised(problem, along, stated_sizes(problem))
+    sizes, tubes = stated_sizes(problem), (problem.state_tube, problem.control_tube)
+    along = _normalised(problem, along, sizes)
     residuals = _linear_residuals(problem, along, sizes)
     at_rest = problem.quadratic.gradient(np.zeros_like(along.x), np.zeros_like(along.u))
     slopes, scales = _quadratic_slope(problem, along, at_rest)
-    curvature = _curvature(problem, along)
+    # d'H d for the Hessian of the quadratic cost
+    there = problem.quadratic.gradient(along.x, along.u)
+    changes = zip(at_rest, there, (along.x, along.u), strict=True)
+    curvature = float(sum(((after - before) * change).sum() for before, after, change in changes))
     residuals.append(curvature / max(curvature, *scales) if curvature > 0 else 0.0)
-    for change, tube, size in zip((along.x, along.u), _tubes(problem), sizes, strict=True):
+    for change, tube, size in zip((along.x, along.u), tubes, sizes, strict=True):
         residuals.append(_box_residual(change / size, np.isfinite(tube.upper), np.isfinite(tube.lower)))
     for term in problem.terms:
         change = _change(term.map, along)
@@ -304,14 +309,11 @@ def _steepest(gradient: tuple[Array, Array], sizes: tuple[Array, Array]) -> floa
     return float(sum((np.abs(part) * size).sum() for part, size in zip(gradient, sizes, strict=True)))
 
 
-def _normalised(
-    problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]
-) -> tuple[Trajectory, tuple[Array, Array]]:
-    """Return the direction with a largest entry of 1 in these sizes, and the sizes."""
+def _normalised(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> Trajectory:
+    """Return the direction with a largest entry of 1 in these sizes."""
     problem.require(along)
-    x, u = sizes
-    largest = max(float(np.abs(along.x / x).max()), float(np.abs(along.u / u).max()))
-    return Trajectory(along.x / largest, along.u / largest) if largest > 0 else along, (x, u)
+    largest = max(float(np.abs(along.x / sizes[0]).max()), float(np.abs(along.u / sizes[1]).max()))
+    return Trajectory(along.x / largest, along.u / largest) if largest > 0 else along
 
 
 def _linear_residuals(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> list[float]:
@@ -352,21 +354,9 @@ def _least_slope(
     )
 
 
-def _curvature(problem: OptimalControlProblem, along: Trajectory) -> float:
-    """Return d'H d for the Hessian of the quadratic cost."""
-    zero = np.zeros_like(along.x), np.zeros_like(along.u)
-    at_rest, there = problem.quadratic.gradient(*zero), problem.quadratic.gradient(along.x, along.u)
-    changes = zip(at_rest, there, (along.x, along.u), strict=True)
-    return float(sum(((after - before) * change).sum() for before, after, change in changes))
-
-
 def _box_residual(change: Array, above: Mask, below: Mask) -> float:
     """Return by how much a change leads out of the bounds that are looked at."""
     return max(float(np.where(above, change, 0.0).max()), float(np.where(below, -change, 0.0).max()), 0.0)
-
-
-def _tubes(problem: OptimalControlProblem) -> tuple[Box, Box]:
-    return problem.state_tube, problem.control_tube
 
 
 def _change(one: AffineMap, along: Trajectory) -> Array:

@@ -262,20 +262,16 @@ def _spread(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius_d
     """Return how far x_t can be away, (T+1, n), if x_0, u_t and the offsets are away by radii (n,), (T, m), (T, n)."""
     inputs = np.hstack([radius_u, radius_d])
     with np.errstate(over="ignore", invalid="ignore"):
-        if dynamics.time_varying:
-            return _spread_step_by_step(dynamics, radius_0, inputs)
-        return _spread_in_blocks(dynamics, radius_0, inputs.max(0), len(inputs))
-
-
-def _spread_step_by_step(dynamics: LinearDynamics, radius_0: Array, inputs: Array) -> Array:
-    n, spread = len(radius_0), [radius_0]
-    transition, responses = np.eye(n), np.empty((0, n, inputs.shape[1]))
-    for t in range(len(inputs)):
-        A, B, _ = dynamics.at(t)
-        responses = np.concatenate([A @ responses, np.hstack([B, np.eye(n)])[None]])
-        transition = A @ transition
-        spread.append(np.einsum("sij,sj->i", np.abs(responses), inputs[: t + 1]) + np.abs(transition) @ radius_0)
-    return np.array(spread)
+        if not dynamics.time_varying:
+            return _spread_in_blocks(dynamics, radius_0, inputs.max(0), len(inputs))
+        n, spread = len(radius_0), [radius_0]
+        transition, responses = np.eye(n), np.empty((0, n, inputs.shape[1]))
+        for t in range(len(inputs)):
+            A, B, _ = dynamics.at(t)
+            responses = np.concatenate([A @ responses, np.hstack([B, np.eye(n)])[None]])
+            transition = A @ transition
+            spread.append(np.einsum("sij,sj->i", np.abs(responses), inputs[: t + 1]) + np.abs(transition) @ radius_0)
+        return np.array(spread)
 
 
 def _spread_in_blocks(dynamics: LinearDynamics, radius_0: Array, largest: Array, T: int) -> Array:

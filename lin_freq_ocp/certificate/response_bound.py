@@ -127,8 +127,11 @@ def _evaluate(
 ) -> Bound:
     """Return D over bounds of the controls."""
     problem, multipliers = extremal.problem, extremal.multipliers
-    x, u, unit = extended(extremal.trajectory.x), extended(extremal.trajectory.u), unit_rounding(extremal)
-    normal, limits = _normals(problem, multipliers.mu)
+    x, u, unit = extended(extremal.trajectory.x), extended(extremal.trajectory.u), unit_rounding(problem)
+    # the part of mu at bounds that exist, and these bounds
+    mu, lower, upper = multipliers.mu, problem.state_tube.lower, problem.state_tube.upper
+    above, below = (mu > 0) & np.isfinite(upper), (mu < 0) & np.isfinite(lower)
+    normal, limits = np.where(above | below, mu, 0.0), np.where(above, upper, np.where(below, lower, 0.0))
     slope_x, residual = normal - extremal.in_x, x - response.states(u)
     through_u = problem.equations.pull_back(extended(multipliers.eta))[1]
     slope = (through_u - extremal.in_u + response.pull_back(slope_x)).astype(np.float64)
@@ -158,13 +161,6 @@ def _evaluate(
     value = value if np.isfinite(value) else -np.inf
     rounding = certain + float(minimum.sum()) + last if np.isfinite(certain) else np.inf
     return Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, sets)
-
-
-def _normals(problem: OptimalControlProblem, mu: Array) -> Pair:
-    """Return the part of mu at bounds that exist, (T+1, n), and these bounds, 0 elsewhere."""
-    lower, upper = problem.state_tube.lower, problem.state_tube.upper
-    above, below = (mu > 0) & np.isfinite(upper), (mu < 0) & np.isfinite(lower)
-    return np.where(above | below, mu, 0.0), np.where(above, upper, np.where(below, lower, 0.0))
 
 
 def _gain(response: Response, weights: Array) -> Array:

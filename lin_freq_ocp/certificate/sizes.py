@@ -178,15 +178,12 @@ def floors(
         priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.is_cost]
         stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
         level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
-    rounding = _rounding(extremal, problem.origin if origin is None else origin)
+    # of states, in the coordinates that they are given in: what it makes of the state equations
+    start = problem.origin if origin is None else origin
+    given = np.abs(extremal.trajectory.x) + (0.0 if start is None else np.abs(start))
+    moved = problem.equations.successor_sizes(given, extremal.trajectory.u)
+    rounding = STATE_ROUNDING * (given.max(0) + moved.max(0))
     resting = np.abs(extremal.trajectory.x).max(0) <= rounding
     least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
     rounding = np.where(resting, 0.0, rounding)
     return Floors(least, SCALE_FLOOR * u, level, stage / x, stage / u, terms, rounding)
-
-
-def _rounding(extremal: Extremal, origin: Array | None) -> Array:
-    """Return what rounding of states, in the coordinates that they are given in, makes of the state equations, (n,)."""
-    problem, x = extremal.problem, np.abs(extremal.trajectory.x)
-    given = x if origin is None else x + np.abs(origin)
-    return STATE_ROUNDING * (given.max(0) + problem.equations.successor_sizes(given, extremal.trajectory.u).max(0))

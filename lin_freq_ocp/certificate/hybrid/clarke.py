@@ -21,7 +21,7 @@ the linear problem with these dynamics, if the sum is a convex combination of ac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -251,15 +251,13 @@ def switching_stages(
     trajectory, multipliers = extremal.trajectory, extremal.multipliers
     required, n = required_slopes(extremal), extremal.problem.state_dim
     active_facets = arrays.active_facets(trajectory.x, trajectory.u)
-    rows = np.concatenate([arrays.G, arrays.H], axis=-1)
-    maps = np.concatenate([arrays.A, arrays.B], axis=-1)
-    slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
-    terms = np.einsum("tkij,ti->tkj", np.abs(maps), np.abs(multipliers.eta))
+    slopes = np.einsum("tkij,ti->tkj", arrays.maps, multipliers.eta)
+    terms = np.einsum("tkij,ti->tkj", np.abs(arrays.maps), np.abs(multipliers.eta))
     scale = np.maximum(stationarity_scale(extremal, least), np.where(active[..., None], terms, 0.0).max(axis=(0, 1)))
     stages = list[SwitchingStage]()
     for t in np.union1d(np.flatnonzero(active.sum(axis=1) > 1), gaps):
         modes, (normals, held) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
-        facets = tuple(rows[t, i, active_facets[t, i]].T for i in modes)
+        facets = tuple(arrays.rows[t, i, active_facets[t, i]].T for i in modes)
         stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, held, facets, scale, n))
     return stages
 
@@ -311,7 +309,15 @@ def switching_facts(
         ("printed", "C-v as printed, in u alone", _printed_in_u),
         ("regular", "-<eta, f> Clarke-regular", _regular_residuals),
     )
-    conditions = tuple(_worst(label, name, stages, of) for label, name, of in checks) if stages else ()
+    conditions = list[Condition]()
+    for label, name, residuals in checks if stages else ():
+        worst = (-1.0, 0, 0, 1.0)  # the stage, mode and entry with the largest scaled residual
+        for stage in stages:
+            for mode, scaled in zip(stage.modes, residuals(stage), strict=True):
+                k = int(np.argmax(np.abs(scaled)))
+                worst = max(worst, (abs(float(scaled[k])), stage.time, int(mode), float(stage.scale[k])))
+        relative, time, mode, scale = worst
+        conditions.append(Condition(label, name, relative * scale, scale, CONDITION_TOLERANCE, time, mode))
     passed = [condition.passed for condition in conditions] or [True] * len(checks)
     facets = [facet for facet in problem.borders if isinstance(facet, SwitchingFacet)]
     jumping = [facet for facet in facets if not facet.continuous]
@@ -325,23 +331,10 @@ def switching_facts(
         times=tuple(stage.time for stage in stages),
         weights=weights[[stage.time for stage in stages]],
         jumping=max(jumping, key=lambda facet: facet.jump, default=None),
-        conditions=conditions,
+        conditions=tuple(conditions),
         mode_names=piecewise_affine(problem).mode_names,
         gaps=tuple(gaps.tolist()),
     )
-
-
-def _worst(
-    label: str, name: str, stages: Sequence[SwitchingStage], residuals: Callable[[SwitchingStage], list[Array]]
-) -> Condition:
-    """Return the condition at the stage, mode and entry with the largest scaled residual."""
-    worst = (-1.0, 0, 0, 1.0)
-    for stage in stages:
-        for mode, scaled in zip(stage.modes, residuals(stage), strict=True):
-            k = int(np.argmax(np.abs(scaled)))
-            worst = max(worst, (abs(float(scaled[k])), stage.time, int(mode), float(stage.scale[k])))
-    relative, time, mode, scale = worst
-    return Condition(label, name, relative * scale, scale, CONDITION_TOLERANCE, time, mode)
 
 
 def _flips(stage: SwitchingStage, sizes: Array) -> Iterator[Flip]:
@@ -439,13 +432,12 @@ def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, size
     least = np.append(SCALE_FLOOR * of_x, np.maximum(SCALE_FLOOR * of_u, problem.dynamics.level_sizes))
     x, y = trajectory.x, np.hstack([trajectory.x[:-1], trajectory.u])
     n = x.shape[1]
-    rows, maps = np.concatenate([arrays.G, arrays.H], axis=-1), np.concatenate([arrays.A, arrays.B], axis=-1)
-    images = np.einsum("tkij,tj->tki", np.abs(maps), np.abs(y)) + np.abs(arrays.offset)
+    images = np.einsum("tkij,tj->tki", np.abs(arrays.maps), np.abs(y)) + np.abs(arrays.offset)
     largest = np.maximum(np.abs(y).max(axis=0), least)
     largest[:n] = np.maximum.reduce([largest[:n], np.abs(x[-1]), images.min(axis=1).max(axis=0)])
     limits = np.where(np.isfinite(arrays.h), np.abs(arrays.h), 0.0)
-    scale = (np.abs(rows) @ largest + limits).max(axis=0)
-    violation = (np.einsum("tkrj,tj->tkr", rows, y) - arrays.h) / np.where(scale > 0, scale, 1.0)
+    scale = (np.abs(arrays.rows) @ largest + limits).max(axis=0)
+    violation = (np.einsum("tkrj,tj->tkr", arrays.rows, y) - arrays.h) / np.where(scale > 0, scale, 1.0)
     return np.maximum(violation.max(axis=2), 0.0)
 
 

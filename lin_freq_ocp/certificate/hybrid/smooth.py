@@ -94,8 +94,8 @@ def _slopes(
     selections: Mapping[Formula, Array],
 ) -> Array:
     """Return D <eta_t, f_i> of every mode, (T, modes, n + m)."""
-    arrays = piecewise_affine(problem.affine_at(trajectory, selections)).arrays(problem.horizon)
-    return np.einsum("tkij,ti->tkj", np.concatenate([arrays.A, arrays.B], axis=-1), multipliers.eta)
+    maps = piecewise_affine(problem.affine_at(trajectory, selections)).arrays(problem.horizon).maps
+    return np.einsum("tkij,ti->tkj", maps, multipliers.eta)
 
 
 def _norm_slopes(

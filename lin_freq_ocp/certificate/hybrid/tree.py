@@ -72,13 +72,13 @@ class IntervalReach:
         n, tube = problem.state_dim, problem.control_tube
         self._x = np.maximum(problem.state_tube.lower, -INFINITE), np.minimum(problem.state_tube.upper, INFINITE)
         self._u = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
-        self._maps, self._offset = np.concatenate([arrays.A, arrays.B], axis=-1), arrays.offset
+        self._maps, self._offset = arrays.maps, arrays.offset
         self._sizes = np.abs(self._maps)
         self._rising, self._falling = (self._maps + self._sizes) / 2, (self._maps - self._sizes) / 2
         middle, half = (self._u[0] + self._u[1]) / 2, (self._u[1] - self._u[0]) / 2
         self._A, self._pushed = self._maps[..., :n], np.einsum("tkij,tj->tki", arrays.B, middle) + arrays.offset
         self._pushes = arrays.B * half[:, None, None]
-        self._rows, self._limits = np.concatenate([arrays.G, arrays.H], axis=-1), np.minimum(arrays.h, INFINITE)
+        self._rows, self._limits = arrays.rows, np.minimum(arrays.h, INFINITE)
         used = (self._limits < FINITE)[..., None]
         self._above, self._below = (self._rows > 0) & used, (self._rows < 0) & used
         self._divisors = np.where(self._rows == 0, 1.0, self._rows)
@@ -92,12 +92,11 @@ class IntervalReach:
             stages.append(Stage(lower[t], upper[t], *_zonotope(lower[t], upper[t]), np.ones(modes, dtype=bool), *pairs))
         return None if self._forward([stages], [0], known=False) else tuple(stages)
 
-    def restricted(self, before: Stages, t: int, modes: Mask) -> Stages | None:
-        """Return the stages with only these modes (modes,) at time t, or None if they are empty."""
-        return self.restricted_each([(before, t, modes)])[0]
-
     def restricted_each(self, choices: Sequence[tuple[Stages, int, Mask]]) -> list[Stages | None]:
-        """Return what ``restricted`` does for each choice; all go forward side by side, which takes less time."""
+        """Return, for each choice, its stages with only these modes (modes,) at a time, or None if they are empty.
+
+        All go forward side by side, which takes less time.
+        """
         found = [list(before) for before, _, _ in choices]
         for stages, (_, t, modes) in zip(found, choices, strict=True):
             stages[t] = replace(stages[t], modes=stages[t].modes & modes)
@@ -310,8 +309,7 @@ class LeafJudge:
         at_rest = LinearDynamics(np.zeros((n, n)), np.zeros((n, m)), None, *named)
         self._problem = replace(problem, dynamics=at_rest)
         self._arrays = piecewise_affine(problem).arrays(T)
-        self._maps = np.concatenate([self._arrays.A, self._arrays.B], axis=-1)
-        self._rows = np.concatenate([self._arrays.G, self._arrays.H], axis=-1)
+        self._maps, self._rows = self._arrays.maps, self._arrays.rows
         self._limits = np.where(np.isfinite(self._arrays.h), self._arrays.h, 0.0)
         x = np.broadcast_to(cost.x_ref, (T + 1, n))
         u = np.broadcast_to(cost.u_ref, (T, m))
@@ -341,12 +339,9 @@ class LeafJudge:
         for t, edges in reversed(list(enumerate(self._edges(boxes)))):
             after = np.where(edges, lengths[t] + after, np.inf).min(axis=1)
         rounding = float(np.where(boxes.allowed[..., None], sizes, 0.0).max(axis=(1, 2)).sum())
-        end_slope, end = (
-            (extremal.eta_before[-1] - extremal.in_x[-1]).astype(np.float64),
-            eta_C * self._problem.quadratic.P,
-        )
+        end_slope = (extremal.eta_before[-1] - extremal.in_x[-1]).astype(np.float64)
         end_low, end_high = boxes.low[-1, 0, :last], boxes.high[-1, 0, :last]
-        final, largest = _box_minimum(end_slope, end, end_low, end_high)
+        final, largest = _box_minimum(end_slope, eta_C * self._problem.quadratic.P, end_low, end_high)
         size_x = np.abs(extremal.eta_before[-1]) + extremal.in_x_terms[-1]
         cost = self._cost if eta_C else 0.0
         gaps = float(sum(one.gap.sum() + one.beyond for one in extremal.terms))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +47,16 @@ class ModeArrays:
     def with_sizes(self, x: Array, u: Array, levels: Array) -> ModeArrays:
         """Return the same modes; states (n,) and controls (m,) are known to be of these sizes, and levels (m,)."""
         return replace(self, least=(LEAST_SIZE * x, np.maximum(LEAST_SIZE * u, levels)))
+
+    @cached_property
+    def maps(self) -> Array:
+        """[A, B] of every mode, (T, modes, n, n + m)."""
+        return np.concatenate([self.A, self.B], axis=-1)
+
+    @cached_property
+    def rows(self) -> Array:
+        """[G, H] of every region, (T, modes, rows, n + m)."""
+        return np.concatenate([self.G, self.H], axis=-1)
 
     def sizes(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return how large states, (n,), and controls, (m,), are along a trajectory: rounding is relative to it.

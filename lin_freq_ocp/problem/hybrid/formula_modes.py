@@ -59,22 +59,18 @@ class FormulaPiece:
                 if not equal
             ]
             label = branching.names[choice] if branching.names else f"{'max' if sign > 0 else 'min'} {choice}"
-            chosen = self._restricted(differences)
-            if chosen is not None:
-                choices, taken = {**self.choices, branching: choice}, {**self.arguments, branching: argument}
-                yield replace(chosen, choices=choices, arguments=taken, labels=(*self.labels, label))
-
-    def _restricted(self, differences: Sequence[tuple[Formula, Array | None]]) -> FormulaPiece | None:
-        """Return the choice where further switching functions are zero or below; None if they never are."""
-        further = [row for _, row in differences if row is not None]
-        flat = [row for row in further if not row[:-1].any()]
-        rows = np.array([*self.rows, *(row for row in further if row[:-1].any())]).reshape(-1, self.rows.shape[1])
-        if any(row[-1] > 0 for row in flat) or not has_interior(rows[:, :-1], -rows[:, -1], SMALLEST_PIECE):
-            return None
-        if _above_zero([one for one, row in differences if row is None]):
-            return None
-        region = (*self.region, *(one for one, row in differences if row is None or row[:-1].any()))
-        return replace(self, region=region, rows=rows)
+            # the choice holds where the differences are zero or below: not at all, or in a smaller region
+            further = [row for _, row in differences if row is not None]
+            flat = [row for row in further if not row[:-1].any()]
+            rows = np.array([*self.rows, *(row for row in further if row[:-1].any())]).reshape(-1, self.rows.shape[1])
+            if any(row[-1] > 0 for row in flat) or not has_interior(rows[:, :-1], -rows[:, -1], SMALLEST_PIECE):
+                continue
+            if _above_zero([one for one, row in differences if row is None]):
+                continue
+            region = (*self.region, *(one for one, row in differences if row is None or row[:-1].any()))
+            choices, taken = {**self.choices, branching: choice}, {**self.arguments, branching: argument}
+            labels = (*self.labels, label)
+            yield replace(self, region=region, rows=rows, choices=choices, arguments=taken, labels=labels)
 
 
 def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[FormulaPiece]:

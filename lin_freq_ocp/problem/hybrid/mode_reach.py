@@ -52,7 +52,7 @@ class ModeReach:
         self.problem, tube = problem, problem.control_tube
         self.arrays = piecewise_affine(problem).arrays(problem.horizon)
         arrays = self.arrays
-        maps, self._rows = np.concatenate([arrays.A, arrays.B], axis=-1), np.concatenate([arrays.G, arrays.H], axis=-1)
+        maps, self._rows = arrays.maps, arrays.rows
         self._increasing, self._decreasing = np.maximum(maps, 0.0), np.minimum(maps, 0.0)
         self._limits = np.minimum(arrays.h, INFINITE)
         finite = np.isfinite(arrays.h)
@@ -63,8 +63,8 @@ class ModeReach:
         lower, upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
         # what the centres of the controls add to the next state, and the generators that the controls add
         self._pushed = np.einsum("tkij,tj->tki", arrays.B, (lower + upper) / 2) + arrays.offset
-        self._pushes = arrays.B * ((upper - lower) / 2)[:, None, None]
-        self._pushed_radius = np.abs(self._pushes).sum(axis=-1)
+        self.pushes = arrays.B * ((upper - lower) / 2)[:, None, None]  # (T, modes, n, m)
+        self._pushed_radius = np.abs(self.pushes).sum(axis=-1)
         self._above, self._below = self._rows > 0, self._rows < 0
         self._absolute = self._increasing - self._decreasing
 
@@ -121,10 +121,6 @@ class ModeReach:
         radius = np.abs(spread).sum(axis=-1) + self._pushed_radius[t]
         return centre, radius + OUTWARD * (np.abs(centre) + radius), spread
 
-    def pushes(self, t: int, mode: int) -> Array:
-        """Return the generators that the controls add, (n, m)."""
-        return self._pushes[t, mode]
-
 
 class _Propagation:
     """Parts of a reach with other masks (count, T, modes), side by side from a time on; later bounds are kept."""
@@ -168,7 +164,11 @@ class _Propagation:
         np.minimum(high[..., :n], self._upper[live, None, t], out=high[..., :n])
         low, high, feasible = system.within_regions(t, low, high)
         image_low, image_high = system.images(t, low, high)
-        centre, radius, spread = system.zonotopes(t, *self._zonotopes(t, live))
+        parts = [self._generators[b][t] for b in live]
+        generators = np.zeros((len(parts), n, max(part.shape[1] for part in parts)))  # filled up by zeros
+        for filled, part in zip(generators, parts, strict=True):
+            filled[:, : part.shape[1]] = part
+        centre, radius, spread = system.zonotopes(t, np.array([self._centres[b][t] for b in live]), generators)
         last_low, last_high = self._lower[live, t + 1], self._upper[live, t + 1]
         image_low = np.maximum(np.maximum(image_low, centre - radius), last_low[:, None])
         image_high = np.minimum(np.minimum(image_high, centre + radius), last_high[:, None])
@@ -188,7 +188,7 @@ class _Propagation:
             same[place] = False
             if left[place] == 1:
                 only, old = int(np.argmax(keep[place])), self._generators[b][t].shape[1]
-                after = np.concatenate([spread[place, only, :, :old], system.pushes(t, only)], axis=1)
+                after = np.concatenate([spread[place, only, :, :old], system.pushes[t, only]], axis=1)
                 self._centres[b].append(centre[place, only])
                 self._generators[b].append(after)
             elif left[place]:
@@ -196,14 +196,6 @@ class _Propagation:
                 self._centres[b].append(ball[0])
                 self._generators[b].append(ball[1])
         return left > 0, same
-
-    def _zonotopes(self, t: int, live: Indices) -> tuple[Array, Array]:
-        """Return centres (live, n) and generators (live, n, count), filled up by zeros."""
-        parts = [self._generators[b][t] for b in live]
-        generators = np.zeros((len(parts), len(parts[0]), max(part.shape[1] for part in parts)))
-        for place, part in enumerate(parts):
-            generators[place, :, : part.shape[1]] = part
-        return np.array([self._centres[b][t] for b in live]), generators
 
 
 def _ball(lower: Array, upper: Array) -> tuple[Array, Array]:

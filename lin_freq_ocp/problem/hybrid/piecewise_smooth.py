@@ -318,9 +318,15 @@ class PiecewiseSmoothDynamics(StandardDynamics):
 
     def pull_of_norm(self, one: Formula, y: Array, mode: int, eta: Array) -> float:
         """Return the derivative of <eta, f_mode> by a norm at y = (x, u), the norm taken for a variable of its own."""
-        k = len(y)
-        variables = _with_one_more(self.modes[mode].f, one)
-        found = jets(variables, np.append(y, values_of([one], y[None])[0])[None])
+        k, (n, m) = len(y), one.dimensions
+
+        def with_variable(node: Formula, arguments: list[Formula]) -> Formula:  # of (x, u, w), w the norm
+            if node is one:
+                return Formula((n, m + 1), VARIABLE, (), (float(k),))
+            return replace(node, dimensions=(n, m + 1), arguments=tuple(arguments))
+
+        f = evaluated(self.modes[mode].f, with_variable)
+        found = jets(f, np.append(y, values_of([one], y[None])[0])[None])
         return float(eta @ found.slopes[0, :, k])
 
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:
@@ -364,15 +370,3 @@ class PiecewiseSmoothDynamics(StandardDynamics):
             raise NumericalError(f"No mode of the dynamics is defined and holds at {at}.")
 
         return step
-
-
-def _with_one_more(formulas: Sequence[Formula], one: Formula) -> list[Formula]:
-    """Return formulas of (x, u, w) in which a norm is the further control w."""
-    n, m = one.dimensions
-
-    def made(node: Formula, arguments: list[Formula]) -> Formula:
-        if node is one:
-            return Formula((n, m + 1), VARIABLE, (), (float(n + m),))
-        return replace(node, dimensions=(n, m + 1), arguments=tuple(arguments))
-
-    return evaluated(formulas, made)

@@ -236,16 +236,12 @@ def _shared_facet(pieces: _Pieces, i: int, j: int) -> tuple[Array, float] | None
         return None
     both = first & second
     others = both.take(~both.same_as(row, limit) & ~both.same_as(-row, -limit))
-    return (row, limit) if _touch(pieces, others, row, limit) else None
-
-
-def _touch(pieces: _Pieces, others: Cell, row: Array, limit: float) -> bool:
-    """Whether, within the hyperplane row'y = limit, a ball fits into the other rows with its centre in the sets."""
+    # within the hyperplane row'y = limit, a ball has to fit into the other rows with its centre in the sets
     domain, along = pieces.domain, row[pieces.free]
     length = float(np.linalg.norm(along))
     if length <= FLAT:
         if abs(limit) > SAME_FACET:
-            return False
+            return None
         plane, inside = None, np.ones(len(domain.limits))
     else:
         direction = along / length
@@ -253,7 +249,8 @@ def _touch(pieces: _Pieces, others: Cell, row: Array, limit: float) -> bool:
         inside = _part_across(domain.normals, direction)
     normals = np.vstack([others.normals[:, pieces.free], domain.normals])
     radii = np.append(_part_across(others.normals, row), inside)
-    return ball_centre(normals, np.append(others.limits, domain.limits), radii, THICKNESS, plane) is not None
+    centre = ball_centre(normals, np.append(others.limits, domain.limits), radii, THICKNESS, plane)
+    return None if centre is None else (row, limit)
 
 
 def _part_across(normals: Array, direction: Array) -> Array:

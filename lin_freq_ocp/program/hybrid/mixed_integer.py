@@ -30,12 +30,13 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.polyhedra import minimiser
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import UNBOUNDED, ModeReach, Reach
+from lin_freq_ocp.problem.hybrid.mode_reach import UNBOUNDED, ModeReach
 from lin_freq_ocp.problem.hybrid.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.hybrid.rows import signal_columns
 from lin_freq_ocp.program.program import Block, Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import common_scaling
@@ -120,8 +121,27 @@ def excesses(problem: OptimalControlProblem, end: float = np.inf) -> Excesses:
     for t in map(int, np.flatnonzero(found.possible.sum(axis=1) > 1)):
         assert reach is not None  # a mode is possible
         here = np.flatnonzero(reach.allowed[t])
-        _require_bounds(problem, reach, t, here)
-        stage = _stage(arrays, reach, t, here, further[t], LEAST_HALF_WIDTH * units)
+        for bounds, side in ((reach.mode_lower, "lower"), (reach.mode_upper, "upper")):
+            unbounded = (np.abs(bounds[t, here]) >= UNBOUNDED).any(axis=0)
+            if unbounded.any():
+                name = (*problem.state_names, *problem.control_names)[int(np.argmax(unbounded))]
+                raise UnsupportedError(
+                    f"{name}: no {side} bound at t = {t}, where several modes are possible; a mixed-integer program "
+                    "needs bounds that the state, control and initial sets state or imply."
+                )
+        lower, upper = reach.mode_lower[t, here], reach.mode_upper[t, here]
+        stage = _Stage(
+            F=arrays.maps[t, here],
+            c=arrays.offset[t, here],
+            G=arrays.rows[t, here],
+            h=arrays.h[t, here],
+            centres=(lower + upper) / 2,
+            halves=np.maximum((upper - lower) / 2, LEAST_HALF_WIDTH * units),
+            rows=further[t][0],
+            limits=further[t][1],
+            next_lower=reach.lower[t + 1],
+            next_upper=reach.upper[t + 1],
+        )
         if stage.key not in known:
             require_time(end)
             known[stage.key] = _figures(stage)
@@ -129,33 +149,6 @@ def excesses(problem: OptimalControlProblem, end: float = np.inf) -> Excesses:
         for part, figures in zip((found.below, found.above, found.regions), known[stage.key][1:], strict=True):
             part[t][np.ix_(here, here)] = figures
     return found
-
-
-def _require_bounds(problem: OptimalControlProblem, reach: Reach, t: int, here: Indices) -> None:
-    for bounds, side in ((reach.mode_lower, "lower"), (reach.mode_upper, "upper")):
-        unbounded = (np.abs(bounds[t, here]) >= UNBOUNDED).any(axis=0)
-        if unbounded.any():
-            name = (*problem.state_names, *problem.control_names)[int(np.argmax(unbounded))]
-            raise UnsupportedError(
-                f"{name}: no {side} bound at t = {t}, where several modes are possible; a mixed-integer program needs "
-                "bounds that the state, control and initial sets state or imply."
-            )
-
-
-def _stage(arrays: ModeArrays, reach: Reach, t: int, here: Indices, further: Rows, least: Array) -> _Stage:
-    lower, upper = reach.mode_lower[t, here], reach.mode_upper[t, here]
-    return _Stage(
-        F=np.concatenate([arrays.A[t, here], arrays.B[t, here]], axis=-1),
-        c=arrays.offset[t, here],
-        G=np.concatenate([arrays.G[t, here], arrays.H[t, here]], axis=-1),
-        h=arrays.h[t, here],
-        centres=(lower + upper) / 2,
-        halves=np.maximum((upper - lower) / 2, least),
-        rows=further[0],
-        limits=further[1],
-        next_lower=reach.lower[t + 1],
-        next_upper=reach.upper[t + 1],
-    )
 
 
 def _figures(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
@@ -237,22 +230,15 @@ def _with_implied_bounds(
     if not any(unbounded[t].any() and len(further[t][1]) for t in range(problem.horizon)):
         return problem
     for t in map(int, np.flatnonzero(unbounded.any(axis=1))):
-        lower[t], upper[t] = _implied(lower[t], upper[t], *further[t], units)
+        low, high = lower[t] / units, upper[t] / units
+        rows, limits = _normalised(further[t][0] * units, further[t][1])
+        for sign, side in ((1.0, upper[t]), (-1.0, lower[t])):
+            for k in np.flatnonzero(~np.isfinite(side)):
+                found = minimiser(np.where(np.arange(len(units)) == k, -sign, 0.0), rows, limits, low, high)
+                if found is not None:
+                    side[k] = units[k] * (found[k] + sign * OUTWARD * max(1.0, abs(float(found[k]))))
     state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
     return replace(problem, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
-
-
-def _implied(lower: Array, upper: Array, rows: Array, limits: Array, units: Array) -> tuple[Array, Array]:
-    """Return bounds (n+m,), missing ones computed from the rows where these imply any."""
-    low, high = lower.copy(), upper.copy()
-    scaled, right = _normalised(rows * units, limits)
-    for sign, side in ((1.0, high), (-1.0, low)):
-        for k in np.flatnonzero(~np.isfinite(side)):
-            cost = np.where(np.arange(len(units)) == k, -sign, 0.0)
-            found = minimiser(cost, scaled, right, lower / units, upper / units)
-            if found is not None:
-                side[k] = units[k] * (found[k] + sign * OUTWARD * max(1.0, abs(float(found[k]))))
-    return low, high
 
 
 def _further_rows(problem: OptimalControlProblem) -> list[Rows]:
@@ -311,31 +297,11 @@ class MixedInteger:
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """The columns of x_t, u_t and delta_t."""
+    """The columns of x_t (T+1, n), (x_t, u_t) (T, n+m) and delta_t (T, modes); those of the binaries come last."""
 
-    horizon: int
-    n: int
-    m: int
-    host: int
-    modes: int
-
-    def stage(self, t: int) -> Indices:
-        """Return the columns of (x_t, u_t)."""
-        u = (self.horizon + 1) * self.n + t * self.m
-        return np.concatenate([self.state(t), np.arange(u, u + self.m)])
-
-    def state(self, t: int) -> Indices:
-        """Return the columns of x_t."""
-        return np.arange(t * self.n, (t + 1) * self.n)
-
-    def delta(self, t: int, modes: Indices) -> Indices:
-        """Return the columns of delta_{t,i} of some modes."""
-        return self.host + t * self.modes + modes
-
-    @property
-    def count(self) -> int:
-        """Return how many variables there are."""
-        return self.host + self.horizon * self.modes
+    x: Indices
+    y: Indices
+    delta: Indices
 
 
 def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedInteger:
@@ -346,26 +312,37 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
         LinearTranscription(replace(problem, dynamics=dynamics.along(np.full(T, i))))
         for i in range(len(dynamics.modes))
     ]
-    columns = _Columns(T, problem.state_dim, problem.control_dim, len(hosts[0].program.q), len(hosts))
+    n, m = problem.state_dim, problem.control_dim
+    columns = _Columns(
+        x=np.arange((T + 1) * n).reshape(T + 1, n),
+        y=signal_columns(T, n, m),
+        delta=len(hosts[0].program.q) + np.arange(T * len(hosts)).reshape(T, len(hosts)),
+    )
     rows = {
         Block.DYNAMICS: list(_dynamics_rows(arrays, found, columns)),
         Block.REGIONS: list(_region_rows(arrays, found, columns)),
         Block.MODES: list(_mode_rows(found, columns)),
     }
     require_time(end)
-    own = _joined(rows, hosts[0], columns)
-    scaling = _scaling(own, common_scaling(hosts))
+    own, of_signals = _joined(rows, hosts[0], columns), common_scaling(hosts)
+    # the units of the signals, 1 for binaries, and those of rows that make their largest coefficient 1
+    units = np.append(of_signals.columns, np.ones(len(own.q) - len(of_signals.columns)))
+    largest = abs(own.A @ sp.diags_array(units)).max(axis=1).toarray().ravel()
+    of_rows = 1.0 / np.where(largest > 0, largest, 1.0)  # rows of zeros are in cones only
+    for cone in own.cones:
+        of_rows[cone] = of_rows[cone].min()
+    scaling = Scaling(columns=units, rows=of_rows, cost=of_signals.cost)
     return MixedInteger(own.scaled(scaling), scaling, hosts[0], found.possible)
 
 
 def _dynamics_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iterator[Row]:
     for t, possible in enumerate(found.possible):
         holding = np.flatnonzero(possible)
-        for k in range(columns.n):
-            for same in _equal_groups(holding, arrays.A[t, :, k], arrays.B[t, :, k], arrays.offset[t, :, k, None]):
+        for k in range(columns.x.shape[1]):
+            for same in _equal_groups(holding, arrays.maps[t, :, k], arrays.offset[t, :, k, None]):
                 i, others = same[0], np.setdiff1d(holding, same)
-                at = np.concatenate([columns.state(t + 1)[k : k + 1], columns.stage(t), columns.delta(t, others)])
-                map_row, offset = [1.0, *-arrays.A[t, i, k], *-arrays.B[t, i, k]], float(arrays.offset[t, i, k])
+                at = np.concatenate([columns.x[t + 1, k : k + 1], columns.y[t], columns.delta[t, others]])
+                map_row, offset = [1.0, *-arrays.maps[t, i, k]], float(arrays.offset[t, i, k])
                 if not len(others):
                     yield at, np.array(map_row), offset, offset
                     continue
@@ -376,25 +353,20 @@ def _dynamics_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> It
 def _region_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iterator[Row]:
     modes, count = arrays.h.shape[1:]
     for t, possible in enumerate(found.possible):
-        G, H, h = (part[t].reshape(modes * count, -1) for part in (arrays.G, arrays.H, arrays.h))
-        written = np.isfinite(h[:, 0]) & (np.abs(G).sum(axis=1) + np.abs(H).sum(axis=1) > 0)
+        rows, h = (part[t].reshape(modes * count, -1) for part in (arrays.rows, arrays.h))
+        written = np.isfinite(h[:, 0]) & rows.any(axis=1)
         asked = np.flatnonzero(written & np.repeat(possible, count))
-        for same in _equal_groups(asked, G, H, h):
+        for same in _equal_groups(asked, rows, h):
             i, r = divmod(int(same[0]), count)
             others = np.setdiff1d(np.flatnonzero(possible), same // count)
-            at = np.concatenate([columns.stage(t), columns.delta(t, others)])
-            yield (
-                at,
-                np.concatenate([arrays.G[t, i, r], arrays.H[t, i, r], -found.regions[t, i, others, r]]),
-                -np.inf,
-                float(arrays.h[t, i, r]),
-            )
+            at = np.concatenate([columns.y[t], columns.delta[t, others]])
+            row = np.append(arrays.rows[t, i, r], -found.regions[t, i, others, r])
+            yield at, row, -np.inf, float(arrays.h[t, i, r])
 
 
 def _mode_rows(found: Excesses, columns: _Columns) -> Iterator[Row]:
-    for t, possible in enumerate(found.possible):
-        deltas = columns.delta(t, np.arange(columns.modes))
-        yield deltas, np.ones(columns.modes), 1.0, 1.0
+    for deltas, possible in zip(columns.delta, found.possible, strict=True):
+        yield deltas, np.ones(len(deltas)), 1.0, 1.0
         for delta, can_hold in zip(deltas, possible, strict=True):
             yield np.array([delta]), np.ones(1), 0.0, float(can_hold)
 
@@ -410,13 +382,17 @@ def _equal_groups(chosen: Indices, *parts: Array) -> Iterator[Indices]:
 
 def _joined(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _Columns) -> Program:
     """Return the rows with all of the host's but its dynamics, in the host's deviations from the references."""
-    program, binaries = host.program, columns.count - columns.host
+    program, count, binaries = host.program, len(host.program.q) + columns.delta.size, columns.delta.size
     listed = [row for block in rows.values() for row in block]
     of_column = np.concatenate([row[0] for row in listed])
     of_row = np.repeat(np.arange(len(listed)), [len(row[0]) for row in listed])
     values = np.concatenate([row[1] for row in listed])
-    own = sp.csr_array((values, (of_row, of_column)), (len(listed), columns.count))
-    limits = np.array([row[2:] for row in listed]).T - own @ _origin(host, columns)
+    own = sp.csr_array((values, (of_row, of_column)), (len(listed), count))
+    # the references: states and controls minus the variables of the program
+    zero = Trajectory(np.zeros(columns.x.shape), np.zeros((len(columns.y), columns.y.shape[1] - columns.x.shape[1])))
+    origin = np.zeros(count)
+    origin[: host.signals] = -host.point(zero)[: host.signals]
+    limits = np.array([row[2:] for row in listed]).T - own @ origin
     first = program.rows[Block.DYNAMICS].stop  # the host's first rows
     of_host = sp.hstack([program.A[first:], sp.csc_array((len(program.lower) - first, binaries))])
     A = sp.csc_array(sp.vstack([own, of_host]))
@@ -433,27 +409,9 @@ def _joined(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _C
         upper=np.append(limits[1], program.upper[first:]),
         rows={block: _shifted(part, moved) for block, part in program.rows.items()} | blocks,
         cones=tuple(_shifted(cone, moved) for cone in program.cones),
-        binaries=np.arange(columns.host, columns.count),
+        binaries=columns.delta.ravel(),
     )
-
-
-def _origin(host: LinearTranscription, columns: _Columns) -> Array:
-    """Return the references: states and controls minus the variables of the program."""
-    zero = Trajectory(np.zeros((columns.horizon + 1, columns.n)), np.zeros((columns.horizon, columns.m)))
-    origin = np.zeros(columns.count)
-    origin[: host.signals] = -host.point(zero)[: host.signals]
-    return origin
 
 
 def _shifted(rows: slice, by: int) -> slice:
     return slice(rows.start + by, rows.stop + by)
-
-
-def _scaling(program: Program, of_signals: Scaling) -> Scaling:
-    """Return the units of the signals, 1 for binaries, and those of rows that make their largest coefficient 1."""
-    columns = np.append(of_signals.columns, np.ones(len(program.q) - len(of_signals.columns)))
-    largest = abs(program.A @ sp.diags_array(columns)).max(axis=1).toarray().ravel()
-    rows = 1.0 / np.where(largest > 0, largest, 1.0)  # rows of zeros are in cones only
-    for cone in program.cones:
-        rows[cone] = rows[cone].min()
-    return Scaling(columns=columns, rows=rows, cost=of_signals.cost)

@@ -130,7 +130,9 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array) -> Path
         return None
     t, i, j = (np.append(part, last) for part, last in zip(np.nonzero(pairs), (T, 0, 0), strict=True))
     middle, half = (low + high)[t, i] / 2, (high - low)[t, i] / 2
-    y = _of_shares(middle, half)
+    k = middle.shape[1]
+    y = np.zeros((*middle.shape, k + 2))  # y of w
+    y[:, np.arange(k), np.arange(k)], y[..., -2] = half, middle
     image = model.maps[t, i] @ y
     image[..., -2] += model.offsets[t, i]
     image[-1] = 0.0
@@ -161,14 +163,6 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array) -> Path
         present=present,
         cone=cone,
     )
-
-
-def _of_shares(middle: Array, half: Array) -> Array:
-    """Return y of w, (E, k, k+2)."""
-    edges, k = middle.shape
-    y = np.zeros((edges, k, k + 2))
-    y[:, np.arange(k), np.arange(k)], y[..., -2] = half, middle
-    return y
 
 
 def _vertices(x: Array, image: Array, t: Indices, i: Indices, j: Indices, T: int) -> tuple[Array, Indices, int]:
@@ -306,29 +300,6 @@ class PathBounds:
         present[:-1], present[-1, 0, 0] = pairs, True
         return np.where(present, found, np.inf)
 
-    def later(self, duals: PathDuals) -> PathDuals:
-        """Return duals moved to the time before, for a problem that begins one time later.
-
-        What comes in at the end has the adjoint of the end before, and no other multipliers. Rows over all times keep
-        what is nearest to their sum, shifted in a circle.
-        """
-        T = len(duals.vertices)
-        vertices, regions, images = (
-            np.concatenate([part[1:], np.zeros_like(part[:1])])
-            for part in (duals.vertices, duals.regions, duals.images)
-        )
-        vertices[T - 2 :] = duals.vertices[-1, 0]  # of x_T: at T - 1 there are now modes
-        for part in (regions, images):
-            part[T - 2] = part[T - 2, :, :1]
-        adjoint = np.concatenate([duals.adjoint[1:], duals.adjoint[-1:]])
-        if not len(duals.coupled):
-            return PathDuals(vertices, regions, images, duals.coupled, adjoint, duals.eta_C)
-        total = np.tensordot(duals.coupled, self._model.coupled, axes=1)
-        total[:-1] = np.roll(total[:-1], -1, axis=0)
-        rows = self._model.coupled.reshape(len(duals.coupled), -1)
-        coupled = np.linalg.lstsq(rows.T, total.ravel(), rcond=None)[0].astype(np.float64)
-        return PathDuals(vertices, regions, images, coupled, adjoint, duals.eta_C)
-
 
 # With more modes, nodes with more edges per time than these are solved by shares of modes: that takes less time
 MOST_MODES, MOST_EDGES = 4, 8
@@ -404,9 +375,28 @@ class PathRelaxation(ModeRelaxation):
         return self._paths[0].pairs(allowed, low, high), low, high
 
     def later(self, duals: PathDuals) -> PathDuals:
-        """Return duals moved to the time before, for the problem that begins one time later."""
+        """Return duals moved to the time before, for a problem that begins one time later.
+
+        What comes in at the end has the adjoint of the end before, and no other multipliers. Rows over all times keep
+        what is nearest to their sum, shifted in a circle.
+        """
         assert self._paths is not None
-        return self._paths[1].later(duals)
+        T, all_times = len(duals.vertices), self._paths[0].coupled
+        vertices, regions, images = (
+            np.concatenate([part[1:], np.zeros_like(part[:1])])
+            for part in (duals.vertices, duals.regions, duals.images)
+        )
+        vertices[T - 2 :] = duals.vertices[-1, 0]  # of x_T: at T - 1 there are now modes
+        for part in (regions, images):
+            part[T - 2] = part[T - 2, :, :1]
+        adjoint = np.concatenate([duals.adjoint[1:], duals.adjoint[-1:]])
+        if not len(duals.coupled):
+            return PathDuals(vertices, regions, images, duals.coupled, adjoint, duals.eta_C)
+        total = np.tensordot(duals.coupled, all_times, axes=1)
+        total[:-1] = np.roll(total[:-1], -1, axis=0)
+        rows = all_times.reshape(len(duals.coupled), -1)
+        coupled = np.linalg.lstsq(rows.T, total.ravel(), rcond=None)[0].astype(np.float64)
+        return PathDuals(vertices, regions, images, coupled, adjoint, duals.eta_C)
 
     def proven_by(self, reach: Reach, duals: PathDuals) -> float:
         """Return what any duals prove of a reach: as a bound on the cost, inf if that it has no trajectory."""

@@ -37,10 +37,9 @@ from lin_freq_ocp.program.hybrid.rows import (
     RowTemplate,
     Sense,
     StageBounds,
-    StageDuals,
-    hessian_roots,
     mode_rows,
     mode_stages,
+    symmetric_roots,
 )
 from lin_freq_ocp.program.program import Block, StandardForm
 from lin_freq_ocp.program.transcription import LinearTranscription
@@ -81,7 +80,8 @@ class ModeRelaxation:
     bounds_where_several = False  # whether (x_t, u_t) has its own bounds where shares have them, too
 
     def __init__(self, problem: OptimalControlProblem, level: float = 1.0):
-        self.problem, self.reach, self._level = problem, ModeReach(problem), level
+        self.problem, self.reach = problem, ModeReach(problem)
+        self.level = level  # by how much the objective of members is larger than it would be of itself
         T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(piecewise_affine(problem).modes)
         hosts = [
             LinearTranscription(replace(problem, dynamics=piecewise_affine(problem).along(np.full(T, mode))))
@@ -97,7 +97,12 @@ class ModeRelaxation:
         template = RowTemplate()
         self._add_host_rows(template)
         self._x_boxes, self._u_boxes = _box_rows(template, self._at.x), _box_rows(template, self._at.y[:, n:])
-        self._add_rows(template, np.sqrt(units.cost) * hessian_roots(problem.quadratic, sizes, T))
+        stage_hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, n + m, n + m))
+        roots = np.sqrt(units.cost) * symmetric_roots(stage_hessians * np.outer(sizes, sizes))
+        self._rows = mode_rows(template, self._stages, self._at, roots)
+        own = self._rows.cone.rows
+        self._cone_heads = np.append(self._cone_heads, own[:, 0])
+        self._cone_sizes = np.append(self._cone_sizes, np.full(len(own), own.shape[1]))
         self._template = template.finished(self._at.count)
         hessian = sp.coo_array(sp.csc_array(sp.triu(self._program.P)))
         self._hessian = hessian.data, *(np.asarray(part, dtype=np.int32) for part in hessian.coords)
@@ -122,10 +127,16 @@ class ModeRelaxation:
         self._rows.weight_sum.take(rows, ~single)
         self._rows.weight.take(rows, many)
         self._take_several(rows, values, right, reach, many)
-        self._several_columns(columns, many)
+        columns[self._at.delta] = columns[self._at.epsilon] = many
+        columns[self._at.share] = many[..., None]
         part, kept = self._template.member(rows, columns, values, right), np.flatnonzero(columns)
+        # the cost of variables without shares; the columns of the host come first, and are all kept
+        hessian, row, column = self._hessian
+        stage = self._stage[row]
+        cost = (stage < 0) | single[stage]
+        pointers = np.append(np.int32(0), np.cumsum(np.bincount(column[cost], minlength=len(kept)), dtype=np.int32))
         form = StandardForm(
-            P=self._hessian_of(single, len(kept)),
+            P=sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept), len(kept))),
             q=self._price[kept],
             A=part.A,
             b=part.b,
@@ -143,16 +154,11 @@ class ModeRelaxation:
         Units of a smaller cost, kept from an earlier solve, are left as well.
         """
         objective = abs(self.objective(cost))
-        small, large = self._level < LARGEST_LEVEL, self._level > 1
+        small, large = self.level < LARGEST_LEVEL, self.level > 1
         if not ((small and objective < SMALL_OBJECTIVE) or (large and objective > LARGE_OBJECTIVE)):
             return self
-        level = self._level / max(objective, 1 / LARGEST_LEVEL)
+        level = self.level / max(objective, 1 / LARGEST_LEVEL)
         return type(self)(self.problem, min(max(level, 1.0), LARGEST_LEVEL))
-
-    @property
-    def level(self) -> float:
-        """Return by how much the objective of members is larger than it would be of itself."""
-        return self._level
 
     def moved(self, problem: OptimalControlProblem) -> Self:
         """Return the relaxations of a problem that differs in the point where it starts alone."""
@@ -195,8 +201,8 @@ class ModeRelaxation:
             return None
         full, rows = self._filled(duals), self._rows
         region = np.maximum(rows.one_region.of(full) + rows.share_region.of(full), 0.0)
-        links, others = self._scaled_adjoint(full), self._host_rows[0].of(full).ravel()
-        found, rest = self._bounds.phi(reach, StageDuals(links, others, region.reshape(self._stages.limits.shape)))
+        eta, rho = self._scaled_adjoint(full), self._host_rows[0].of(full).ravel()
+        found, rest = self._bounds.phi(reach, eta, rho, region.reshape(self._stages.limits.shape))
         return found / self._scaling.cost, self.cost(rest)
 
     @property
@@ -295,12 +301,6 @@ class ModeRelaxation:
         self._cone_sizes = np.array(form.cones, dtype=np.intp)
         self._cone_heads = self._host_rows[2].rows.ravel()[np.cumsum(self._cone_sizes) - self._cone_sizes]
 
-    def _add_rows(self, template: RowTemplate, roots: Array) -> None:
-        self._rows = mode_rows(template, self._stages, self._at, roots)
-        own = self._rows.cone.rows
-        self._cone_heads = np.append(self._cone_heads, own[:, 0])
-        self._cone_sizes = np.append(self._cone_sizes, np.full(len(own), own.shape[1]))
-
     def _take_boxes(self, rows: Mask, right: Array, reach: Reach, bounded: Mask) -> None:
         """Take the bounds of x_t and u_t at times ``bounded``, where shares do not have them, and of x_T."""
         stages, n, tube = self._stages, self._n, self.problem.control_tube
@@ -320,11 +320,6 @@ class ModeRelaxation:
             ):
                 group.of(rows)[:] = mask & taken[:, None]
                 group.of(right)[:] = value
-
-    def _several_columns(self, columns: Mask, many: Mask) -> None:
-        """Take the variables of modes where several are left."""
-        columns[self._at.delta] = columns[self._at.epsilon] = many
-        columns[self._at.share] = many[..., None]
 
     def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
         """Take the rows of modes where several are left, and fill in what depends on the reach."""
@@ -356,14 +351,6 @@ class ModeRelaxation:
                 "that states and controls, or the reach from the initial state, have."
             )
         return self._stages.scaled(np.where(bounded, bounds, 0.0))
-
-    def _hessian_of(self, single: Mask, count: int) -> sp.csc_array:
-        """Return the cost of variables without shares; the columns of the host come first, and are all kept."""
-        values, row, column = self._hessian
-        stage = self._stage[row]
-        keep = (stage < 0) | single[stage]
-        pointers = np.append(np.int32(0), np.cumsum(np.bincount(column[keep], minlength=count), dtype=np.int32))
-        return sp.csc_array((values[keep], row[keep], pointers), shape=(count, count))
 
 
 def _box_rows(template: RowTemplate, columns: Indices) -> tuple[Groups, ...]:

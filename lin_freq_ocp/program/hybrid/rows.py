@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.polyhedra import box_minimiser
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -187,28 +186,19 @@ def mode_stages(problem: OptimalControlProblem, units: Array) -> ModeStages:
     arrays, cost = piecewise_affine(problem).arrays(T), problem.quadratic
     states = np.broadcast_to(cost.x_ref, (T + 1, n))
     references = np.hstack([states[:-1], np.broadcast_to(cost.u_ref, (T, problem.control_dim))])
-    maps = np.concatenate([arrays.A, arrays.B], axis=-1)
-    offsets = np.einsum("tijk,tk->tij", maps, references) + arrays.offset - states[1:, None]
-    rows = np.concatenate([arrays.G, arrays.H], axis=-1)
-    limits = arrays.h - np.einsum("tirk,tk->tir", rows, references)
-    norms = np.linalg.norm(rows * units, axis=-1)
+    offsets = np.einsum("tijk,tk->tij", arrays.maps, references) + arrays.offset - states[1:, None]
+    limits = arrays.h - np.einsum("tirk,tk->tir", arrays.rows, references)
+    norms = np.linalg.norm(arrays.rows * units, axis=-1)
     norms = np.where(norms > 0, norms, 1.0)
     return ModeStages(
         units=units,
         references=references,
         last_reference=states[-1],
-        maps=maps * units / units[:n, None],
+        maps=arrays.maps * units / units[:n, None],
         offsets=offsets / units[:n],
-        rows=rows * units / norms[..., None],
+        rows=arrays.rows * units / norms[..., None],
         limits=limits / norms,
         norms=norms,
-    )
-
-
-def hessian_roots(cost: QuadraticCost, units: Array, horizon: int) -> Array:
-    """Return L (T, rank, k) with L'L = [[Q, S], [S', R]] in these units; rows of zeros where the rank is lower."""
-    return symmetric_roots(
-        np.broadcast_to(cost.stage_hessians(), (horizon, len(units), len(units))) * np.outer(units, units)
     )
 
 
@@ -219,6 +209,12 @@ def symmetric_roots(hessians: Array) -> Array:
     roots = np.sqrt(np.where(kept, values, 0.0))[..., None] * np.swapaxes(vectors, 1, 2)
     rank = int(kept.sum(axis=1).max(initial=0))
     return roots[:, hessians.shape[-1] - rank :]
+
+
+def signal_columns(horizon: int, n: int, m: int) -> Indices:
+    """Return the columns of (x_t, u_t), (T, n + m), in a program whose variables begin with all x, then all u."""
+    x, u = np.arange(horizon * n), (horizon + 1) * n + np.arange(horizon * m)
+    return np.hstack([x.reshape(horizon, n), u.reshape(horizon, m)])
 
 
 class ModeColumns:
@@ -235,7 +231,7 @@ class ModeColumns:
     def __init__(self, horizon: int, modes: int, n: int, m: int, host: int):
         T, k = horizon, n + m
         self.x: Indices = np.arange((T + 1) * n).reshape(T + 1, n)
-        self.y: Indices = np.hstack([self.x[:-1], (T + 1) * n + np.arange(T * m).reshape(T, m)])
+        self.y = signal_columns(T, n, m)
         own = host + np.arange(T * modes * (k + 2)).reshape(T, modes, k + 2)
         self.share, self.delta, self.epsilon = own[..., :k], own[..., k], own[..., k + 1]
         self.count = host + own.size
@@ -307,15 +303,6 @@ def mode_rows(template: RowTemplate, stages: ModeStages, at: ModeColumns, roots:
 
 
 @dataclass(frozen=True, eq=False)
-class StageDuals:
-    """eta (T, n), rho (q,) and lambda (T, modes, r) in natural units."""
-
-    links: Array
-    rows: Array
-    regions: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Lagrangian:
     """Hessians (T, k, k) and (n, n), prices (T+1, k), rows over all times (q, T+1, k) and right (q,), natural units."""
 
@@ -361,19 +348,22 @@ class StageBounds:
         finite = np.isfinite(stages.limits)
         self._limits = np.where(finite, stages.limits, 0.0)
 
-    def phi(self, reach: Reach, duals: StageDuals) -> tuple[Array, float]:
-        """Return phi (T, modes), inf for modes that are not allowed, and the rest of the bound."""
-        stages, n, eta = self._stages, self._n, duals.links
-        slope = self._price + (duals.rows @ self._rows).reshape(self._price.shape)
+    def phi(self, reach: Reach, eta: Array, rho: Array, regions: Array) -> tuple[Array, float]:
+        """Return phi (T, modes), inf for modes that are not allowed, and the rest of the bound.
+
+        The duals are eta (T, n), rho (q,) and lambda (T, modes, r) of the regions, in natural units.
+        """
+        stages, n = self._stages, self._n
+        slope = self._price + (rho @ self._rows).reshape(self._price.shape)
         slope[1:, :n] += eta
         own = slope[:-1, None] - (eta[:, None, None] @ stages.maps)[:, :, 0]
-        own += (duals.regions[:, :, None] @ stages.rows)[:, :, 0]
-        constant = -(stages.offsets @ eta[..., None])[..., 0] - (duals.regions * self._limits).sum(axis=-1)
+        own += (regions[:, :, None] @ stages.rows)[:, :, 0]
+        constant = -(stages.offsets @ eta[..., None])[..., 0] - (regions * self._limits).sum(axis=-1)
         low, high = (stages.scaled(bounds) for bounds in (reach.mode_lower, reach.mode_upper))
         found = np.where(reach.allowed, constant + self._cost.least(own, low, high), np.inf)
         units = stages.units[:n]
         ends = ((bounds[-1] - stages.last_reference) / units for bounds in (reach.lower, reach.upper))
-        return found, float(self._last.least(slope[-1, :n], *ends)) - float(duals.rows @ self._right)
+        return found, float(self._last.least(slope[-1, :n], *ends)) - float(rho @ self._right)
 
 
 def _coupled_minimum(slope: Array, hessians: Array, least: Array, low: Array, high: Array) -> Array:

@@ -28,9 +28,15 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     problem = problem.affine_at(trajectory)
     if not best.failed and _facts(best).flip_stationary:
         return best
-    facts, descent = _verified(problem, trajectory, _facts(best))
-    abnormal = _abnormal(problem, trajectory) if best.failed and best.feasible else None
-    return replace(best, borders=facts, descent=descent) if abnormal is None else replace(abnormal, descent=descent)
+    sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
+    facts, descent = _verified(problem, trajectory, sequence, _facts(best))
+    if best.failed and best.feasible:  # abnormal multipliers may satisfy all conditions
+        found = abnormal_multipliers(problem.with_modes(sequence), trajectory)
+        if found is not None:
+            abnormal = judge(problem, trajectory, weighted(problem, trajectory, sequence, found))
+            if not abnormal.failed:
+                return replace(abnormal, descent=descent)
+    return replace(best, borders=facts, descent=descent)
 
 
 def best_multipliers(
@@ -73,21 +79,10 @@ def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
     return *stationary, -len(facts.flips), -certificate.worst.relative
 
 
-def _abnormal(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate | None:
-    """Return the certificate of abnormal multipliers that satisfy all conditions, if they are found."""
-    sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
-    found = abnormal_multipliers(problem.with_modes(sequence), trajectory)
-    if found is None:
-        return None
-    certificate = judge(problem, trajectory, weighted(problem, trajectory, sequence, found))
-    return None if certificate.failed else certificate
-
-
 def _verified(
-    problem: OptimalControlProblem, trajectory: Trajectory, facts: SwitchingFacts
+    problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, facts: SwitchingFacts
 ) -> tuple[SwitchingFacts, Direction | None]:
     """Return the facts with the result of every flip, and the steepest direction of descent that was verified."""
-    sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
     improves, direction = _tried(problem, trajectory, sequence)
     directions, flips = [direction], list[Flip]()
     for flip in facts.flips[:MOST_FLIPS]:

@@ -28,7 +28,7 @@ from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
 from lin_freq_ocp.methods.hybrid.search.search import GAP, SearchLimits, SearchOutcome, SearchProgress, refined
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -63,13 +63,12 @@ class TreeEvidence(Evidence):
 
     def with_multipliers(self, restated: Callable[[Multipliers], Multipliers]) -> TreeEvidence:
         """Return the tree with the multipliers of all proofs restated."""
-
-        def node_restated(node: ModeNode) -> ModeNode:
-            if node.proof is None:
-                return node
-            return replace(node, proof=replace(node.proof, multipliers=restated(node.proof.multipliers)))
-
-        return replace(self, tree=replace(self.tree, nodes=tuple(map(node_restated, self.tree.nodes))))
+        nodes = list(self.tree.nodes)
+        for index, node in enumerate(nodes):
+            if node.proof is not None:
+                multipliers = restated(node.proof.multipliers)
+                nodes[index] = replace(node, proof=replace(node.proof, multipliers=multipliers))
+        return replace(self, tree=replace(self.tree, nodes=tuple(nodes)))
 
     def __str__(self) -> str:
         return f"tree      {len(self.tree.nodes)} nodes, {self.bound.leaves} leaves, each checked"

@@ -17,12 +17,10 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.solving.hybrid.smooth import no_multipliers, polished
+from lin_freq_ocp.solving.hybrid.smooth import judged_outcome, no_multipliers, polished
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -34,18 +32,26 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     """Return the angles of a local optimum near those given, (d,), and its cost; None if none was found."""
     from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize  # slow to import
 
-    low, high = bound.bounds
+    low, high = bound.low, bound.high
     order = np.diff(np.eye(len(angles)), axis=0)
+
+    def amplitudes(derivative: int, rows: Indices, angles: Array) -> Array:  # of order 0, or 1: their slopes
+        return bound.at(steps, angles)[2:][derivative][rows]
+
+    def relative_cost(angles: Array) -> tuple[float, Array]:
+        cost, slope, _, _ = bound.at(steps, angles)
+        return cost / bound.size, slope / bound.size
+
     constraints: list[LinearConstraint | NonlinearConstraint] = []
     limited = np.isfinite(low) | np.isfinite(high)
     for rows in (np.flatnonzero(low == high), np.flatnonzero((low < high) & limited)):
         if len(rows):
-            amplitudes, slopes = partial(_amplitudes, bound, steps, rows), partial(_slopes, bound, steps, rows)
-            constraints.append(NonlinearConstraint(amplitudes, low[rows], high[rows], jac=slopes))
+            values, slopes = partial(amplitudes, 0, rows), partial(amplitudes, 1, rows)
+            constraints.append(NonlinearConstraint(values, low[rows], high[rows], jac=slopes))
     if len(order):
         constraints.append(LinearConstraint(order, 0.0, np.inf))
     found = minimize(
-        partial(_cost, bound, steps, bound.size),
+        relative_cost,
         angles,
         jac=True,
         method="SLSQP",
@@ -57,19 +63,6 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     cost, _, values, _ = bound.at(steps, at)
     violation = float(np.maximum(low - values, values - high).max(initial=0.0))
     return None if violation > VIOLATION else (at, cost)
-
-
-def _cost(bound: AngleBound, steps: Array, size: float, angles: Array) -> tuple[float, Array]:
-    cost, slope, _, _ = bound.at(steps, angles)
-    return cost / size, slope / size
-
-
-def _amplitudes(bound: AngleBound, steps: Array, rows: Indices, angles: Array) -> Array:
-    return bound.at(steps, angles)[2][rows]
-
-
-def _slopes(bound: AngleBound, steps: Array, rows: Indices, angles: Array) -> Array:
-    return bound.at(steps, angles)[3][rows]
 
 
 GAP = 1e-6  # default of the relative gap to prove
@@ -130,8 +123,15 @@ class _Search:
                 return f"time limit of {self._request.time_limit:g} s"
             if not self._bound.halve(self._cutoff):
                 return "too many boxes of angles"
-            if self._bound.widest < NEAR:
-                self._look()
+            if self._bound.widest < NEAR:  # search near the best box of each pattern, once on this scale
+                for steps, angles in self._bound.best():
+                    key = steps.tobytes(), np.round(angles / NEAR).tobytes()
+                    if key in self._tried:
+                        continue
+                    self._tried.add(key)
+                    local = local_angles(self._bound, steps, angles)
+                    if local is not None and local[1] < self._cost:
+                        self._best, self._cost = (steps, local[0]), local[1]
         return ""
 
     @property
@@ -139,52 +139,27 @@ class _Search:
         """Return the bound that is enough: half of the gap is left for the refined answer."""
         return np.inf if self._best is None else self._cost - self._gap / 2 * abs(self._cost)
 
-    def _look(self) -> None:
-        """Search near the centre of the best box of each pattern, if that was not done on this scale."""
-        for steps, angles in self._bound.best():
-            key = steps.tobytes(), np.round(angles / NEAR).tobytes()
-            if key in self._tried:
-                continue
-            self._tried.add(key)
-            local = local_angles(self._bound, steps, angles)
-            if local is not None and local[1] < self._cost:
-                self._best, self._cost = (steps, local[0]), local[1]
-
-    def _train(self, steps: Array, angles: Array) -> tuple[Trajectory, Indices]:
-        """Return the trajectory of angles, and its modes; the last step, at pi/2, is towards level 0."""
+    def _local(self, steps: Array, angles: Array) -> LocalOptimum:
+        """Return a train as a local optimum whose multipliers are still to be found; the last step is to level 0."""
         every = np.append(steps, -np.sign(steps.sum() or -1.0) * self._dynamics.step)
         dwell = np.diff(np.concatenate([[0.0], angles, [QUARTER]]))
         first = self._problem.ends[0].project(np.zeros(self._problem.state_dim))
         first[CURRENT] = -(steps * (QUARTER - angles)).sum()
         u = np.column_stack([dwell, np.sign(every) / 2])
-        return simulate(self._problem, u, first), (every < 0).astype(np.intp)
-
-    def _local(self, steps: Array, angles: Array) -> LocalOptimum:
-        """Return a train as a local optimum whose multipliers are still to be found."""
-        trajectory, sequence = self._train(steps, angles)
+        trajectory, sequence = simulate(self._problem, u, first), (every < 0).astype(np.intp)
         return LocalOptimum(sequence, trajectory, no_multipliers(self._problem), self._cost, 0.0)
 
     def outcome(self, message: str, interrupted: bool) -> Outcome:
         """Return the refined answer with its bound, or why there is none."""
         solved, problem = now(), self._problem
         found = None if self._best is None else polished(problem, self._local(*self._best))
-        trajectory, multipliers, certificate = (None, None, None) if found is None else found
-        if certificate is not None:
+        if found is not None:
+            trajectory, multipliers, certificate = found
             certificate = replace(certificate, bound=Bound(self._bound.value, RIGOROUS, sets=ANGLES))
-            status = certificate.status_within(self._gap)
+            found, status = (trajectory, multipliers, certificate), certificate.status_within(self._gap)
         else:
             excluded = not message and self._bound.value == np.inf
             status, message = (Status.INFEASIBLE, EXCLUDED) if excluded else (Status.LIMIT, message)
-        return Outcome(
-            problem=problem,
-            status=status,
-            method=Angles.shorthand,
-            backend=None,
-            seconds={"setup": 0.0, "solve": solved - self._started, "certify": now() - solved},
-            trajectory=trajectory,
-            multipliers=multipliers,
-            certificate=certificate,
-            message="" if status == Status.OPTIMAL else message,
-            interrupted=interrupted,
-            sequence=None if trajectory is None else piecewise_smooth(problem).sequence_of(trajectory.x, trajectory.u),
-        )
+        ending = status, "" if status == Status.OPTIMAL else message
+        seconds = {"setup": 0.0, "solve": solved - self._started, "certify": now() - solved}
+        return judged_outcome(problem, Angles.shorthand, found, ending, seconds, interrupted)

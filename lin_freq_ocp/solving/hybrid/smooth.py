@@ -90,33 +90,40 @@ class Nonsmooth:
         if self.global_bound:
             limited = request.time_limit < np.inf
             left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
-            found, status, message = self._bounded(search, found, left, status, message)
-        trajectory, multipliers, certificate = (None, None, None) if found is None else found
-        return Outcome(
-            problem=problem,
-            status=status,
-            method="nonsmooth",
-            backend=None,
-            seconds={"setup": 0.0, "solve": solved - started, "certify": now() - solved},
-            trajectory=trajectory,
-            multipliers=multipliers,
-            certificate=certificate,
-            message=message,
-            interrupted=search.interrupted,
-            sequence=None if trajectory is None else _modes(problem, trajectory),
-        )
+            if status == Status.LOCALLY_OPTIMAL and found is not None:
+                bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, now() + left)
+                message = bounding.run() if left > 0 else UNBOUNDED
+                found = bounding.found  # the bound may lead to a better answer
+                status = found[2].status_within(bounding.gap)
+            elif found is None and not search.message and left > 0 and _excluded(problem, left):
+                status, message = Status.INFEASIBLE, EXCLUDED
+        seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
+        return judged_outcome(problem, "nonsmooth", found, (status, message), seconds, search.interrupted)
 
-    def _bounded(
-        self, search: LocalSearch, found: Judged | None, left: float, status: Status, message: str
-    ) -> tuple[Judged | None, Status, str]:
-        """Return the answer, or a better answer that the bound leads to, with its status and message."""
-        if status == Status.LOCALLY_OPTIMAL and found is not None:
-            bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, now() + left)
-            message = bounding.run() if left > 0 else UNBOUNDED
-            return bounding.found, bounding.found[2].status_within(bounding.gap), message
-        if found is None and not search.message and left > 0 and _excluded(search.problem, left):
-            return None, Status.INFEASIBLE, EXCLUDED
-        return found, status, message
+
+def judged_outcome(
+    problem: OptimalControlProblem,
+    method: str,
+    found: Judged | None,
+    ending: tuple[Status, str],
+    seconds: dict[str, float],
+    interrupted: bool,
+) -> Outcome:
+    """Return the outcome of a search that found an answer or none; ``ending`` is its status with the message."""
+    trajectory, multipliers, certificate = (None, None, None) if found is None else found
+    return Outcome(
+        problem=problem,
+        status=ending[0],
+        method=method,
+        backend=None,
+        seconds=seconds,
+        trajectory=trajectory,
+        multipliers=multipliers,
+        certificate=certificate,
+        message=ending[1],
+        interrupted=interrupted,
+        sequence=None if trajectory is None else _modes(problem, trajectory),
+    )
 
 
 def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:

@@ -55,7 +55,10 @@ class Boxes:
 
 
 class AngleBound:
-    """The boxes of one problem; ``halve`` them until ``value`` is the bound wanted."""
+    """The boxes of one problem; ``halve`` them until ``value`` is the bound wanted.
+
+    ``low`` and ``high`` are the bounds on the amplitudes, and ``size`` is what the terms of J add up to.
+    """
 
     def __init__(self, problem: OptimalControlProblem, dynamics: PulseTrain):
         _require_form(problem, dynamics)
@@ -63,11 +66,11 @@ class AngleBound:
         self._price = float(problem.quadratic.p[ENERGY])
         start, end = problem.ends
         self._offset = float(start.lower[ENERGY])
-        self._low, self._high = end.lower[4:] - start.upper[4:], end.upper[4:] - start.lower[4:]
+        self.low, self.high = end.lower[4:] - start.upper[4:], end.upper[4:] - start.lower[4:]
         limits = problem.state_boxes.lower[0, LEVEL], problem.state_boxes.upper[0, LEVEL]
         d = problem.horizon - 1
         self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
-        self._size = self._price * (2 * self._amplitude**2 + abs(self._offset))
+        self.size = self._price * (2 * self._amplitude**2 + abs(self._offset))
         patterns = [one for one in product((dynamics.step, -dynamics.step), repeat=d) if _within(one, limits)]
         middle = np.full((len(patterns), d), QUARTER / 2)
         self.boxes = self._bounded(
@@ -81,16 +84,6 @@ class AngleBound:
         cost, slope, _, _ = self._cost(s, c, np.zeros_like(c))
         values, slopes, _ = self._amplitudes(s, c, np.zeros_like(c))
         return float(cost[0]), slope[0], values[0], slopes[0]
-
-    @property
-    def size(self) -> float:
-        """Return what the terms of J add up to."""
-        return self._size
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Return the bounds on the amplitudes."""
-        return self._low, self._high
 
     @property
     def value(self) -> float:
@@ -132,30 +125,28 @@ class AngleBound:
 
     def _bounded(self, given: Boxes) -> Boxes:
         """Return the boxes that may hold a train, with their bounds: not below those of the boxes that they are of."""
-        given = given.take(np.flatnonzero(self._possible(given)))
         s, c, r = given.steps, given.centre, given.radius
-        values, slopes, curvature = self._amplitudes(s, c, r)
-        cost, slope, most, least = self._cost(s, c, r)
-        found = given.bound
-        for active in (0, 1, len(self._orders)):
-            weights = _multipliers(slope, slopes[:, :active], STEEPEST * self._size / self._amplitude)
-            value = cost + (weights * values[:, :active]).sum(1)
-            limits = np.where(weights > 0, self._high[:active], self._low[:active])
-            ends = weights * np.where(weights == 0, 0.0, limits)  # there may be no limit where there is no multiplier
-            steep = np.abs(slope + np.einsum("nk,nki->ni", weights, slopes[:, :active]))
-            own = least + np.einsum("nk,nki->ni", np.abs(weights), -curvature[:, :active])
-            bend = (np.minimum(own, 0.0) * r**2).sum(1) - np.einsum("ni,nij,nj->n", r, most, r)
-            found = np.maximum(found, value - ends.sum(1) - (steep * r).sum(1) + bend / 2 - ROUNDING * self._size)
-        return Boxes(s, c, r, found)
-
-    def _possible(self, given: Boxes) -> Array:
-        """Return which boxes hold angles in order whose amplitudes may meet their bounds."""
-        s, c, r = given.steps, given.centre, given.radius
+        # boxes of angles in order whose amplitudes may meet their bounds
         ordered = ((c - r)[:, :-1] <= (c + r)[:, 1:] + ROUNDING).all(axis=1)
         values, slopes, curvature = self._amplitudes(s, c, r)
         reach = (np.abs(slopes) * r[:, None]).sum(2) + (curvature * r[:, None] ** 2).sum(2) / 2
         reach += ROUNDING * self._amplitude
-        return ordered & ((values + reach >= self._low) & (values - reach <= self._high)).all(axis=1)
+        meets = ((values + reach >= self.low) & (values - reach <= self.high)).all(axis=1)
+        kept = np.flatnonzero(ordered & meets)
+        given, values, slopes, curvature = given.take(kept), values[kept], slopes[kept], curvature[kept]
+        s, c, r = given.steps, given.centre, given.radius
+        cost, slope, most, least = self._cost(s, c, r)
+        found = given.bound
+        for active in (0, 1, len(self._orders)):
+            weights = _multipliers(slope, slopes[:, :active], STEEPEST * self.size / self._amplitude)
+            value = cost + (weights * values[:, :active]).sum(1)
+            limits = np.where(weights > 0, self.high[:active], self.low[:active])
+            ends = weights * np.where(weights == 0, 0.0, limits)  # there may be no limit where there is no multiplier
+            steep = np.abs(slope + np.einsum("nk,nki->ni", weights, slopes[:, :active]))
+            own = least + np.einsum("nk,nki->ni", np.abs(weights), -curvature[:, :active])
+            bend = (np.minimum(own, 0.0) * r**2).sum(1) - np.einsum("ni,nij,nj->n", r, most, r)
+            found = np.maximum(found, value - ends.sum(1) - (steep * r).sum(1) + bend / 2 - ROUNDING * self.size)
+        return Boxes(s, c, r, found)
 
     def _amplitudes(self, s: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
         """Return b_k at centres, (boxes, k), slopes and largest |second derivatives| on boxes, (boxes, k, d)."""

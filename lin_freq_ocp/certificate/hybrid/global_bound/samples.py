@@ -169,19 +169,15 @@ class Samples:
     @cached_property
     def _prices(self) -> Array:
         """Prices of distances to fixed states, (n,): some ten times what they cost at the slopes of the stage."""
-        low, high = (np.append(*pair) for pair in self._ends())
+        lattice, stages, t = self.lattice, self.stages, self.t
+        low, high = np.append(lattice.lower, stages.lower[t]), np.append(lattice.upper, stages.upper[t])
         range_, corners = high - low, np.stack([low, high])
-        costs = np.abs(corners @ self.stages.costs.hessians[self.t] + self.stages.costs.linear[self.t]) * range_
+        costs = np.abs(corners @ stages.costs.hessians[t] + stages.costs.linear[t]) * range_
         worth = float(costs.sum(axis=1).max()) or 1.0
         moved = np.zeros(len(self.after.lattice.width))
-        for mode in piecewise_smooth(self.stages.problem).modes:
+        for mode in piecewise_smooth(stages.problem).modes:
             slopes = interval_jets(mode.f, corners, corners, curved=False).slopes[0]
             effect = (np.abs(slopes) * range_).sum(axis=2)
             moved = np.maximum(moved, np.where(np.isfinite(effect), effect, 0.0).max(axis=0))
         with np.errstate(over="ignore", divide="ignore"):
             return np.nan_to_num(FIXED_PRICE * worth / moved, posinf=0.0)  # 0 where nothing moves a state
-
-    def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Return the least states and controls, and the largest."""
-        stages, t = self.stages, self.t
-        return (self.lattice.lower, stages.lower[t]), (self.lattice.upper, stages.upper[t])

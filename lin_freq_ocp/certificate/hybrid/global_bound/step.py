@@ -60,7 +60,8 @@ def least_of(
                 factor = s.reshape(-1, *[1] * (low.ndim - 2))
                 for side, more in enumerate(_scaled(factor, low[box, j], high[box, j])):
                     total[side] = total[side] + more
-        best = np.fmax(_second_order(slope, bend, r), _first_order(wide, r))
+        first = np.where(r > 0, -np.maximum(np.abs(wide[0]), np.abs(wide[1])) * r, 0.0).sum(axis=1)
+        best = np.fmax(_second_order(slope, bend, r), np.where(np.isnan(first), -np.inf, first))
     infinite = np.isposinf(given)
     terms = np.where(infinite, 0.0, terms - np.where(np.isfinite(best), best, 0.0))
     return np.where(infinite, np.inf, value + best - ROUNDING * terms)
@@ -96,12 +97,6 @@ def _second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Ar
     turned = (curvature > 0) & (at_most < curvature * r)
     inner = -(at_most**2) / (2 * np.where(turned, curvature, 1.0))
     found = np.where(r > 0, np.where(turned, inner, -at_most * r + 0.5 * curvature * r * r), 0.0).sum(axis=1)
-    return np.where(np.isnan(found), -np.inf, found)
-
-
-def _first_order(slope: Sequence[Array], r: Array) -> Array:
-    """Return the least of slope z over |z| <= r, with any slope between two bounds."""
-    found = np.where(r > 0, -np.maximum(np.abs(slope[0]), np.abs(slope[1])) * r, 0.0).sum(axis=1)
     return np.where(np.isnan(found), -np.inf, found)
 
 

@@ -143,7 +143,10 @@ class BranchAndBound:
             if cover:
                 message = self._open_cover(cover)
             else:
-                self._open(self._root(within), -1, -1, -np.inf)
+                everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
+                reach = self._relaxation.reach.from_start(everything) if within is None else within
+                root = None if reach is None else self._relaxed(reach, self._cutoff)
+                self._open([(everything, root)], -1, -1, -np.inf)
             message = message or self._loop()
         except KeyboardInterrupt:
             message, interrupted = "interrupted", True
@@ -163,35 +166,27 @@ class BranchAndBound:
         return shifted_cover(self._nodes, self._duals, int(self._best[0]), one.later)
 
     def _loop(self) -> str:
-        """Split nodes until none is open; return which limit stopped the search, or an empty string."""
+        """Split the node with the least bound until none is open; return which limit stopped the search, or ""."""
         while self._heap and self._heap[0][0] < self._cutoff and len(self._heap) < self._until_open:
             message = self.limits.reached(now() - self._started, self._solved)
             if message:
                 return message
-            self._split(*self._next())
+            if self._best is None:  # dive: split the newest node until a sequence is found
+                newest = max(range(len(self._heap)), key=lambda position: self._heap[position][1])
+                taken = self._heap.pop(newest)
+                heapq.heapify(self._heap)
+            else:
+                taken = heapq.heappop(self._heap)
+            self._split(*taken)
         leaves = (node for node in self._nodes if (node.allowed.sum(axis=1) == 1).all())
         if any(node.bound == -np.inf for node in leaves):  # the time was over before one was solved
             return self.limits.reached(now() - self._started, self._solved)
         return ""
 
-    def _next(self) -> OpenNode:
-        """Take the node with the least bound; as long as no sequence was found, dive: take the newest."""
-        if self._best is not None:
-            return heapq.heappop(self._heap)
-        newest = max(range(len(self._heap)), key=lambda position: self._heap[position][1])
-        taken = self._heap.pop(newest)
-        heapq.heapify(self._heap)
-        return taken
-
     @property
     def open_nodes(self) -> list[tuple[int, Reach]]:
         """Return the nodes still to be split, the least bound first."""
         return [(index, answer.reach) for bound, index, answer in sorted(self._heap) if bound < self._cutoff]
-
-    def _root(self, within: Reach | None) -> list[tuple[Mask, Relaxed | None]]:
-        everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
-        reach = self._relaxation.reach.from_start(everything) if within is None else within
-        return [(everything, None if reach is None else self._relaxed(reach, self._cutoff))]
 
     def _open_cover(self, cover: Sequence[CoverNode]) -> str:
         """Add the nodes of a cover; solve those leaves that their duals leave open, the least bound first."""
@@ -214,22 +209,21 @@ class BranchAndBound:
             if message:
                 return message
             if bound < self._cutoff:
-                self._solve_leaf(index, reach)
+                answer = self._relaxed(reach, self._cutoff)
+                if answer.bound >= bound:  # else the duals that the cover brought prove more
+                    self._duals[index] = answer.duals
+                bound = max(bound, answer.bound)
+                self._nodes[index] = replace(self._nodes[index], allowed=reach.allowed, bound=bound)
+                self._consider(index, answer)
         return ""
-
-    def _solve_leaf(self, index: int, reach: Reach) -> None:
-        """Solve a leaf of a cover, and keep what proves more of it."""
-        answer, node = self._relaxed(reach, self._cutoff), self._nodes[index]
-        if answer.bound >= node.bound:
-            self._duals[index] = answer.duals
-        self._nodes[index] = replace(node, allowed=reach.allowed, bound=max(node.bound, answer.bound))
-        self._consider(index, answer)
 
     def _split(self, bound: float, index: int, answer: Relaxed) -> None:
         """Replace a node by one for each of its modes at some time."""
         t = self._stage_to_split(answer)
         masks = one_mode_each(answer.reach.allowed, t)
-        self._report(min(bound, self._heap[0][0]) if self._heap else bound)
+        if self.progress is not None:
+            least, seconds = min(bound, self._heap[0][0]) if self._heap else bound, now() - self._started
+            self.progress(SearchProgress(self._cost, least, self._solved, len(self._heap), seconds))
         reaches = self._relaxation.reach.after(answer.reach, t, [mask[t] for mask in masks])
         answers = [None if reach is None else self._relaxed(reach, self._cutoff) for reach in reaches]
         self._open(list(zip(masks, answers, strict=True)), index, t, bound)
@@ -343,8 +337,3 @@ class BranchAndBound:
                 self._duals = [one.times(factor) if isinstance(one, PathDuals) else one for one in self._duals]
                 return relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
         return answer
-
-    def _report(self, bound: float) -> None:
-        if self.progress is not None:
-            seconds = now() - self._started
-            self.progress(SearchProgress(self._cost, bound, self._solved, len(self._heap), seconds))

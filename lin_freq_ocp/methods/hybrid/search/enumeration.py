@@ -38,39 +38,13 @@ def enumerate_sequences(
         If there are more than MOST_SEQUENCES.
     """
     started, relaxation = now(), ModeRelaxation(problem)
-    nodes, duals, leaves = _all_sequences(relaxation, started + limits.search_seconds)
-    setup = now() - started
-    best, cost, interrupted, solved = None, np.inf, False, 0
-    message = limits.reached(setup, solved)
-    try:
-        for index, reach in leaves:
-            seconds = now() - started
-            message = limits.reached(seconds, solved)
-            if message:
-                break
-            if progress is not None:
-                progress(SearchProgress(cost, -np.inf, solved, len(leaves) - solved, seconds))
-            answer, solved = relaxed(relaxation, reach, end=started + limits.search_seconds), solved + 1
-            nodes[index] = replace(nodes[index], bound=answer.bound)
-            duals[index] = answer.duals
-            if answer.trajectory is not None and answer.bound < cost:
-                best, cost = answer.sequence, answer.bound
-    except KeyboardInterrupt:
-        message, interrupted = "interrupted", True
-    return SearchOutcome(best, cost, proven_tree(relaxation, nodes, duals), message, interrupted, solved, setup)
-
-
-def _all_sequences(
-    relaxation: ModeRelaxation, end: float
-) -> tuple[list[ModeNode], list[Duals | PathDuals | None], list[tuple[int, Reach]]]:
-    """Return the tree that splits every time in order and its reachable leaves; the root alone if it is too late."""
-    T, modes = relaxation.problem.horizon, len(piecewise_affine(relaxation.problem).modes)
-    everything = np.ones((T, modes), dtype=bool)
+    end = started + limits.search_seconds
+    everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
     root = relaxation.reach.from_start(everything)
     nodes = [ModeNode(-1, -1, everything, np.inf if root is None else -np.inf, None)]
     unsplit: list[tuple[int, Reach]] = [] if root is None else [(0, root)]
     leaves: list[tuple[int, Reach]] = []
-    while unsplit and now() <= end:
+    while unsplit and now() <= end:  # a tree that splits every time in order
         parent, reach = unsplit.pop()
         several = reach.allowed.sum(axis=1) > 1
         if not several.any():
@@ -88,6 +62,25 @@ def _all_sequences(
             raise UnsupportedError(
                 f"method: 'enumerate' has more than {MOST_SEQUENCES} sequences to solve here; use 'branch_and_bound'."
             )
-    if unsplit:
-        return nodes[:1], [None], []
-    return nodes, [None] * len(nodes), leaves
+    if unsplit:  # too late: the root alone covers all sequences
+        nodes, leaves = nodes[:1], []
+    duals: list[Duals | PathDuals | None] = [None] * len(nodes)
+    setup = now() - started
+    best, cost, interrupted, solved = None, np.inf, False, 0
+    message = limits.reached(setup, solved)
+    try:
+        for index, reach in leaves:
+            seconds = now() - started
+            message = limits.reached(seconds, solved)
+            if message:
+                break
+            if progress is not None:
+                progress(SearchProgress(cost, -np.inf, solved, len(leaves) - solved, seconds))
+            answer, solved = relaxed(relaxation, reach, end=end), solved + 1
+            nodes[index] = replace(nodes[index], bound=answer.bound)
+            duals[index] = answer.duals
+            if answer.trajectory is not None and answer.bound < cost:
+                best, cost = answer.sequence, answer.bound
+    except KeyboardInterrupt:
+        message, interrupted = "interrupted", True
+    return SearchOutcome(best, cost, proven_tree(relaxation, nodes, duals), message, interrupted, solved, setup)

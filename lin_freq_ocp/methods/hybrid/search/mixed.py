@@ -12,7 +12,7 @@ from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import Claim, Solution, backend
-from lin_freq_ocp.program.hybrid.mixed_integer import MixedInteger, big_m_program
+from lin_freq_ocp.program.hybrid.mixed_integer import big_m_program
 
 DEFAULT_GAP = 1e-6  # relative gap asked of a solver, as accurate as its rows
 AGREEMENT = 1e-6  # relative difference allowed between the claimed cost and that of the claimed trajectory
@@ -73,10 +73,6 @@ def solve_miqp(
     left = None if time_limit is None else max(time_limit - (ready - started), LEAST_TIME)
     solution = solver(mixed.program, gap, left)
     seconds = {"setup": ready - started, "solve": now() - ready}
-    return _outcome(mixed, solution, seconds)
-
-
-def _outcome(mixed: MixedInteger, solution: Solution, seconds: dict[str, float]) -> SolverClaim:
     bound = None if solution.bound is None else mixed.cost(solution.bound)
     status, message = status_of(solution)
     if status == "unbounded":  # with bounds on all states and controls, nothing is

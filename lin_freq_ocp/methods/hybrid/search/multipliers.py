@@ -33,7 +33,8 @@ multiple of them. eta and the other multipliers stay as they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,10 +46,9 @@ from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION, ModeArrays
 from lin_freq_ocp.problem.hybrid.forms import linear_along, measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.hybrid.rows import signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import scaled_program
@@ -91,39 +91,29 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
     Balls, cones and soft sets are not among them: their multipliers are kept.
     """
     found: list[list[Normal]] = [[] for _ in range(problem.horizon)]
-    sizes, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
+    natural, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
     tubes, first = (problem.state_tube, problem.control_tube), 0
-    for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, sizes, strict=True):
-        for t, normal in _of_box(family, signal, tube, size, first, problem.state_dim + problem.control_dim):
-            found[t].append(normal)
+    for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, natural, strict=True):
+        near = ACTIVE_DISTANCE * (size + np.abs(signal))
+        lower, upper = tube.lower[: len(signal)], tube.upper[: len(signal)]
+        for sign, active in ((1.0, signal >= upper - near), (-1.0, signal <= lower + near)):
+            for t, k in np.argwhere(active):
+                column = np.zeros(problem.state_dim + problem.control_dim)
+                column[first + k] = sign
+                found[t].append(Normal(family, (int(t), int(k)), sign, column))
         first = problem.state_dim
     for term in problem.terms:
-        for t, normal in _of_rows(term, trajectory, problem.horizon):
-            found[t].append(normal)
+        rows = term.polyhedron(problem.state_dim, problem.control_dim)
+        if rows is None:
+            continue
+        values = term.map.values(trajectory.x, trajectory.u)
+        sizes = term.map.sizes(trajectory.x, trajectory.u).max(0)
+        near = ACTIVE_DISTANCE * np.where(sizes > 0, sizes, 1.0)
+        for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
+            if rows.times[group] < problem.horizon:
+                place = int(group), int(row)
+                found[rows.times[group]].append(Normal(term.name, place, 1.0, rows.matrix(int(group))[row]))
     return found
-
-
-def _of_box(family: str, signal: Array, tube: Box, size: Array, first: int, total: int) -> Iterator[tuple[int, Normal]]:
-    near = ACTIVE_DISTANCE * (size + np.abs(signal))
-    lower, upper = tube.lower[: len(signal)], tube.upper[: len(signal)]
-    for sign, active in ((1.0, signal >= upper - near), (-1.0, signal <= lower + near)):
-        for t, k in np.argwhere(active):
-            column = np.zeros(total)
-            column[first + k] = sign
-            yield int(t), Normal(family, (int(t), int(k)), sign, column)
-
-
-def _of_rows(term: Term, trajectory: Trajectory, horizon: int) -> Iterator[tuple[int, Normal]]:
-    rows = term.polyhedron(trajectory.x.shape[1], trajectory.u.shape[1])
-    if rows is None:
-        return
-    values = term.map.values(trajectory.x, trajectory.u)
-    sizes = term.map.sizes(trajectory.x, trajectory.u).max(0)
-    near = ACTIVE_DISTANCE * np.where(sizes > 0, sizes, 1.0)
-    for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
-        if rows.times[group] < horizon:
-            place = int(group), int(row)
-            yield int(rows.times[group]), Normal(term.name, place, 1.0, rows.matrix(int(group))[row])
 
 
 GOOD_FIT = 1e-8  # relative residual up to which normals stay as they are: solvers leave 1e-9, the judge allows 1e-6
@@ -144,11 +134,9 @@ def weighted(
     arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
     times, active = np.arange(problem.horizon), arrays.active_modes(x, u)
     active[times, sequence] = True
-    rows = np.concatenate([arrays.G, arrays.H], axis=-1)
-    maps = np.concatenate([arrays.A, arrays.B], axis=-1)
-    slopes = np.einsum("tkij,ti->tkj", maps, multipliers.eta)
+    slopes = np.einsum("tkij,ti->tkj", arrays.maps, multipliers.eta)
     region = multipliers.stage.get(REGION, np.zeros((problem.horizon, 0)))
-    across = np.einsum("tr,trj->tj", region, rows[times, sequence, : region.shape[1]])
+    across = np.einsum("tr,trj->tj", region, arrays.rows[times, sequence, : region.shape[1]])
     across += 0.0 if pushed is None else pushed
     weights, normals = np.zeros(active.shape), stage_normals(problem, trajectory)
     weights[times, sequence] = 1.0
@@ -158,31 +146,29 @@ def weighted(
         return replace(multipliers, nu=nu, stage=stage, weights=weights)
     parts = {term.name: multipliers.stage.get(term.name, np.zeros(term.shape)).copy() for term in problem.terms}
     parts |= {STATE: multipliers.mu.copy(), CONTROL: multipliers.nu.copy()}
-    scale = _scale(maps, multipliers)
+    # the scale of each entry of a slope: the largest terms of all slopes and normals
+    terms = np.einsum("tkij,ti->tkj", np.abs(arrays.maps), np.abs(multipliers.eta)).max(axis=(0, 1))
+    scale = terms + np.concatenate([np.abs(multipliers.mu).max(0), np.abs(multipliers.nu).max(0)])
+    scale = np.where(scale > 0, scale, 1.0)
     for t in times:
         s, modes = sequence[t], np.flatnonzero(active[t])
         if len(modes) == 1 and not (np.abs(across[t]) > GOOD_FIT * scale).any():
             continue
         differences = (slopes[t, modes] - slopes[t, s] + across[t]) / scale
         held = np.array([normal.value(multipliers) for normal in normals[t]])
-        weights[t, modes], changed = _nearest(differences, normals[t], held, scale)
-        if changed is not None:
+        columns = np.array([normal.column / scale for normal in normals[t]]).reshape(-1, len(scale))
+        weights[t, modes], _, residual = _polytope(differences, columns[:0])
+        if residual <= GOOD_FIT or not normals[t]:
+            continue  # the multipliers of the normals stay as they are
+        alpha, changed, with_normals = _polytope(differences + held @ columns, columns)
+        if with_normals < residual:
+            weights[t, modes] = alpha
             for normal in normals[t]:
                 parts[normal.family][normal.place] = 0.0
             for normal, value in zip(normals[t], changed, strict=True):  # of a fixed component, both signs add up
                 parts[normal.family][normal.place] += normal.sign * value
     mu, nu = parts.pop(STATE), parts.pop(CONTROL)
     return Multipliers(multipliers.eta_C, multipliers.eta, mu, nu, multipliers.rho_u, multipliers.rho_x, parts, weights)
-
-
-def _nearest(differences: Array, normals: Sequence[Normal], held: Array, scale: Array) -> tuple[Array, Array | None]:
-    """Return alpha, and new multipliers of the normals, or None to keep ``held``; ``differences`` is (modes, n + m)."""
-    columns = np.array([normal.column / scale for normal in normals]).reshape(-1, len(scale))
-    alpha, _, residual = _polytope(differences, columns[:0])
-    if residual <= GOOD_FIT or not len(normals):
-        return alpha, None
-    freed, values, with_normals = _polytope(differences + held @ columns, columns)
-    return (freed, values) if with_normals < residual else (alpha, None)
 
 
 def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
@@ -196,13 +182,6 @@ def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
     found, _ = nnls(np.vstack([matrix, total]), np.append(np.zeros(len(matrix)), 1.0))
     found = found / found[: len(points)].sum()
     return found[: len(points)], found[len(points) :] / norms, float(np.abs(matrix @ found).max())
-
-
-def _scale(maps: Array, multipliers: Multipliers) -> Array:
-    """Return the scale of each entry of a slope, (n + m,): the largest terms of all slopes and normals."""
-    terms = np.einsum("tkij,ti->tkj", np.abs(maps), np.abs(multipliers.eta)).max(axis=(0, 1))
-    scale = terms + np.concatenate([np.abs(multipliers.mu).max(0), np.abs(multipliers.nu).max(0)])
-    return np.where(scale > 0, scale, 1.0)
 
 
 ROUNDS = 12  # fits of weights, each with the adjoint of the last
@@ -223,20 +202,13 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterat
         pushed = (y[len(point.program.lower) :] @ pushes).reshape(problem.horizon, -1)
         on_kinks = weighted(problem, trajectory, point.sequence, point.multipliers(y), pushed)
         yield on_kinks
-        if _independent(problem, trajectory):
-            return
+        with suppress(UnsupportedError):  # too many gradients
+            if uniqueness(linear_along(problem, trajectory), trajectory).unique:
+                return  # the active gradients are independent: there are no other multipliers
         for start in (on_kinks, common):
             yield from _with_weights_of(point, start.eta)
     except NumericalError:
         return
-
-
-def _independent(problem: OptimalControlProblem, trajectory: Trajectory) -> bool:
-    """Whether the active gradients are known to be independent: then there are no other multipliers."""
-    try:
-        return uniqueness(linear_along(problem, trajectory), trajectory).unique
-    except UnsupportedError:  # too many gradients
-        return False
 
 
 def _with_weights_of(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
@@ -255,8 +227,9 @@ def _with_weights_of(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
 class _FitPoint:
     """A trajectory as a point z of the scaled program of its mode sequence, with the active modes and facets.
 
-    ``rows`` has, for each multiplier, the number of its row in the program, counted from 1 (0: no row); ``stages`` are
-    the (time, mode) of active modes other than the sequence's own.
+    ``signals`` (T, n + m) are the variables of (x_t, u_t). ``rows`` has, for each multiplier, the number of its row in
+    the program, counted from 1 (0: no row); ``stages`` are the (time, mode) of active modes other than the sequence's
+    own.
     """
 
     arrays: ModeArrays
@@ -268,6 +241,7 @@ class _FitPoint:
     scaling: Scaling
     program: Program
     z: Array
+    signals: Indices
     rows: Multipliers
     stages: list[tuple[int, int]]
 
@@ -287,6 +261,7 @@ class _FitPoint:
             scaling=scaling,
             program=program,
             z=scaling.scaled_primal(transcription.point(trajectory)),
+            signals=signal_columns(problem.horizon, problem.state_dim, problem.control_dim),
             rows=transcription.multipliers(numbers, 1.0),
             stages=[(int(t), int(j)) for t, j in np.argwhere(active) if j != sequence[t]],
         )
@@ -295,32 +270,10 @@ class _FitPoint:
         """Return the multipliers of the mode sequence from duals that begin with those of its program."""
         return self.transcription.multipliers(self.scaling.dual(y[: len(self.program.lower)]), 1.0)
 
-    def signals(self, t: int) -> Indices:
-        """Return the variables of (x_t, u_t), (n + m,)."""
-        T, n, m = *self.rows.eta.shape, self.rows.nu.shape[1]
-        return np.concatenate([t * n + np.arange(n), (T + 1) * n + t * m + np.arange(m)])
-
     @property
     def times(self) -> list[int]:
         """Return the times at which several modes are active."""
         return sorted({t for t, _ in self.stages})
-
-    def maps(self, t: int) -> Array:
-        """Return F_i of every mode, (modes, n, n + m)."""
-        return np.concatenate([self.arrays.A[t], self.arrays.B[t]], axis=-1)
-
-    def region(self, t: int, i: int) -> Array:
-        """Return the rows of the region of a mode, (rows, n + m)."""
-        return np.hstack([self.arrays.G[t, i], self.arrays.H[t, i]])
-
-    def region_row(self, t: int, row: int) -> int:
-        """Return the row of the program that is a row of the region of the sequence's own mode, or -1."""
-        return int(self.rows.stage[REGION][t, row]) - 1
-
-    def normal_row(self, normal: Normal) -> int:
-        """Return the row of the program that a normal belongs to, or -1."""
-        arrays = {STATE: self.rows.mu, CONTROL: self.rows.nu} | dict(self.rows.stage)
-        return int(arrays[normal.family][normal.place]) - 1
 
 
 def _without_regions(point: _FitPoint) -> Program:
@@ -339,7 +292,7 @@ def _on_kinks(point: _FitPoint) -> tuple[Program, Array]:
     """
     rows, pushes = list[sp.csc_array](), list[Array]()
     for t in point.times:
-        signals, maps = point.signals(t), point.maps(t)
+        signals, maps = point.signals[t], point.arrays.maps[t]
         units, held = point.scaling.columns[signals], maps[point.active[t]]
         differences = ((held - maps[point.sequence[t]]) * units).reshape(-1, len(signals))
         _, sizes, across = np.linalg.svd(differences, full_matrices=False)
@@ -362,7 +315,8 @@ def _weighing(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
     times, count, variables = point.times, len(point.stages), len(point.z)
     rows = np.zeros((count + len(times), variables + len(times)))
     for k, (t, j) in enumerate(point.stages):
-        signals, kink = point.signals(t), point.maps(t)[j] - point.maps(t)[point.sequence[t]]
+        signals, maps = point.signals[t], point.arrays.maps[t]
+        kink = maps[j] - maps[point.sequence[t]]
         rows[k, signals] = -point.scaling.cost * point.scaling.columns[signals] * (eta[t] @ kink)
         rows[k, variables + times.index(t)] = -1.0
     rows[count:, variables:] = -np.eye(len(times))
@@ -372,18 +326,18 @@ def _weighing(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
 
 def _hull(point: _FitPoint) -> tuple[Program, Array]:
     """Return the program with a direction d_j for every other active mode, and the point with d = 0."""
-    program, width = point.program, point.signals(0).size
+    program, width = point.program, point.signals.shape[1]
     further = width * len(point.stages)
     if not further:
         return program, point.z
     entries, cones = list[tuple[Indices, Indices, Array]](), list[sp.csc_array]()
     for k, (t, j) in enumerate(point.stages):
-        units = point.scaling.columns[point.signals(t)]
+        units = point.scaling.columns[point.signals[t]]
         rows, coefficients = _own_rows(point, t, j)
         scaled = point.scaling.rows[rows, None] * coefficients * units
         row, column = np.nonzero(scaled)
         entries.append((rows[row], k * width + column, scaled[row, column]))
-        facets = point.region(t, j)[point.facets[t, j]]
+        facets = point.arrays.rows[t, j][point.facets[t, j]]
         cone = np.vstack([facets, *(normal.column for normal in point.normals[t])]) * units
         norms = np.linalg.norm(cone, axis=1)
         cones.append(sp.csc_array(cone[norms > 0] / norms[norms > 0, None]))
@@ -400,15 +354,15 @@ def _own_rows(point: _FitPoint, t: int, j: int) -> tuple[Indices, Array]:
 
     These are F_j - F_s in the dynamics, and minus the rows of the own mode's region and of the stage's sets.
     """
-    own = int(point.sequence[t])
-    kinks = point.maps(t)[j] - point.maps(t)[own]
-    found = {int(row) - 1: -line for row, line in zip(point.rows.eta[t], kinks, strict=True)}
+    own, maps, numbers = int(point.sequence[t]), point.arrays.maps[t], point.rows
+    found = {int(row): -line for row, line in zip(numbers.eta[t], maps[j] - maps[own], strict=True)}
     for row in np.flatnonzero(point.facets[t, own]):
-        found[point.region_row(t, int(row))] = -point.region(t, own)[row]
+        found[int(numbers.stage[REGION][t, row])] = -point.arrays.rows[t, own, row]
+    families = {STATE: numbers.mu, CONTROL: numbers.nu} | dict(numbers.stage)
     for normal in point.normals[t]:
-        found[point.normal_row(normal)] = -normal.sign * normal.column
-    found.pop(-1, None)
-    return np.array(list(found), dtype=int), np.array(list(found.values()))
+        found[int(families[normal.family][normal.place])] = -normal.sign * normal.column
+    found.pop(0, None)  # the program has no such row
+    return np.array(list(found), dtype=int) - 1, np.array(list(found.values()))
 
 
 def _extended(

@@ -7,11 +7,10 @@ enter the bound over boxes (program/hybrid/path_relaxation.py), and only that bo
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,12 +20,8 @@ from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import Claim
-from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathMember, PathProgram, PathRelaxation, path_form
+from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathMember, PathRelaxation, path_form
 from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
-
-if TYPE_CHECKING:
-    from lin_freq_ocp.methods.hybrid.search.path_factors import PathData
-
 
 # Relative residual and gap of a point that is good enough to say that a node must be split
 CLEAR_RESIDUAL, CLEAR_GAP = 1e-3, 3e-5
@@ -145,7 +140,22 @@ def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: De
     program = member.program
     assert program is not None
     paths.KERNELS.prepare()
-    data = _data(program, paths.PathData)
+    k, n = program.middle.shape[1], (program.C.shape[1] - 2) // 2
+    G = np.concatenate([program.linear, program.cone], axis=1)
+    data = paths.PathData(  # arrays with edges side by side: the last index
+        np.ascontiguousarray(np.concatenate([program.C, program.signals], axis=1).transpose(1, 2, 0)),
+        np.ascontiguousarray(program.places.T),
+        program.t,
+        program.coupled,
+        program.b,
+        np.ascontiguousarray(program.cost.T),
+        np.ascontiguousarray(G.transpose(1, 2, 0)),
+        program.linear.shape[1],
+        np.ascontiguousarray((program.present / program.sizes)[:, 2 * k :].T),
+        program.i,
+        program.j,
+        n,
+    )
     cutoff, clear = (np.inf, 0.0) if enough is None else (enough.cutoff, CLEAR * enough.several)
     rows = len(data.G), len(program.t)
     point = np.empty(data.cost.shape), np.empty(len(program.b)), np.empty(rows), np.empty(rows)
@@ -160,27 +170,6 @@ def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: De
         return Relaxed(member.reach, np.inf, duals) if relaxation.path_bound(member, duals) > 0 else None
     duals, bound = relaxation.path_duals(program, p / tau, z / tau, w / tau), float(numbers[paths.PROVEN])
     return Relaxed(member.reach, relaxation.cost(bound), duals, *relaxation.path_point(program, w / tau))
-
-
-def _data(program: PathProgram, form: Callable[..., PathData]) -> PathData:
-    """Return the arrays with edges side by side: the last index."""
-    k, n = program.middle.shape[1], (program.C.shape[1] - 2) // 2
-    rows = np.concatenate([program.C, program.signals], axis=1)
-    G = np.concatenate([program.linear, program.cone], axis=1)
-    return form(
-        np.ascontiguousarray(rows.transpose(1, 2, 0)),
-        np.ascontiguousarray(program.places.T),
-        program.t,
-        program.coupled,
-        program.b,
-        np.ascontiguousarray(program.cost.T),
-        np.ascontiguousarray(G.transpose(1, 2, 0)),
-        program.linear.shape[1],
-        np.ascontiguousarray((program.present / program.sizes)[:, 2 * k :].T),
-        program.i,
-        program.j,
-        n,
-    )
 
 
 def _by_clarabel(

@@ -53,30 +53,16 @@ def search_in_parts(
             except LOST:
                 found[root] = search_part(problem, reach, outcome.sequence, left)
             if progress is not None:
-                progress(_progress(outcome, found, len(futures), now() - started))
+                cost = min(outcome.cost, *(part.cost for part in found.values()))
+                bound = min((node.bound for node in outcome.tree.nodes if node.proof is not None), default=-np.inf)
+                solved = outcome.nodes + sum(part.nodes for part in found.values())
+                seconds = now() - started
+                progress(SearchProgress(cost, min(bound, cost), solved, len(futures) - len(found), seconds))
     except KeyboardInterrupt:
         message, interrupted = "interrupted", True
         for future in futures:
             future.cancel()
-    return _joined(outcome, found, message, interrupted)
-
-
-def search_part(
-    problem: OptimalControlProblem, reach: Reach, start: Indices | None, limits: SearchLimits
-) -> SearchOutcome:
-    """Search the sequences within a reach, in the same way be compiled code loaded or not."""
-    return BranchAndBound(problem, limits, compiled_from=0).run(start, reach)
-
-
-def _progress(outcome: SearchOutcome, found: dict[int, SearchOutcome], parts: int, seconds: float) -> SearchProgress:
-    cost = min(outcome.cost, *(part.cost for part in found.values()))
-    bound = min((node.bound for node in outcome.tree.nodes if node.proof is not None), default=-np.inf)
-    nodes = outcome.nodes + sum(part.nodes for part in found.values())
-    return SearchProgress(cost, min(bound, cost), nodes, parts - len(found), seconds)
-
-
-def _joined(outcome: SearchOutcome, found: dict[int, SearchOutcome], message: str, interrupted: bool) -> SearchOutcome:
-    """Return the first search with the trees of the parts in place of their roots, in the order of these."""
+    # the first search with the trees of the parts in place of their roots, in the order of these
     nodes: list[ModeNode] = list(outcome.tree.nodes)
     best = outcome
     for root in sorted(found):
@@ -89,3 +75,10 @@ def _joined(outcome: SearchOutcome, found: dict[int, SearchOutcome], message: st
     solved = outcome.nodes + sum(part.nodes for part in found.values())
     interrupted = interrupted or any(part.interrupted for part in found.values())
     return SearchOutcome(best.sequence, best.cost, ModeTree(tuple(nodes)), message, interrupted, solved, outcome.setup)
+
+
+def search_part(
+    problem: OptimalControlProblem, reach: Reach, start: Indices | None, limits: SearchLimits
+) -> SearchOutcome:
+    """Search the sequences within a reach, in the same way be compiled code loaded or not."""
+    return BranchAndBound(problem, limits, compiled_from=0).run(start, reach)

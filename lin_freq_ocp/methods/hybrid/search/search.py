@@ -14,9 +14,9 @@ from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.backends.base import Claim, Solution
+from lin_freq_ocp.program.backends.base import Claim
 from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
-from lin_freq_ocp.program.hybrid.relaxation import Duals, Member, ModeRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
 SEARCH_SHARE = 0.6  # of the time: in the rest the leaves are checked, each about as long as a node takes
@@ -135,10 +135,13 @@ def _relaxed_by_shares(
         z, y = solution.z, solution.y
         if solution.claim is Claim.INTERRUPTED:
             raise KeyboardInterrupt
-        if enough is not None:
-            answer = _decided(relaxation, member, solution, enough)
-            if answer is not None:
-                return answer
+        if enough is not None:  # a rough solution may decide: closed by its duals, or to be split
+            if solution.claim in (Claim.STOPPED, Claim.SOLVED) and z is not None and y is not None:
+                duals = member.duals(y, 1.0)
+                bound = relaxation.proven(reach, duals)
+                split = several and solution.claim is Claim.STOPPED
+                if split or not relaxation.objective(bound) <= enough.cutoff:
+                    return Relaxed(reach, bound, duals, *relaxation.point(member, z))
             continue
         if solution.claim is Claim.INFEASIBLE:
             return Relaxed(reach, -np.inf) if y is None else Relaxed(reach, np.inf, member.duals(y, 0.0))
@@ -148,19 +151,6 @@ def _relaxed_by_shares(
             bound = relaxation.cost(member.form.dual_objective(z, y))
             return Relaxed(reach, bound, member.duals(y, 1.0), *relaxation.point(member, z))
     return Relaxed(reach, -np.inf)
-
-
-def _decided(relaxation: ModeRelaxation, member: Member, solution: Solution, enough: Decision) -> Relaxed | None:
-    """Return the relaxation of a node that a rough solution decides: closed by its duals, or to be split."""
-    z, y = solution.z, solution.y
-    if solution.claim not in (Claim.STOPPED, Claim.SOLVED) or z is None or y is None:
-        return None
-    duals = member.duals(y, 1.0)
-    bound = relaxation.proven(member.reach, duals)
-    split = enough.several and solution.claim is Claim.STOPPED
-    if not split and relaxation.objective(bound) <= enough.cutoff:
-        return None
-    return Relaxed(member.reach, bound, duals, *relaxation.point(member, z))
 
 
 def proven_tree(

@@ -73,7 +73,9 @@ class Filter:
         rounding = ROUNDING * abs(here.phi)
         if not self.accepts(Measure(trial.theta, trial.phi - rounding)):
             return False
-        if self._for_objective(here, slope, length):
+        feasible = here.theta <= FEASIBLE * max(1.0, self.first)
+        # the switching condition: the predicted decrease of the objective outweighs the infeasibility
+        if feasible and slope < 0 and length * (-slope) ** SLOPE_POWER > here.theta**INFEASIBILITY_POWER:
             return trial.phi <= here.phi + ARMIJO * length * slope + rounding
         less = trial.theta <= (1 - IMPROVED) * here.theta
         if not less and trial.phi > here.phi - IMPROVED * here.theta + rounding:
@@ -84,12 +86,6 @@ class Filter:
     def add(self, here: Measure) -> None:
         """Exclude what does not improve on a point."""
         self.entries.append(Measure((1 - IMPROVED) * here.theta, here.phi - IMPROVED * here.theta))
-
-    def _for_objective(self, here: Measure, slope: float, length: float) -> bool:
-        """Whether the predicted decrease of the objective outweighs the infeasibility."""
-        if slope >= 0 or here.theta > FEASIBLE * max(1.0, self.first):
-            return False
-        return length * (-slope) ** SLOPE_POWER > here.theta**INFEASIBILITY_POWER
 
 
 MARGIN = 1e-2  # distance of the first point to the boundary, in units in which limits are of order 1
@@ -223,19 +219,15 @@ class Local:
 
     def _exact(self, sides: Sequence[KKTSolver]) -> bool:
         """Factor the system with the curvature of the dynamics; return whether the problem is convex with it."""
-        if self._with_curvature():
-            self._factored(sides[0])
-            return True
-        return self.theta <= NEAR and any(side.indefinite and self._factored(side) for side in sides)
-
-    def _with_curvature(self) -> bool:
-        """Add the curvature of the dynamics to the Hessian; return whether the problem is convex on the dynamics."""
         stages, cone = self.system.stages, self.cones[STAGES]
         curved = -np.einsum("ti,tijk->tjk", self.point.z[DYNAMICS][:-1], self._found.curvatures)
         count = curved.shape[1]
         stages.H[:-1, :count, :count] += curved
         Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
-        return self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed)
+        if self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed):  # on the dynamics
+            self._factored(sides[0])
+            return True
+        return self.theta <= NEAR and any(side.indefinite and self._factored(side) for side in sides)
 
     def _factored(self, side: KKTSolver) -> bool:
         """Factor the system by a side; return what it sees of convexity."""
@@ -340,8 +332,12 @@ class Barrier:
         return Answer(ended, last.point, largest(last.left), self._steps)
 
     def _iterated(self, y: Array) -> End:
-        mu, last = self.mu, 0.0
-        local = self._at(self._first(y, mu))
+        mu, last, system = self.mu, 0.0, System(self.model.stages, self.loops)
+        rows, z = system.rows(y), [np.zeros_like(right) for right in system.b]
+        s = {i: moved_inside(cone, system.b[i] - rows[i]) for i, cone in system.cones.items()}
+        for i, cone in system.cones.items():
+            z[i] = mu * inverse(cone, s[i])
+        local = self._at(Point(y, z, s))
         if local is None:
             return End.UNDEFINED
         entries = Filter(local.theta)
@@ -367,14 +363,6 @@ class Barrier:
         """Return what there is at a point; None if the map is not defined there."""
         found = self.model.derivatives(point.y)
         return Local(self.model, objective or self._cost, self.loops, point, found) if found.finite else None
-
-    def _first(self, y: Array, mu: float) -> Point:
-        system = System(self.model.stages, self.loops)
-        rows, z = system.rows(y), [np.zeros_like(right) for right in system.b]
-        s = {i: moved_inside(cone, system.b[i] - rows[i]) for i, cone in system.cones.items()}
-        for i, cone in system.cones.items():
-            z[i] = mu * inverse(cone, s[i])
-        return Point(y, z, s)
 
     def _stepped(self, local: Local, entries: Filter, mu: float) -> Local | None:
         """Return the next point by a step that the filter takes; None if it takes none."""
@@ -423,7 +411,8 @@ class Barrier:
         near = Objective(np.ascontiguousarray(H), -PROXIMITY * local.point.y, 0.0, curved=False)
         point = local.point
         for _ in range(MOST_RESTORING):
-            here = self._at(_without_equations(point), near)
+            z = [part if i in point.s else np.zeros_like(part) for i, part in enumerate(point.z)]
+            here = self._at(replace(point, z=z), near)  # rows without slacks have no multipliers
             if here is None or now() > self.end:
                 return None
             if here.theta <= target:
@@ -460,12 +449,6 @@ def _moved(point: Point, trial: Trial, z: list[Array], length: float, of_duals: 
     lengths = [of_duals if i in trial.s else length for i in range(len(z))]
     moved = [own + part * change for own, part, change in zip(point.z, lengths, z, strict=True)]
     return Point(trial.y, moved, trial.s)
-
-
-def _without_equations(point: Point) -> Point:
-    """Return a point with zeros for the multipliers of rows without slacks."""
-    z = [part if i in point.s else np.zeros_like(part) for i, part in enumerate(point.z)]
-    return replace(point, z=z)
 
 
 WARM_MU = 1e-3  # first weight of the barrier at a start that is believed to be near

@@ -288,25 +288,20 @@ class LocalSearch:
             return
         self._known.add(key)
         self.tried += 1
-        found = self._optimum(start, sequence, prices, warm)
+        found = None
+        if self._smooth:
+            try:
+                found, ended = smooth_optimum(self.problem, start, self._end, warm)
+                self.interrupted = ended is End.INTERRUPTED
+            except UnsupportedError:  # too large for the structured method
+                self._smooth = False
+        if not self._smooth:
+            found = local_optimum(self.problem, start, sequence, prices, self._end)
         if found is not None and (self.best is None or _better(self.problem, found, self.best)):
             self.best = found
         if self.progress is not None:
             known = self.best is not None and self.best.feasible
             self.progress(SmoothProgress(self.best.cost if known and self.best else np.inf, -np.inf, self.tried))
-
-    def _optimum(
-        self, start: Trajectory, sequence: Indices, prices: Sequence[float], warm: bool
-    ) -> LocalOptimum | None:
-        if self._smooth:
-            try:
-                found, ended = smooth_optimum(self.problem, start, self._end, warm)
-            except UnsupportedError:  # too large for the structured method
-                self._smooth = False
-            else:
-                self.interrupted = ended is End.INTERRUPTED
-                return found
-        return local_optimum(self.problem, start, sequence, prices, self._end)
 
     def _late(self) -> bool:
         if self.interrupted:

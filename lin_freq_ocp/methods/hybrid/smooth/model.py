@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
 from lin_freq_ocp.methods.structured.kkt.system import Values
@@ -75,7 +75,8 @@ class SmoothModel:
 
     def derivatives(self, y: Array) -> Derivatives:
         """Return c with its derivatives at a point; those by controls that are held are zero."""
-        found, units = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y)), self._units[:-1] * self._free
+        found = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
+        units = self._units[:-1] * ~self.assembly.recovery.origin.held[:-1]
         after = self._units[1:, : self.problem.state_dim]
         slopes = found.slopes * units[:, None, :] / after[:, :, None]
         curvatures = found.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]
@@ -92,10 +93,6 @@ class SmoothModel:
     @property
     def _units(self) -> Array:
         return self.assembly.recovery.units.columns[:, : self.problem.state_dim + self.problem.control_dim]
-
-    @property
-    def _free(self) -> Mask:
-        return ~self.assembly.recovery.origin.held[:-1]
 
     def _signals(self, y: Array) -> Array:
         units = self._units

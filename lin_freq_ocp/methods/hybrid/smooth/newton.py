@@ -20,7 +20,6 @@ Everything is in natural units.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,7 +84,11 @@ class System:
         of_x = np.repeat(in_x, rows_per_component(problem.state_stop, problem.state_samples))
         of_u = np.repeat(in_u, rows_per_component(problem.control_stop, T))
         switches = _switches(problem, trajectory, sequence, np.append(in_x, in_u), near)
-        norms = _norms(problem, trajectory, near)
+        y = np.hstack([trajectory.x[:T], trajectory.u])
+        norms: list[tuple[Formula, int]] = []
+        for norm in piecewise_smooth(problem).norms:
+            size = np.linalg.norm(jets(norm.arguments, y).values, axis=1)
+            norms += [(norm, int(t)) for t in np.flatnonzero(size <= near * max(1.0, float(size.max())))]
         sizes = [(T + 1) * n, T * m, T * n, len(rows_x), len(rows_u), len(switches)]
         sizes += [len(norm.arguments) for norm, _ in norms]
         ends = np.cumsum(sizes)
@@ -98,7 +101,7 @@ class System:
         signals = np.concatenate([x, u])
         scales[signals] = scaling.cost * units[signals]
         scales[eta], scales[rho_x], scales[rho_u] = np.tile(1 / in_x, T), 1 / of_x, 1 / of_u
-        slopes = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+        slopes = piecewise_smooth(problem).jets_at(y)
         for k, (t, _, row) in enumerate(switches):
             slope = slopes.regions[sequence[t]].slopes[t, row] * np.append(in_x, in_u)
             scales[alpha[k]] = 1 / max(float(np.linalg.norm(slope)), 1e-300)
@@ -126,7 +129,10 @@ class System:
         problem, T = self.problem, self.problem.horizon
         x, u, eta, alpha = v[self.x], v[self.u], v[self.eta], v[self.alpha]
         y, at = np.hstack([x[:-1], u]), np.hstack([self.x[:-1], self.u])
-        found = piecewise_smooth(problem).jets_at(y, self._selections(v))
+        dynamics, selections = piecewise_smooth(problem), dict[Formula, Array]()
+        for (norm, t), xi in zip(self.norms, self.xi, strict=True):
+            selections.setdefault(norm, np.full((T, len(norm.arguments)), np.nan))[t] = v[xi]
+        found = dynamics.jets_at(y, selections)
         times = np.arange(T)
         values, slopes, curvatures = jets_of(found, times, self.sequence)
         active = slopes.copy()
@@ -165,22 +171,9 @@ class System:
             F[rho] = rows @ v[signals]
             J[np.ix_(signals, rho)] += rows.T
             J[np.ix_(rho, signals)] += rows
-        self._add_norms(v, F, J, y, at, eta)
-        return F, J
-
-    def _selections(self, v: Array) -> Mapping[Formula, Array]:
-        selections: dict[Formula, Array] = {}
-        for (norm, t), xi in zip(self.norms, self.xi, strict=True):
-            rows = selections.setdefault(norm, np.full((self.problem.horizon, len(norm.arguments)), np.nan))
-            rows[t] = v[xi]
-        return selections
-
-    def _add_norms(self, v: Array, F: Array, J: Array, y: Array, at: Indices, eta: Array) -> None:
-        """Add the equations of the selections of norms, and their terms in the others."""
-        dynamics = piecewise_smooth(self.problem)
         for (norm, t), own in zip(self.norms, self.xi, strict=True):
             inner = jets(norm.arguments, y[t : t + 1])
-            q, slopes, xi = inner.values[0], inner.slopes[0], v[own]
+            q, of_q, xi = inner.values[0], inner.slopes[0], v[own]
             reached = xi + q
             length = float(np.linalg.norm(reached))
             projection, onto = reached, np.eye(len(q))
@@ -189,9 +182,10 @@ class System:
                 onto = (np.eye(len(q)) - np.outer(projection, projection)) / length
             F[own] = xi - projection
             J[np.ix_(own, own)] = np.eye(len(q)) - onto
-            J[np.ix_(own, at[t])] = -onto @ slopes
+            J[np.ix_(own, at[t])] = -onto @ of_q
             pull = dynamics.pull_of_norm(norm, y[t], int(self.sequence[t]), eta[t])
-            J[np.ix_(at[t], own)] -= pull * slopes.T
+            J[np.ix_(at[t], own)] -= pull * of_q.T
+        return F, J
 
 
 def jets_of(found: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
@@ -256,16 +250,6 @@ def _switches(
     return switches
 
 
-def _norms(problem: OptimalControlProblem, trajectory: Trajectory, near: float) -> list[tuple[Formula, int]]:
-    T = problem.horizon
-    y = np.hstack([trajectory.x[:T], trajectory.u])
-    found: list[tuple[Formula, int]] = []
-    for norm in piecewise_smooth(problem).norms:
-        size = np.linalg.norm(jets(norm.arguments, y).values, axis=1)
-        found += [(norm, int(t)) for t in np.flatnonzero(size <= near * max(1.0, float(size.max())))]
-    return found
-
-
 NEAR_KINK = 1e-3  # distance in natural units at which a switching surface or zero of a norm gets a selection
 CONVERGED = 1e-12  # |Phi| of equations of order 1 at which nothing is left to gain
 SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14  # Armijo's constant, and the shortest step
@@ -304,9 +288,8 @@ def newton(
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
     system = System.of(problem, trajectory, sequence, near)
     runs: list[NewtonRun] = []
-    for weights in ("of the side", "one half"):
-        start = starting_point(system, trajectory, multipliers, near, weights == "one half")
-        runs.append(_run(system, start, most_steps))
+    for halved in (False, True):
+        runs.append(_run(system, starting_point(system, trajectory, multipliers, near, halved), most_steps))
         if runs[-1].converged or multipliers is not None or not system.switches:
             break
     return min(runs, key=lambda run: run.residuals[-1])
@@ -321,8 +304,23 @@ def _run(system: System, v: Array, most_steps: int) -> NewtonRun:
             break
         v, value = stepped
         residuals.append(float(np.linalg.norm(value.phi)))
-    found, multipliers = _answer(system, v, value)
-    return NewtonRun(found, multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
+    problem, values, F = system.problem, v * system.units, value.F / system.scales
+    T = problem.horizon
+    weights = np.zeros((T, len(piecewise_smooth(problem).modes)))
+    weights[np.arange(T), system.sequence] = 1.0
+    for k, (t, second, _) in enumerate(system.switches):
+        share = float(np.clip(values[system.alpha[k]], 0.0, 1.0))
+        weights[t, system.sequence[t]], weights[t, second] = 1 - share, share
+    x = np.clip(values[system.x], problem.state_tube.lower, problem.state_tube.upper)
+    u = np.clip(values[system.u], problem.control_tube.lower, problem.control_tube.upper)
+    mu, nu = (
+        np.where(np.isfinite(box.lower) | np.isfinite(box.upper), -F[block], 0.0)
+        for block, box in ((system.x, problem.state_tube), (system.u, problem.control_tube))
+    )
+    rho_u = spectrum_multipliers(problem.control_stop, T, values[system.rho_u])
+    rho_x = spectrum_multipliers(problem.state_stop, problem.state_samples, values[system.rho_x])
+    multipliers = Multipliers(1.0, values[system.eta], mu, nu, rho_u, rho_x, None, weights)
+    return NewtonRun(Trajectory(x, u), multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
 
 
 def _stepped(system: System, v: Array, value: SystemValue) -> tuple[Array, SystemValue] | None:
@@ -353,7 +351,13 @@ def starting_point(
     v = np.zeros(len(system.units))
     v[system.x], v[system.u] = trajectory.x, trajectory.u
     if multipliers is None:
-        v[system.alpha] = 0.5 if halved else _sides(system, trajectory)
+        if halved:
+            v[system.alpha] = 0.5
+        else:  # 1 where a switching surface is crossed
+            y = np.hstack([trajectory.x[: system.problem.horizon], trajectory.u])
+            regions = piecewise_smooth(system.problem).jets_at(y).regions
+            crossed = [regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.switches]
+            v[system.alpha] = np.array(crossed, dtype=float)
         return _fitted(system, v / system.units, near)
     v[system.eta] = multipliers.eta
     for block, rows, signal in (
@@ -365,14 +369,6 @@ def starting_point(
     for k, (t, second, _) in enumerate(system.switches):
         v[system.alpha[k]] = 0.5 if multipliers.weights is None else np.clip(multipliers.weights[t, second], 0, 1)
     return v / system.units
-
-
-def _sides(system: System, trajectory: Trajectory) -> Array:
-    """Return 1 where a switching surface is crossed, else 0."""
-    T = system.problem.horizon
-    found = piecewise_smooth(system.problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
-    crossed = [found.regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.switches]
-    return np.array(crossed, dtype=float)
 
 
 def _fitted(system: System, v: Array, near: float) -> Array:
@@ -396,23 +392,3 @@ def _fitted(system: System, v: Array, near: float) -> Array:
     bounds = np.append(-free, below), np.append(free, above)
     v[found] = lsq_linear(np.vstack([np.hstack([slopes, normals]), small]), right, bounds).x[: len(found)]
     return v
-
-
-def _answer(system: System, v: Array, value: SystemValue) -> tuple[Trajectory, Multipliers]:
-    """Return the trajectory and the multipliers of unknowns in natural units."""
-    problem, values, F = system.problem, v * system.units, value.F / system.scales
-    T = problem.horizon
-    weights = np.zeros((T, len(piecewise_smooth(problem).modes)))
-    weights[np.arange(T), system.sequence] = 1.0
-    for k, (t, second, _) in enumerate(system.switches):
-        share = float(np.clip(values[system.alpha[k]], 0.0, 1.0))
-        weights[t, system.sequence[t]], weights[t, second] = 1 - share, share
-    x = np.clip(values[system.x], problem.state_tube.lower, problem.state_tube.upper)
-    u = np.clip(values[system.u], problem.control_tube.lower, problem.control_tube.upper)
-    mu, nu = (
-        np.where(np.isfinite(box.lower) | np.isfinite(box.upper), -F[block], 0.0)
-        for block, box in ((system.x, problem.state_tube), (system.u, problem.control_tube))
-    )
-    rho_u = spectrum_multipliers(problem.control_stop, T, values[system.rho_u])
-    rho_x = spectrum_multipliers(problem.state_stop, problem.state_samples, values[system.rho_x])
-    return Trajectory(x, u), Multipliers(1.0, values[system.eta], mu, nu, rho_u, rho_x, None, weights)

@@ -24,6 +24,7 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import Claim, backend
+from lin_freq_ocp.program.hybrid.rows import signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import natural_scaling
@@ -157,7 +158,7 @@ class _SequenceProgram:
         program = transcription.program.scaled(scaling)
         numbers = transcription.multipliers(np.arange(1.0, 1.0 + len(program.lower)), 1.0)
         maps, regions = (part.astype(np.intp) - 1 for part in (numbers.eta, numbers.stage[REGION]))
-        signals = np.hstack([np.arange(T * n).reshape(T, n), (T + 1) * n + np.arange(T * m).reshape(T, m)])
+        signals = signal_columns(T, n, m)
         entries = sp.coo_array(program.A)
         row, column = entries.coords
         of_maps, of_regions = np.isin(row, maps), np.isin(row, regions[regions >= 0])
