@@ -40,30 +40,30 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_000,
-    "code lines, linear part": 20_000,
-    "code lines, hybrid": 8_600,
-    SHARE_SAID: 17.6,  # at least
-    "files": 470,
-    "folders": 65,
+    "code lines": 38_222,
+    "code lines, linear part": 18_211,
+    "code lines, hybrid": 8_029,
+    SHARE_SAID: 18.7,  # at least
+    "files": 284,
+    "folders": 39,
     "folders at the root": 17,
-    "modules at the root": 12,
+    "modules at the root": 11,
     "names in __all__": 53,
-    "lines of a file": 700,
+    "lines of a file": 542,
     "lines of a function": 80,
-    "functions used once [%]": 22,
-    "files entered by a solve": 62,
-    "functions entered by a solve": 440,
-    "calls of a solve": 1400,
-    "imports through the door": 38,
+    "functions used once [%]": 16.1,
+    "files entered by a solve": 45,
+    "functions entered by a solve": 396,
+    "calls of a solve": 1117,
+    "imports through the door": 0,
     "files in circles": 0,
-    "class names used twice": 28,
-    "constants of several values": 50,
-    "file stems used three times": 15,
-    "names of a lone participle": 345,
+    "class names used twice": 22,
+    "constants of several values": 36,
+    "file stems used three times": 5,
+    "names of a lone participle": 139,
     "isinstance on dynamics": 4,
     "isinstance on terms": 6,
-    "Any": 27,
+    "Any": 24,
 }
 """At most, but for the share of docstrings and comments."""
 

@@ -45,7 +45,7 @@ from lin_freq_ocp.files.reading import FileTable
 from lin_freq_ocp.files.run_file import dumping_errors
 from lin_freq_ocp.files.solution_files import kind_of_file, load_trajectory
 from lin_freq_ocp.files.summary import certificate_summary, result_summary
-from lin_freq_ocp.methods.multipliers import uniqueness
+from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import start_of

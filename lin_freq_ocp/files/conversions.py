@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.real_rows import real_rows
+from lin_freq_ocp.program.stop_band_rows import real_rows
 from lin_freq_ocp.program.transcription import TermRows, conic_terms
 
 if TYPE_CHECKING:

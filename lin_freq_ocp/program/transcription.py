@@ -30,7 +30,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Block, Program
-from lin_freq_ocp.program.real_rows import spectrum_multipliers, spectrum_rows
+from lin_freq_ocp.program.stop_band_rows import stop_band_multipliers, stop_band_rows
 
 BYTES_PER_ENTRY = 100.0  # of a dense row at the peak, with indices during assembly and the scaled copies for solvers
 BYTES_OF_FACTOR = 12.0  # per entry of a solver's factor: a value and an index
@@ -66,7 +66,7 @@ class LinearTranscription:
             (Block.STATE_SPECTRUM, problem.state_stop, problem.state_samples, 0),
             (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, self._states),
         ):
-            matrix = spectrum_rows(stop, length, self._variables, first)
+            matrix = stop_band_rows(stop, length, self._variables, first)
             parts[block] = matrix, np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0])
         parts[Block.TERMS] = terms.matrix, terms.lower, terms.upper
         rows, count = dict[Block, slice](), 0
@@ -125,8 +125,8 @@ class LinearTranscription:
             eta=y[rows[Block.DYNAMICS]].reshape(T, n),
             mu=mu,
             nu=nu,
-            rho_u=spectrum_multipliers(problem.control_stop, T, y[rows[Block.CONTROL_SPECTRUM]]),
-            rho_x=spectrum_multipliers(problem.state_stop, problem.state_samples, y[rows[Block.STATE_SPECTRUM]]),
+            rho_u=stop_band_multipliers(problem.control_stop, T, y[rows[Block.CONTROL_SPECTRUM]]),
+            rho_x=stop_band_multipliers(problem.state_stop, problem.state_samples, y[rows[Block.STATE_SPECTRUM]]),
             stage=self.conic_terms.multipliers(y[rows[Block.TERMS]]),
         )
 

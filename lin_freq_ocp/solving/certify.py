@@ -11,7 +11,7 @@ from lin_freq_ocp.certificate.peaks import peak_points
 from lin_freq_ocp.certificate.rays import descent_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Rounded, decimals_of, judge
-from lin_freq_ocp.methods.multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
+from lin_freq_ocp.methods.fitted_multipliers import ACTIVE, abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

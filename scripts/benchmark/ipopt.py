@@ -14,7 +14,7 @@ from lin_freq_ocp.formulas.operations import POWER, PRODUCT, QUOTIENT, SUM, VARI
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.real_rows import spectrum_rows
+from lin_freq_ocp.program.stop_band_rows import stop_band_rows
 
 TOLERANCE = 1e-9  # of IPOPT, relative
 
@@ -37,7 +37,7 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     one, X, U = casadi.SX.sym("y", n + m), casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T)
     step = casadi.Function("f", [one], [_expression(casadi, piecewise_smooth(problem).modes[0].f, one)])
-    rows = spectrum_rows(problem.control_stop, T, T * m, 0)
+    rows = stop_band_rows(problem.control_stop, T, T * m, 0)
     constraints = [casadi.vec(X[:, 1:] - step.map(T)(casadi.vertcat(X[:, :T], U)))]
     if rows.shape[0]:
         constraints.append(casadi.DM(rows.toarray()) @ casadi.vec(U))

@@ -38,11 +38,11 @@ from benchmark.record import Record, build_parser, duration
 from benchmark.relaxations import RELAXATIONS
 from helpers.checks.claimed import resolved
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, relaxed
 from lin_freq_ocp.methods.hybrid.search.mixed import SolverClaim, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
-from lin_freq_ocp.methods.hybrid.search.search import SearchLimits, relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.program.real_rows import real_rows
+from lin_freq_ocp.program.stop_band_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0
 # Costs and bounds that differ by this many gaps are still right: a solver's gap is not met to the last digit

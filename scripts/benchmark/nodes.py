@@ -16,8 +16,8 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import branch_and_bound
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, SearchLimits, relaxed
 from lin_freq_ocp.methods.hybrid.search.node import Relaxed
-from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, SearchLimits, relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation

@@ -14,7 +14,7 @@ from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import RISES, is_semidefinite
-from lin_freq_ocp.program import real_rows
+from lin_freq_ocp.program import stop_band_rows as real_rows
 from lin_freq_ocp.testing import STATED, reference_problem
 
 JUDGED = ["paper, constrained", "velocity bound", "slow sampling, constrained"]

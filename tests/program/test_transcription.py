@@ -13,7 +13,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import backend
 from lin_freq_ocp.program.program import Block
-from lin_freq_ocp.program.real_rows import real_rows
+from lin_freq_ocp.program.stop_band_rows import real_rows
 from lin_freq_ocp.program.transcription import LinearTranscription
 
 

@@ -18,7 +18,7 @@ from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
-from lin_freq_ocp.methods.hybrid.search.search import SearchLimits
+from lin_freq_ocp.methods.hybrid.search.common import SearchLimits
 from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDER
 from lin_freq_ocp.methods.spectral.qp import BorderedQp, interior_point
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
@@ -167,7 +167,7 @@ def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch
     def never(*arguments: Any) -> Any:
         raise AssertionError("dense rows were made")
 
-    monkeypatch.setattr("lin_freq_ocp.program.transcription.spectrum_rows", never)
+    monkeypatch.setattr("lin_freq_ocp.program.transcription.stop_band_rows", never)
     problem = lfo.library.pendulum(horizon=5000)
     small_memory(monkeypatch, 1e8)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: .*dense rows.* GiB.*spectral"):

@@ -22,7 +22,7 @@ from helpers.stage_rows import (
     solve,
 )
 from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.methods.multipliers import fit_multipliers
+from lin_freq_ocp.methods.fitted_multipliers import fit_multipliers
 
 # ----------------------------------------------------------------------------------------------------------- solution
 

@@ -41,7 +41,7 @@ class Attempt:
 
 @dataclass(frozen=True, eq=False)
 class Solves:
-    """One program, a solver, and its limits."""
+    """A program with a solver and its limits, to be solved in several units."""
 
     transcription: LinearTranscription
     solver: Solver
@@ -77,13 +77,13 @@ class Solves:
         return self._solve(self.transcription.program.scaled(scaling), scaling, None)
 
     def near(self, scaling: Scaling) -> Attempt | None:
-        """Solve in the given units without far bounds, and measure with them; None if none are far, or unbounded."""
+        """Solve without far bounds, and measure with all; None if no bound is far, or the program is then unbounded."""
         near = self.transcription.program.scaled(scaling).without_bounds_beyond(FAR_BOUND)
         attempt = None if near is None else self._solve(near, scaling, None)
         return None if attempt is None or attempt.candidate.status == "unbounded" else attempt
 
-    def measured(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
-        """Return an attempt from a solver's answer to the program, which is in the given units."""
+    def recovered(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
+        """Return the trajectory and multipliers of a solver's answer, which is in the units of ``scaling``."""
         z, y, claim = solution.z, solution.y, solution.claim
         late = claim is Claim.TIME_LIMIT
         status, interrupted = "limit" if late else "numerical_error", claim is Claim.INTERRUPTED
@@ -132,7 +132,7 @@ class Solves:
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
         solution = self.solver(program, tolerance or self.asked, self.left)
-        attempt = self.measured(scaling, program, solution)
+        attempt = self.recovered(scaling, program, solution)
         if attempt.z is None or attempt.ended or attempt.error <= self.target or program.cones or self.over:
             return attempt
         assert solution.z is not None
@@ -141,7 +141,7 @@ class Solves:
         if better is None:
             return attempt
         claimed = replace(solution, claim=Claim.SOLVED, z=better[0], y=better[1])
-        return better_of(attempt, self.measured(scaling, program, claimed))
+        return better_of(attempt, self.recovered(scaling, program, claimed))
 
 
 def better_of(one: Attempt, other: Attempt) -> Attempt:

@@ -180,7 +180,7 @@ def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Ca
     scaling = attempt.scaling
     found = polish_point(program, scaling.scaled_primal(attempt.z), scaling.scaled_dual(attempt.y))
     if found is not None:
-        better = solves.measured(scaling, program, Solution(Claim.SOLVED, *found, "polished"))
+        better = solves.recovered(scaling, program, Solution(Claim.SOLVED, *found, "polished"))
         if better.z is not None and better.error <= LARGEST_ERROR:
             yield better.candidate
             yield from _rounded_versions(solves, natural, better)
@@ -198,7 +198,7 @@ def _rounded_versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Ite
             continue
         before = z, y
         scaled = natural.scaled_primal(z), natural.scaled_dual(y)
-        yield solves.measured(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
+        yield solves.recovered(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
 
 
 def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:

@@ -11,8 +11,8 @@ from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet, modes_along
 from lin_freq_ocp.certificate.rays import Direction, descent_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.methods.fitted_multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import candidates, weighted
-from lin_freq_ocp.methods.multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 

@@ -23,11 +23,11 @@ from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode
+from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refined
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
 from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
-from lin_freq_ocp.methods.hybrid.search.search import GAP, SearchLimits, SearchOutcome, SearchProgress, refined
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate

@@ -17,8 +17,8 @@ import lin_freq_ocp as lfo
 from helpers.random.kinks import random_problem
 from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, modes_along
 from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
-from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 
 VISIBLE = 1e-9  # relative change of a cost that solvers which stop at 1e-10 show

@@ -12,7 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound, CoverNode, shifted_cover
-from lin_freq_ocp.methods.hybrid.search.search import relaxed
+from lin_freq_ocp.methods.hybrid.search.common import relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation

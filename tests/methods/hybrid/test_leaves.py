@@ -13,8 +13,8 @@ from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, tree_bound
-from lin_freq_ocp.methods.hybrid.search import search
-from lin_freq_ocp.methods.hybrid.search.search import relaxed
+from lin_freq_ocp.methods.hybrid.search import common as search
+from lin_freq_ocp.methods.hybrid.search.common import relaxed
 from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 

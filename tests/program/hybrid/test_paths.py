@@ -10,8 +10,8 @@ import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import node as path_node
+from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, relaxed
 from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
-from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation

@@ -5,7 +5,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
-from lin_freq_ocp.methods.hybrid.search.search import TOLERANCES, relaxed
+from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, relaxed
 from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Quadratic
 

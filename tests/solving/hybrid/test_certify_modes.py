@@ -17,8 +17,8 @@ from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.cli.app import cli
 from lin_freq_ocp.files.solution_files import save_solution
 from lin_freq_ocp.files.summary import certificate_summary
+from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
-from lin_freq_ocp.methods.multipliers import uniqueness
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.report.tables import certificate_rows
 from lin_freq_ocp.problem.hybrid.forms import linear_along

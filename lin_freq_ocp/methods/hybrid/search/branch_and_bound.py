@@ -1,14 +1,15 @@
-"""Branch and bound over mode sequences, best bound first, with incumbents from rounding and from flips of modes.
+"""Branch and bound over mode sequences, with incumbents from rounding and from flips of modes.
 
-A node is a mask of modes. Its relaxation bounds the cost of all sequences within. A node is split at the time at which
-the relaxed step misses the true dynamics most, weighted by the adjoint. A leaf is a node whose bound comes within the
-gap of the best sequence found; its multipliers prove that.
+A node is a mask of modes. Its relaxation bounds the cost of all sequences within. The next node is the newest until a
+first sequence is found, and then the one with the least bound. It is split at the time at which the relaxed step misses
+the true dynamics most, weighted by the adjoint. A node is closed if its bound comes within the gap of the best sequence
+found; its multipliers prove that.
 
 In a control loop, a search begins with a cover of all mode sequences. After a step, the tree of the problem before is
 shifted by one time: splits at time 0 are dropped, with all nodes that have another mode there; masks and duals move to
-the time before; the last time is new, with all modes (Marcucci and Tedrake, IEEE TAC 66(6), 2021). What the reach had
-left out is not: the state may be disturbed. Every path of splits still has a node for each mode, so that leaves cover
-all sequences, whichever mode at time 0 is followed.
+the time before; the last time is new, with all modes (Marcucci and Tedrake, IEEE TAC 66(6), 2021). Modes that the reach
+excluded come back, since the state may be disturbed. Every path of splits still has a node for each mode, so that the
+cover holds all sequences, whichever mode at time 0 is followed.
 """
 
 from __future__ import annotations
@@ -22,8 +23,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
-from lin_freq_ocp.methods.hybrid.search.node import Relaxed, adjoint_of, compiled_is_loaded, multipliers_of
-from lin_freq_ocp.methods.hybrid.search.search import (
+from lin_freq_ocp.methods.hybrid.search.common import (
     TOLERANCES,
     SearchLimits,
     SearchOutcome,
@@ -32,6 +32,7 @@ from lin_freq_ocp.methods.hybrid.search.search import (
     proven_tree,
     relaxed,
 )
+from lin_freq_ocp.methods.hybrid.search.node import Relaxed, adjoint_of, compiled_is_loaded, multipliers_of
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode

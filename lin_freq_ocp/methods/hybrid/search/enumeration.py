@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.hybrid.search.search import (
+from lin_freq_ocp.methods.hybrid.search.common import (
     SearchLimits,
     SearchOutcome,
     SearchProgress,

@@ -1,7 +1,7 @@
 """Multipliers of a trajectory of piecewise-affine dynamics: from a mode sequence, or fitted to the trajectory.
 
 Where several modes are active, a trajectory lies in several mode sequences, and each may have multipliers of its own.
-Candidates, all with the least residual of stationarity as in ``methods/multipliers.py``:
+Candidates, all with the least residual of stationarity as in ``methods/fitted_multipliers.py``:
 
     common    every active mode of a stage is stationary with the same eta, and with normals and region multipliers of
               its own: then the trajectory is flip-stationary
@@ -42,7 +42,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.methods.multipliers import fitted_duals, uniqueness
+from lin_freq_ocp.methods.fitted_multipliers import fitted_duals, uniqueness
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION, ModeArrays
 from lin_freq_ocp.problem.hybrid.forms import linear_along, measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -16,7 +16,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
-from lin_freq_ocp.methods.hybrid.search.search import SearchLimits, SearchOutcome, SearchProgress
+from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, SearchOutcome, SearchProgress
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

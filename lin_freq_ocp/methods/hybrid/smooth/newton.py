@@ -33,7 +33,7 @@ from lin_freq_ocp.problem.hybrid.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.program.real_rows import rows_per_component, spectrum_multipliers, spectrum_rows
+from lin_freq_ocp.program.stop_band_rows import rows_per_component, stop_band_multipliers, stop_band_rows
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import natural_scaling
 
@@ -79,8 +79,8 @@ class System:
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         scaling = natural_scaling(LinearTranscription(problem.affine_at(trajectory).with_modes(sequence)))
         in_x, in_u = scaling.columns[:n], scaling.columns[(T + 1) * n : (T + 1) * n + m]
-        rows_x = spectrum_rows(problem.state_stop, problem.state_samples, (T + 1) * n, 0).toarray()
-        rows_u = spectrum_rows(problem.control_stop, T, T * m, 0).toarray()
+        rows_x = stop_band_rows(problem.state_stop, problem.state_samples, (T + 1) * n, 0).toarray()
+        rows_u = stop_band_rows(problem.control_stop, T, T * m, 0).toarray()
         of_x = np.repeat(in_x, rows_per_component(problem.state_stop, problem.state_samples))
         of_u = np.repeat(in_u, rows_per_component(problem.control_stop, T))
         switches = _switches(problem, trajectory, sequence, np.append(in_x, in_u), near)
@@ -317,8 +317,8 @@ def _run(system: System, v: Array, most_steps: int) -> NewtonRun:
         np.where(np.isfinite(box.lower) | np.isfinite(box.upper), -F[block], 0.0)
         for block, box in ((system.x, problem.state_tube), (system.u, problem.control_tube))
     )
-    rho_u = spectrum_multipliers(problem.control_stop, T, values[system.rho_u])
-    rho_x = spectrum_multipliers(problem.state_stop, problem.state_samples, values[system.rho_x])
+    rho_u = stop_band_multipliers(problem.control_stop, T, values[system.rho_u])
+    rho_x = stop_band_multipliers(problem.state_stop, problem.state_samples, values[system.rho_x])
     multipliers = Multipliers(1.0, values[system.eta], mu, nu, rho_u, rho_x, None, weights)
     return NewtonRun(Trajectory(x, u), multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
 

@@ -1,4 +1,4 @@
-"""Orthonormal real rows of the DFT: stop bands as linear equations of full rank, and their multipliers per bin."""
+"""Stop bands as rows of a program: orthonormal real rows of the DFT, and their multipliers per bin."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def bin_multipliers(length: int, stopped: Mask, rho: Array) -> ComplexArray:
     return result
 
 
-def spectrum_rows(stop: Mask, length: int, columns: int, first: int) -> sp.csc_array:
-    """Return the rows of stopped bins (bins, components); component j of time t is column first + components t + j."""
+def stop_band_rows(stop: Mask, length: int, columns: int, first: int) -> sp.csc_array:
+    """Return the rows of stopped bins (bins, components); component j of time t is column first + components * t + j."""
     components = stop.shape[1]
     parts = [sp.csc_array((0, columns))]
     for j in range(components):
@@ -51,8 +51,8 @@ def rows_per_component(stop: Mask, length: int) -> Indices:
     return (stop * np.where(real, 1, 2)).sum(axis=0)
 
 
-def spectrum_multipliers(stop: Mask, length: int, rho: Array) -> ComplexArray:
-    """Return the multipliers per bin (bins, components) from the duals of ``spectrum_rows``."""
+def stop_band_multipliers(stop: Mask, length: int, rho: Array) -> ComplexArray:
+    """Return the multipliers per bin (bins, components) from the duals of ``stop_band_rows``."""
     parts = np.split(rho, np.cumsum(rows_per_component(stop, length))[:-1])
     return np.stack([bin_multipliers(length, stop[:, j], part) for j, part in enumerate(parts)], axis=1)
 
