@@ -1,8 +1,8 @@
-"""Kinds of problems that are imported late.
+"""Kinds of problems that register themselves.
 
-A table such as ``FAMILIES`` or ``JUDGES`` has entries by class. The package itself fills those of linear problems. What
-has modes, kinks or levels registers its entries on import, which happens the first time that a table lacks an entry:
-linear problems never import it, and no module outside of the folders ``hybrid`` names one inside.
+A table such as ``FAMILIES`` or ``JUDGES`` has entries by class. The floors themselves fill those of linear problems. The
+folders ``hybrid`` register their own entries on import, at the latest when a table lacks an entry: no module of these
+floors outside of a folder ``hybrid`` names one inside.
 """
 
 from __future__ import annotations

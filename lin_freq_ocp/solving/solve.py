@@ -37,115 +37,6 @@ from lin_freq_ocp.solving.judging import allowed_residual, judged, with_few_frac
 from lin_freq_ocp.solving.method import Method, Report, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
 
-EXCESS = 1e-9  # of |V| over its limit, relative: what interior points leave on the frequencies that they know
-ROUNDS = 30  # five or six reach EXCESS: convergence is quadratic
-IDLE = 1e-6  # part of the largest multiplier below which a frequency is dropped: without it the cost is the same
-APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
-LESS = 0.5  # part of the excess of a round that a round must leave at most, once it is below SMALL
-SMALL = 2e-7  # below the excess that the judge allows
-
-Frequencies = dict[str, Array]
-
-
-def solve_at_every_frequency(
-    problem: OptimalControlProblem, method: Method, request: Request, tolerance: float | None = None
-) -> Outcome:
-    """Solve a problem with masks at every frequency by any method, and judge the answer."""
-    request = replace(request, again=None, tree=None)
-    end = now() + request.time_limit
-    masks = [(term, term.everywhere) for term in problem.terms if term.everywhere is not None]
-    frequencies = {term.name: term.map.places for term, _ in masks}
-    seconds, excess, rounds = dict[str, float](), np.inf, list[_Round]()
-    for _ in range(ROUNDS):
-        left = seconds_left(end)
-        relaxed = at_frequencies(problem, frequencies, relaxed=True)
-        found = method.solve(relaxed, request if left is None else replace(request, time_limit=left))
-        seconds |= {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}
-        if found.trajectory is None or found.multipliers is None:
-            rounds.append(_Round(found, frequencies, np.inf))
-            break
-        # the frequencies of peaks above their limit, and the largest excess
-        x, u, added, largest = found.trajectory.x, found.trajectory.u, Frequencies(), 0.0
-        for term, mask in masks:
-            known, raised = frequencies[term.name], 1.0
-            if not term.hard:  # by how much a soft mask is paid to be exceeded at its frequencies
-                size = np.linalg.norm(mask.map.placed(known).values(x, u), axis=1)
-                raised = float((size / mask.limit_at(known)).max(initial=1.0))
-            added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + EXCESS / 2))
-            largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
-        rounds.append(_Round(found, frequencies, largest))
-        converged = largest <= EXCESS or (largest < SMALL and largest > LESS * excess)
-        if converged or found.status == Status.LIMIT or found.interrupted:
-            break
-        excess, before, frequencies = largest, frequencies, Frequencies()
-        for term, mask in masks:
-            known, new = before[term.name], added[term.name]
-            weight = np.linalg.norm(found.multipliers.stage[term.name], axis=1)
-            kept = weight > IDLE * weight.max(initial=0.0)
-            nearest = mask.distances(known, new).min(axis=1, initial=np.inf)
-            joined = np.unique(np.concatenate([known[kept & (nearest > APART)], new]), axis=0)
-            frequencies[term.name] = joined if len(joined) else known
-    proven = [one for one in rounds if one.found.status == Status.OPTIMAL and one.excess < PEAK_TOLERANCE]
-    best = min(proven, key=lambda one: one.excess) if proven else rounds[-1]
-    return best.restated(problem, seconds, tolerance)
-
-
-@dataclass(frozen=True, eq=False)
-class _Round:
-    """The outcome of a relaxed problem with masks at these frequencies."""
-
-    found: Outcome
-    frequencies: Frequencies
-    excess: float  # of |V| at other frequencies, relative to the limit
-
-    def restated(self, problem: OptimalControlProblem, seconds: dict[str, float], tolerance: float | None) -> Outcome:
-        """Return the outcome for the problem itself, judged at every frequency."""
-        found = self.found
-        if problem.dynamics.mode_names:
-            return self._of_modes(problem, seconds)
-        unsolved = found.status in (Status.UNBOUNDED, Status.LIMIT, Status.NUMERICAL_ERROR)
-        candidate = Candidate(
-            "infeasible" if found.ray is not None else str(found.status) if unsolved else "optimal",
-            found.trajectory,
-            found.multipliers and self._placed(found.multipliers),
-            found.ray and self._placed(found.ray),
-            message=found.message,
-            seconds=seconds,
-            interrupted=found.interrupted,
-            descent=None if found.direction is None else Trajectory(found.direction.x, found.direction.u),
-        )
-        outcome = judged(problem, candidate, found.method, found.backend, tolerance)
-        return replace(outcome, reason=found.reason)
-
-    def _of_modes(self, problem: OptimalControlProblem, seconds: dict[str, float]) -> Outcome:
-        """Return the outcome of a search over modes: its bound is that of the relaxed problem, below the optimum."""
-        found, multipliers = self.found, self.found.multipliers and self._placed(self.found.multipliers)
-        evidence = None if found.evidence is None else found.evidence.with_multipliers(self._placed)
-        outcome = replace(found, problem=problem, multipliers=multipliers, seconds=seconds, evidence=evidence)
-        if found.certificate is None or found.trajectory is None or multipliers is None:
-            return outcome
-        certificate = judge(problem, found.trajectory, multipliers)
-        old = found.certificate
-        certificate = replace(certificate, bound=old.bound, borders=old.borders, descent=old.descent)
-        if found.status not in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
-            return replace(outcome, certificate=certificate)
-        proven = max(old.gap or 0.0, 0.0) + GAP_TOLERANCE if found.status == Status.OPTIMAL else -np.inf
-        status = certificate.status_within(proven)
-        if status != found.status:
-            message = f"at the frequencies of {plural(len(self.frequencies), 'mask')} only"
-            return replace(outcome, certificate=certificate, status=status, message=message)
-        return replace(outcome, certificate=certificate)
-
-    def _placed(self, multipliers: Multipliers) -> Multipliers:
-        """Return multipliers with the frequencies that they stand at; those of zero are left out."""
-        stage, frequencies = dict(multipliers.stage), Frequencies()
-        for name, w in self.frequencies.items():
-            weights = multipliers.stage.get(name, np.zeros((len(w), 2)))
-            used = np.flatnonzero(weights.any(axis=1))
-            stage[name], frequencies[name] = weights[used], w[used]
-        return replace(multipliers, stage=stage, frequencies=frequencies)
-
-
 COARSE = 1e-8  # rounding of a state, relative to what it moves, that may be worth as much as the allowed gap
 
 
@@ -260,3 +151,112 @@ def _rounding(translation: Translation, trajectory: Trajectory) -> str:
         return ""
     name = translation.given.state_names[i]
     return f"{name} lies so far from zero that double precision rounds it by {size[i]:.1e}: count it from nearer"
+
+
+EXCESS = 1e-9  # of |V| over its limit, relative: what interior points leave on the frequencies that they know
+ROUNDS = 30  # five or six reach EXCESS: convergence is quadratic
+IDLE = 1e-6  # part of the largest multiplier below which a frequency is dropped: without it the cost is the same
+APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
+LESS = 0.5  # part of the excess of a round that a round must leave at most, once it is below SMALL
+SMALL = 2e-7  # below the excess that the judge allows
+
+Frequencies = dict[str, Array]
+
+
+def solve_at_every_frequency(
+    problem: OptimalControlProblem, method: Method, request: Request, tolerance: float | None = None
+) -> Outcome:
+    """Solve a problem with masks at every frequency by any method, and judge the answer."""
+    request = replace(request, again=None, tree=None)
+    end = now() + request.time_limit
+    masks = [(term, term.everywhere) for term in problem.terms if term.everywhere is not None]
+    frequencies = {term.name: term.map.places for term, _ in masks}
+    seconds, excess, rounds = dict[str, float](), np.inf, list[_Round]()
+    for _ in range(ROUNDS):
+        left = seconds_left(end)
+        relaxed = at_frequencies(problem, frequencies, relaxed=True)
+        found = method.solve(relaxed, request if left is None else replace(request, time_limit=left))
+        seconds |= {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}
+        if found.trajectory is None or found.multipliers is None:
+            rounds.append(_Round(found, frequencies, np.inf))
+            break
+        # the frequencies of peaks above their limit, and the largest excess
+        x, u, added, largest = found.trajectory.x, found.trajectory.u, Frequencies(), 0.0
+        for term, mask in masks:
+            known, raised = frequencies[term.name], 1.0
+            if not term.hard:  # by how much a soft mask is paid to be exceeded at its frequencies
+                size = np.linalg.norm(mask.map.placed(known).values(x, u), axis=1)
+                raised = float((size / mask.limit_at(known)).max(initial=1.0))
+            added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + EXCESS / 2))
+            largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
+        rounds.append(_Round(found, frequencies, largest))
+        converged = largest <= EXCESS or (largest < SMALL and largest > LESS * excess)
+        if converged or found.status == Status.LIMIT or found.interrupted:
+            break
+        excess, before, frequencies = largest, frequencies, Frequencies()
+        for term, mask in masks:
+            known, new = before[term.name], added[term.name]
+            weight = np.linalg.norm(found.multipliers.stage[term.name], axis=1)
+            kept = weight > IDLE * weight.max(initial=0.0)
+            nearest = mask.distances(known, new).min(axis=1, initial=np.inf)
+            joined = np.unique(np.concatenate([known[kept & (nearest > APART)], new]), axis=0)
+            frequencies[term.name] = joined if len(joined) else known
+    proven = [one for one in rounds if one.found.status == Status.OPTIMAL and one.excess < PEAK_TOLERANCE]
+    best = min(proven, key=lambda one: one.excess) if proven else rounds[-1]
+    return best.restated(problem, seconds, tolerance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """The outcome of a relaxed problem with masks at these frequencies."""
+
+    found: Outcome
+    frequencies: Frequencies
+    excess: float  # of |V| at other frequencies, relative to the limit
+
+    def restated(self, problem: OptimalControlProblem, seconds: dict[str, float], tolerance: float | None) -> Outcome:
+        """Return the outcome for the problem itself, judged at every frequency."""
+        found = self.found
+        if problem.dynamics.mode_names:
+            return self._of_modes(problem, seconds)
+        unsolved = found.status in (Status.UNBOUNDED, Status.LIMIT, Status.NUMERICAL_ERROR)
+        candidate = Candidate(
+            "infeasible" if found.ray is not None else str(found.status) if unsolved else "optimal",
+            found.trajectory,
+            found.multipliers and self._placed(found.multipliers),
+            found.ray and self._placed(found.ray),
+            message=found.message,
+            seconds=seconds,
+            interrupted=found.interrupted,
+            descent=None if found.direction is None else Trajectory(found.direction.x, found.direction.u),
+        )
+        outcome = judged(problem, candidate, found.method, found.backend, tolerance)
+        return replace(outcome, reason=found.reason)
+
+    def _of_modes(self, problem: OptimalControlProblem, seconds: dict[str, float]) -> Outcome:
+        """Return the outcome of a search over modes: its bound is that of the relaxed problem, below the optimum."""
+        found, multipliers = self.found, self.found.multipliers and self._placed(self.found.multipliers)
+        evidence = None if found.evidence is None else found.evidence.with_multipliers(self._placed)
+        outcome = replace(found, problem=problem, multipliers=multipliers, seconds=seconds, evidence=evidence)
+        if found.certificate is None or found.trajectory is None or multipliers is None:
+            return outcome
+        certificate = judge(problem, found.trajectory, multipliers)
+        old = found.certificate
+        certificate = replace(certificate, bound=old.bound, borders=old.borders, descent=old.descent)
+        if found.status not in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
+            return replace(outcome, certificate=certificate)
+        proven = max(old.gap or 0.0, 0.0) + GAP_TOLERANCE if found.status == Status.OPTIMAL else -np.inf
+        status = certificate.status_within(proven)
+        if status != found.status:
+            message = f"at the frequencies of {plural(len(self.frequencies), 'mask')} only"
+            return replace(outcome, certificate=certificate, status=status, message=message)
+        return replace(outcome, certificate=certificate)
+
+    def _placed(self, multipliers: Multipliers) -> Multipliers:
+        """Return multipliers with the frequencies that they stand at; those of zero are left out."""
+        stage, frequencies = dict(multipliers.stage), Frequencies()
+        for name, w in self.frequencies.items():
+            weights = multipliers.stage.get(name, np.zeros((len(w), 2)))
+            used = np.flatnonzero(weights.any(axis=1))
+            stage[name], frequencies[name] = weights[used], w[used]
+        return replace(multipliers, stage=stage, frequencies=frequencies)
