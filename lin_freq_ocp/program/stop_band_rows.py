@@ -34,7 +34,10 @@ def bin_multipliers(length: int, stopped: Mask, rho: Array) -> ComplexArray:
 
 
 def stop_band_rows(stop: Mask, length: int, columns: int, first: int) -> sp.csc_array:
-    """Return the rows of stopped bins (bins, components); component j of time t is column first + components * t + j."""
+    """Return the rows of stopped bins, ``stop`` (bins, components).
+
+    Component j at time t is the column first + components * t + j.
+    """
     components = stop.shape[1]
     parts = [sp.csc_array((0, columns))]
     for j in range(components):
