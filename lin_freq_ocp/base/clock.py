@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
+LEAST_SECONDS = 1e-3  # given to a solver when the time is over: it makes a step, and ends with its limit
+
 _read: Callable[[], float] = time.perf_counter
 _read_processor: Callable[[], float] = time.process_time
 

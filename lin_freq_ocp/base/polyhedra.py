@@ -15,7 +15,8 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError
 
-TOLERANCE = 1e-10  # of the linear programs' rows and slopes: the least that HiGHS takes, far below the radii below
+# Of the linear programs' rows and slopes: the least that HiGHS takes, far below the radii below
+HIGHS_TOLERANCE = 1e-10
 # A gap or an overlap of regions counts if a ball of this radius fits in, in natural units: solvers satisfy rows to
 # 1e-8 or so, and within that a point is on both sides.
 THICKNESS = 1e-7
@@ -151,7 +152,7 @@ def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) 
         *equal,
         bounds,
         method="highs-ds",
-        options={"primal_feasibility_tolerance": TOLERANCE, "dual_feasibility_tolerance": TOLERANCE},
+        options={"primal_feasibility_tolerance": HIGHS_TOLERANCE, "dual_feasibility_tolerance": HIGHS_TOLERANCE},
     )
     if answer.status not in (OPTIMAL, INFEASIBLE):
         raise NumericalError(f"The largest ball in a polyhedron was not found: {answer.message}")
@@ -302,7 +303,7 @@ def minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Arra
     return np.asarray(answer.x) if answer.status == OPTIMAL else None
 
 
-ROUNDS = 6  # of a Newton step and a sweep; two or three are usual
+NEAREST_ROUNDS = 6  # of a Newton step and a sweep; two or three are usual
 REGULAR = 1e-13  # of a diagonal entry, added to it: a Hessian may be singular
 
 
@@ -320,7 +321,7 @@ def box_minimiser(slope: Array, hessian: Array, low: Array, high: Array) -> Arra
     v = np.clip(np.zeros(shape), low, high)
     diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
     curved, sizes = diagonal > 0, np.where(diagonal > 0, diagonal, 1.0)
-    for _ in range(ROUNDS):
+    for _ in range(NEAREST_ROUNDS):
         before = v.copy()
         v = _newton_step(slope, hessian, low, high, v)
         for j in range(shape[-1]):

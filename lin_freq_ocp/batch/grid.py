@@ -27,7 +27,7 @@ Source = OptimalControlProblem | Callable[..., OptimalControlProblem]
 Parameters = dict[str, object]  # the value of every swept parameter at one point
 # Parameters of a problem: low passes that replace its ``control_spectrum``; in rad/sample, and in Hz.
 CUTOFFS = ("cutoff", "cutoff_hz")
-MOST_POINTS = 10**6  # points of one grid: more are likely a mistake, and would not fit into memory
+LARGEST_GRID = 10**6  # points of one grid: more are likely a mistake, and would not fit into memory
 FINGERPRINT_LENGTH = 16  # hexadecimal digits: 64 bits, so that collisions are not expected
 
 
@@ -44,8 +44,8 @@ def grid_values(source: Source, grid: object) -> dict[str, list[object]]:
 def grid_points(values: Mapping[str, Sequence[object]]) -> dict[str, Parameters]:
     """Return the points of the full product, by their keys; the last parameter changes fastest."""
     count = math.prod(map(len, values.values()))
-    if count > MOST_POINTS:
-        raise ProblemError("grid", f"{count} points", f"at most {MOST_POINTS}", "Sweep parts of it one after another.")
+    if count > LARGEST_GRID:
+        raise ProblemError("grid", f"{count} points", f"at most {LARGEST_GRID}", "Sweep parts of it one after another.")
     points = [dict(zip(values, combination, strict=True)) for combination in product(*values.values())]
     return {point_key(plain_parameters(point)): point for point in points}
 

@@ -34,7 +34,7 @@ from lin_freq_ocp.batch.grid import (
 from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
 from lin_freq_ocp.solving.solve import require_options, solve_judged
 
-INTERRUPTED = "interrupted"  # status of a point whose solve was stopped by Ctrl-C; no sweep keeps it
+INTERRUPTED_POINT = "interrupted"  # status of a point whose solve was stopped by Ctrl-C; no sweep keeps it
 
 Row = TypedDict(
     "Row",
@@ -142,7 +142,7 @@ def run_sweep(
         named = named.func
     name = str(getattr(named, "name", None) or getattr(named, "__name__", None) or "problem")
     head = {"problem": name, "fingerprint": fingerprint(problem), "names": sorted(values), "options": dict(options)}
-    work = Work(partial(solve_point, problem, options), failed_point, lambda row: row["status"] == INTERRUPTED)
+    work = Work(partial(solve_point, problem, options), failed_point, lambda row: row["status"] == INTERRUPTED_POINT)
 
     def solve_missing(keys: Sequence[str]) -> Generator[Mapping[str, Row]]:
         with closing(finish_tasks(work, {key: points[key] for key in keys}, executor)) as results:
@@ -172,7 +172,7 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
         return failed_point(parameters, f"{type(error).__name__}: {error}", now() - started)
     row = failed_point(parameters, None, now() - started)
     certificate, messages = result.certificate, [result.message] if result.message else []
-    row["status"] = INTERRUPTED if result.interrupted else result.status
+    row["status"] = INTERRUPTED_POINT if result.interrupted else result.status
     row["lower_bound"], row["bound"] = _finite_or_none(result.lower_bound), result.bound
     row["method"], row["backend"] = result.method, result.backend
     if certificate is not None:

@@ -284,7 +284,7 @@ def peak_points(problem: OptimalControlProblem, x: Array, u: Array, above: float
     return {name: points for name, points in found.items() if len(points)}
 
 
-GROWTH = 16.0  # W (e^R - 1): the least of exp(GROWTH) (r/R)^TERMS is near GROWTH = TERMS
+CIRCLE_GROWTH = 16.0  # W (e^R - 1): the least of exp(CIRCLE_GROWTH) (r/R)^TERMS is near CIRCLE_GROWTH = TERMS
 INNER = 0.03  # r / R: what the series leaves is 2e-17 of the sum of the samples' absolute values
 CHORD = 4e-4  # longest cell along phi: the chord is below sin(phi) by 2e-8 of it
 EXTENDED = float(np.finfo(np.longdouble).eps)
@@ -308,7 +308,7 @@ def certified_vibration(samples: Array, box: PlantBox) -> Peak:
 def _cells(values: Array, box: PlantBox, limit: float, number: int, edge: tuple[complex, complex]) -> Cells:
     """Return the cells of an edge; their parameter is twice the edge's number, plus the share of the way along it."""
     (start, end), W = edge, 2 * np.pi * float(box.high[0]) * box.duration
-    R = float(np.log1p(GROWTH / W))
+    R = float(np.log1p(CIRCLE_GROWTH / W))
     length = abs(end - start)
     across = end.imag != start.imag
     count = max(int(np.ceil(length / min(2 * INNER * R, CHORD if across else np.inf))), 1)
@@ -323,7 +323,7 @@ def _cells(values: Array, box: PlantBox, limit: float, number: int, edge: tuple[
     if not step:
         a[:, 1:] = 0.0
     total = float(np.abs(values).sum())
-    rest = 4 * total * np.exp(GROWTH) * (radius / R) ** TERMS / (1 - radius / R)
+    rest = 4 * total * np.exp(CIRCLE_GROWTH) * (radius / R) ** TERMS / (1 - radius / R)
     near = 2 * total * np.exp(W * np.expm1(radius))  # what Q cannot exceed on the small circles
     rounding = (2 * np.sqrt(len(values)) + 30 + 4 * W) * EXTENDED + (TERMS + 4 * W) * DOUBLE
     sines = np.sin(np.array([start.imag, *(start + (end - start) * (np.arange(count) + 1) / count).imag]))

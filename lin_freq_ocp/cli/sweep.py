@@ -22,7 +22,7 @@ from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import replacing, writing
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.interrupts import INTERRUPTED
-from lin_freq_ocp.batch.grid import MOST_POINTS, Source
+from lin_freq_ocp.batch.grid import LARGEST_GRID, Source
 from lin_freq_ocp.batch.tasks import WorkerPool, process_pool
 from lin_freq_ocp.cli.console import (
     NO_SOLUTION,
@@ -214,8 +214,8 @@ def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValu
 
 def _range(first: str, last: str, count: str) -> list[float] | list[int]:
     """Return ``count`` numbers from the first to the last; integers, if all are and both ends are written so."""
-    if int(count) > MOST_POINTS:
-        raise ValueError(f"{brief(count)} values; at most {MOST_POINTS}")
+    if int(count) > LARGEST_GRID:
+        raise ValueError(f"{brief(count)} values; at most {LARGEST_GRID}")
     values: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
     whole = [round(value) for value in values]
     as_integers = not any(mark in first + last for mark in ".eE")

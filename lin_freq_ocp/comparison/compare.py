@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.base.errors import LimitError, ProblemError, SolveError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
@@ -30,7 +30,6 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 PREFERRED_FILTER = "brickwall"
 SEARCH_SECONDS = 30.0  # for a comparison whose modes are searched, which by itself may take hours
-LEAST_SECONDS = 1e-3  # left to a solve when the time is over: it then ends with its limit
 
 Solve = Callable[..., Outcome]  # lfo.solve: a problem, and the keywords method, backend, time_limit, start and throw
 

@@ -46,10 +46,10 @@ INSENSITIVITY = 0.05  # V of EI: the customary 5 %
 FREQUENCIES, DAMPINGS = 401, 9  # at which the vibration is shown, and over which its largest value is taken
 BESIDE = 1.5  # widths of the box that are shown on each of its sides
 LEAST_BESIDE = 0.25  # of its highest frequency, if it is narrow
-ABOVE = 3.0  # limits that fit into the picture
+HIGHEST_LIMIT = 3.0  # limits that fit into the picture
 
 OURS, UNSHAPED = "optimal", "unshaped"
-LONGEST = 4  # times the shortest profile: longer profiles are not tried
+LONGEST_PROFILE = 4  # times the shortest profile: longer profiles are not tried
 TRIED = 100  # profiles at most: of long moves, not every length is tried
 
 Solve = Callable[[OptimalControlProblem], Outcome]
@@ -148,9 +148,9 @@ def _shaped_move(
 ) -> Move:
     box = boxes_of(problem)[0]
     longer, description = len(impulses(name, box)) - 1, impulse_text(name, box)
-    step = -(-(LONGEST - 1) * shortest // TRIED)
+    step = -(-(LONGEST_PROFILE - 1) * shortest // TRIED)
     description += "" if step == 1 else f"; profiles tried are {step} samples apart"
-    for T in range(shortest, LONGEST * shortest, step):
+    for T in range(shortest, LONGEST_PROFILE * shortest, step):
         profile = plan(T)
         if profile is None:
             continue
@@ -160,7 +160,7 @@ def _shaped_move(
         move = _measured_move(name, description, replay_control(name, at, u, Trajectory(held, u)))
         if move.keeps_everything:
             return move
-    return Move(name, description, None, LONGEST * shortest + longer - 1, box.sampling_time)
+    return Move(name, description, None, LONGEST_PROFILE * shortest + longer - 1, box.sampling_time)
 
 
 def why_not_shaped(problem: OptimalControlProblem) -> str:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, positive_number
-from lin_freq_ocp.base.clock import now, processor_now
+from lin_freq_ocp.base.clock import LEAST_SECONDS, now, processor_now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
@@ -34,7 +34,7 @@ Feasible = Callable[[OptimalControlProblem], bool | None]  # whether a problem h
 # The first margin by which more than the least amount cures is taken, so that rounding does not decide.
 MARGINS = (1e-6, 1e-4, 1e-2)
 FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4  # relative to a limit: first rise tried, its growth, final precision
-TINY = 1e-9  # fraction of a cure below which no smaller one is looked for
+SMALLEST_CURE = 1e-9  # fraction of a cure below which no smaller one is looked for
 CLOSE = 1.05  # factor to which a cure by bounds or rows is the least
 # Cost of controls of their stated sizes, relative to that of a delta as large: keeps the problem well-posed.
 CONTROL_PRICE = 1e-6
@@ -43,7 +43,6 @@ LARGEST = 1e6  # an amount beyond this multiple of the sizes in the data is no c
 # Whether a problem has a solution, by the statuses that decide it.
 DECIDED = {Status.OPTIMAL: True, Status.LOCALLY_OPTIMAL: True, Status.INFEASIBLE: False}
 BUSY = 20.0  # seconds that a solve may last for each processor second that is left: solves watch the other clock
-LEAST_TIME = 1e-3  # seconds left to a solver when the time is over: it then ends with its limit
 
 
 def explain(
@@ -115,7 +114,7 @@ class _Search:
 
     def _seconds_left(self) -> float | None:
         left = [(end - clock()) * (BUSY if clock is processor_now else 1.0) for clock, end in self.ends]
-        return max(min(left), LEAST_TIME) if left else None
+        return max(min(left), LEAST_SECONDS) if left else None
 
     def _time_is_over(self) -> bool:
         return self.interrupted or any(clock() > end for clock, end in self.ends)
@@ -325,7 +324,7 @@ def _reduce_amount(amount: float, suffices: Callable[[float], bool]) -> float:
     if not suffices(amount / CLOSE):
         return amount
     least, most = amount / GROWTH, amount / CLOSE
-    while least > TINY * amount and suffices(least):
+    while least > SMALLEST_CURE * amount and suffices(least):
         least, most = least / GROWTH, least
     while most > CLOSE * least:
         middle = float(np.sqrt(least * most))

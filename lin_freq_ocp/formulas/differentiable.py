@@ -21,7 +21,7 @@ Arguments = ArrayLike | Formula | Sequence[Formula | float]  # formulas or numbe
 _UNDEFINED = float("nan")  # stands for values where the function is not defined
 # Step of central differences of the Jacobian, relative to the size of an argument: there the error of the formula, of
 # the order of the step squared, and that of rounding, eps over the step, are both near 4e-11 of the Jacobian.
-STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
+DIFFERENCE_STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -234,7 +234,7 @@ class DifferentiableFunction:
         """Return central differences of the Jacobian, one-sided ones where only those are defined."""
         y, states = np.hstack([x, u]), x.shape[1]
         found = np.empty((*slopes.shape, y.shape[1]))
-        steps = STEP * np.maximum(np.abs(y), self._sizes(y.shape[1]))
+        steps = DIFFERENCE_STEP * np.maximum(np.abs(y), self._sizes(y.shape[1]))
         for j in range(y.shape[1]):
             sides: list[Array] = []
             points: list[Array] = []
@@ -320,7 +320,7 @@ def _place(x: Array, u: Array) -> str:
 COMPARED_STEPS = 10.0 ** -np.arange(1, 11)
 # Relative error up to which a derivative is right: tables and iterations in a function cost digits, and a wrong sign,
 # index or factor is far larger.
-TOLERANCE = 1e-6
+DERIVATIVE_TOLERANCE = 1e-6
 # The best difference is off by up to so many times the distance of its neighbour and rounding.
 DOUBT = 10.0
 ROUNDING = 4 * float(np.finfo(np.float64).eps)  # error of values, relative to their largest
@@ -349,7 +349,7 @@ def require_derivative(
             advice = "Choose a point inside its domain."
             raise ProblemError(f"{title}.{of}", got, "a function that is defined around", advice)
         own = given[..., j]
-        allowed = DOUBT * doubt + TOLERANCE * np.maximum(np.abs(own), np.abs(found))
+        allowed = DOUBT * doubt + DERIVATIVE_TOLERANCE * np.maximum(np.abs(own), np.abs(found))
         for index in np.argwhere(~(np.abs(own - found) <= allowed)):  # not a number is wrong, too
             at = tuple(map(int, index))
             by = " and ".join([*(labels[i] for i in at[1:]), label])

@@ -18,7 +18,7 @@ Interval = tuple[Array, Array]
 WithDerivatives = tuple[Interval, Interval, Interval]
 # Results are widened by this part of themselves: sums, products, quotients and roots are off by half an eps, the
 # elementary functions of the mathematical library by a few.
-OUTWARD = 8 * float(np.finfo(np.float64).eps)
+OUTWARD_ROUNDING = 8 * float(np.finfo(np.float64).eps)
 # Results are widened by this, too, as those near zero have no relative accuracy.
 SMALLEST = float(np.finfo(np.float64).tiny)
 # Extrema of sine and cosine this near to an interval (relative to its bounds above 1) are counted as within.
@@ -28,7 +28,10 @@ TURN = 1e-9
 def outward(lower: Array, upper: Array) -> Interval:
     """Return an interval widened by the rounding errors of one operation; what is undefined becomes unbounded."""
     with np.errstate(invalid="ignore"):
-        low, high = lower - (OUTWARD * np.abs(lower) + SMALLEST), upper + (OUTWARD * np.abs(upper) + SMALLEST)
+        low, high = (
+            lower - (OUTWARD_ROUNDING * np.abs(lower) + SMALLEST),
+            upper + (OUTWARD_ROUNDING * np.abs(upper) + SMALLEST),
+        )
     return np.fmax(low, -np.inf), np.fmin(high, np.inf)
 
 

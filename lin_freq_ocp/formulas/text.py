@@ -33,7 +33,7 @@ from lin_freq_ocp.formulas.nodes import (
 )
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, OPERATIONS, SUM, VARIABLE, Notation, scalar_functions
 
-LONGEST = 100_000  # characters of one formula
+LONGEST_FORMULA = 100_000  # characters of one formula
 # What users give for formulas of x and u, "x_0 + u_0" among them; a function is called with signals.
 Formulas = Formula | str | Sequence[Formula | str | float] | Callable[..., object]
 ARITHMETIC: dict[type[ast.operator], Callable[..., float]] = {  # of formulas, too, which make formulas
@@ -91,8 +91,8 @@ def formula_from_text(
 
     It has numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1} or the names in ``known``, + - * / **, and ``function_names``.
     """
-    if len(text) > LONGEST:
-        raise ProblemError(field, f"{len(text)} characters", f"at most {LONGEST}")
+    if len(text) > LONGEST_FORMULA:
+        raise ProblemError(field, f"{len(text)} characters", f"at most {LONGEST_FORMULA}")
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError):

@@ -10,7 +10,7 @@ from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of
 
-LONGEST = 300  # characters of a fact; names of any length could make it longer
+LONGEST_FACT = 300  # characters of a fact; names of any length could make it longer
 Fact = tuple[str, str]  # a term, and its description
 
 
@@ -33,7 +33,7 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
         *[(f"rows: {rows.name}", rows.describe(_signals(problem))) for rows in problem.stage_rows],
         *_spectra(problem),
     ]
-    return [(term, shorten(value, LONGEST, placeholder=" \N{HORIZONTAL ELLIPSIS}")) for term, value in facts]
+    return [(term, shorten(value, LONGEST_FACT, placeholder=" \N{HORIZONTAL ELLIPSIS}")) for term, value in facts]
 
 
 def _cost(problem: ProblemData) -> list[Fact]:
@@ -109,9 +109,9 @@ def _over_time(words: Sequence[str]) -> str:
     starts = [t for t in range(len(words)) if t == 0 or words[t] != words[t - 1]]
     runs = [(first, after - 1) for first, after in zip(starts, [*starts[1:], len(words)], strict=True)]
     said = [f"t = {a}{'' if a == b else f' to {b}'}: {words[a]}" for a, b in runs]
-    if len("; ".join(said)) <= LONGEST - 20:
+    if len("; ".join(said)) <= LONGEST_FACT - 20:
         return "; ".join(said)
-    if len(said[0]) + len(said[-1]) <= LONGEST - 60:
+    if len(said[0]) + len(said[-1]) <= LONGEST_FACT - 60:
         return f"{said[0]}; {plural(len(said) - 2, 'other')} between; {said[-1]}"
     return f"{len(said)} sets, one after another"
 

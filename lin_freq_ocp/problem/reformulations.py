@@ -42,7 +42,8 @@ from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 OF_STATES = ("state_boxes", "met_ends", "state_tube", "terms", "borders", "gap")  # what a problem caches of its states
-FAR = 10.0  # distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
+# Distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
+FAR_FROM_ZERO = 10.0
 ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its terms
 
 
@@ -125,8 +126,8 @@ def far_origin(problem: OptimalControlProblem) -> Array:
     """Return the origin from which states are to be counted, (n,); zero in components that are near it.
 
     A state lies where its ends are fixed, else at its references, else in the middle of its bounds. It is far from zero
-    if it lies FAR times farther than these values differ, and than it drifts from there over the horizon without
-    control, going on as in the first step. Spectra of a state that depend on its mean keep its zero.
+    if it lies FAR_FROM_ZERO times farther than these values differ, and than it drifts from there over the horizon
+    without control, going on as in the first step. Spectra of a state that depend on its mean keep its zero.
     """
     places = _fixed_places(problem)
     centre, highest, lowest = places[0], places[0], places[0]
@@ -141,14 +142,14 @@ def far_origin(problem: OptimalControlProblem) -> Array:
             lower, upper = np.where(bounded, box.lower, 0.0), np.where(bounded, box.upper, 0.0)
             middle, half = np.where(bounded, (lower + upper) / 2, middle), np.where(bounded, (upper - lower) / 2, half)
         centre, spread = np.where(unknown, middle, centre), np.where(unknown, half, spread)
-    far = np.abs(centre) > FAR * spread
+    far = np.abs(centre) > FAR_FROM_ZERO * spread
     if not far.any():
         return np.zeros(problem.state_dim)
     centre, drift = np.nan_to_num(centre), np.zeros(problem.state_dim)
     with suppress(LinFreqOCPError):  # no mode holds there, or there are no steps
         step = problem.dynamics.given[0].stepper(problem.horizon)
         drift = problem.horizon * np.nan_to_num(np.abs(step(0, centre, np.zeros(problem.control_dim)) - centre))
-    far &= np.abs(centre) > FAR * drift
+    far &= np.abs(centre) > FAR_FROM_ZERO * drift
     return np.where(far & ~_limited_about_zero(problem), centre, 0.0)
 
 

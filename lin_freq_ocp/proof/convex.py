@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 LEAST_RISE = 2.0**-52  # of a diagonal that is tried
 LARGER_RISE = 2.0**-46  # with less, a slope along the least eigenvector may cost much; with more, states far away do
-STEP = 4.0  # between rises of the diagonal that are tried
+RISE_STEP = 4.0  # between rises of the diagonal that are tried
 
 
 def convex_problem(problem: OptimalControlProblem, least: float = 0.0) -> OptimalControlProblem:
@@ -69,5 +69,5 @@ def _semidefinite(matrix: Array, least: float) -> Array:
         raised = symmetric + rise * diagonal
         if is_semidefinite(raised) and is_semidefinite(raised - matrix):
             return raised
-        rise = max(STEP * rise, LEAST_RISE)
+        rise = max(RISE_STEP * rise, LEAST_RISE)
     return matrix

@@ -34,9 +34,10 @@ from lin_freq_ocp.proof.statement import multiplier_lines, stack_signals
 Balls = list[arb]
 
 SHRINK = 1 - 2.0**-48  # of multipliers that a price limits: their norm is rounded in the last few bits
-NEAR = 1e-6  # distance from a bound, relative to the component's size, up to which a curved component is on it
+ON_BOUND = 1e-6  # distance from a bound, relative to the component's size, up to which a curved component is on it
 
-DIGITS = 96  # bits beyond those that errors grow by: of a double, with some for the size of the terms and their number
+# Bits beyond those that errors grow by: of a double, with some for the size of the terms and their number
+EXTRA_BITS = 96
 
 DRIFT = 1e-6  # of the adjoint by the recursion, relative to its size, above which the file gives the adjoint itself
 
@@ -127,7 +128,7 @@ def project_on_bounds(tube: Box, signal: Array, normals: Array, curved: Mask) ->
     found, kept = tube.project(signal), np.where(tube.fixed, normals, 0.0)
     for bound, pressed in ((tube.upper, normals > 0), (tube.lower, normals < 0)):
         finite = np.where(np.isfinite(bound), bound, signal)
-        here = pressed & np.isfinite(bound) & (~curved | (np.abs(finite - signal) <= NEAR * size))
+        here = pressed & np.isfinite(bound) & (~curved | (np.abs(finite - signal) <= ON_BOUND * size))
         found, kept = np.where(here, finite, found), np.where(here, normals, kept)
     return found, kept
 
@@ -269,7 +270,7 @@ def precision(A: Array, horizon: int) -> int:
     the recursion through its solution.
     """
     bits = 2 * growth(A, horizon) + 2 * growth(np.abs(A), horizon)
-    return DIGITS + int(np.ceil(bits)) + 4 * int(np.log2(horizon + 1))
+    return EXTRA_BITS + int(np.ceil(bits)) + 4 * int(np.log2(horizon + 1))
 
 
 def growth(A: Array, horizon: int) -> float:

@@ -8,14 +8,12 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
 from lin_freq_ocp.solving.outcome import Outcome
-
-LEAST_SECONDS = 1e-3  # for a second method when the first has used all the time: it ends at once with its status
 
 Report = Callable[[Progress], None]
 

@@ -157,7 +157,7 @@ EXCESS = 1e-9  # of |V| over its limit, relative: what interior points leave on 
 ROUNDS = 30  # five or six reach EXCESS: convergence is quadratic
 IDLE = 1e-6  # part of the largest multiplier below which a frequency is dropped: without it the cost is the same
 APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
-LESS = 0.5  # part of the excess of a round that a round must leave at most, once it is below SMALL
+LEAST_PROGRESS = 0.5  # part of the excess of a round that a round must leave at most, once it is below SMALL
 SMALL = 2e-7  # below the excess that the judge allows
 
 Frequencies = dict[str, Array]
@@ -190,7 +190,7 @@ def solve_at_every_frequency(
             added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + EXCESS / 2))
             largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
         rounds.append(_Round(found, frequencies, largest))
-        converged = largest <= EXCESS or (largest < SMALL and largest > LESS * excess)
+        converged = largest <= EXCESS or (largest < SMALL and largest > LEAST_PROGRESS * excess)
         if converged or found.status == Status.LIMIT or found.interrupted:
             break
         excess, before, frequencies = largest, frequencies, Frequencies()

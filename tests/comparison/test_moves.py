@@ -69,7 +69,7 @@ def test_words_table_and_page(comparison):
 
 
 def test_a_shaper_without_a_move_is_said_to_have_none(monkeypatch):
-    monkeypatch.setattr(moves_of, "LONGEST", 2)
+    monkeypatch.setattr(moves_of, "LONGEST_PROFILE", 2)
     problem = lfo.library.printer_move(30, vibration_bound=0.002)
     moves = lfo.compare(problem, ["ZV"]).moves
     (move,) = moves.shaped

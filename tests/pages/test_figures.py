@@ -21,7 +21,7 @@ from lin_freq_ocp.pages.figures.figures import (
     result_figure,
     states_figure,
 )
-from lin_freq_ocp.pages.figures.plot_data import MOST_POINTS, STYLES, thin_out, view
+from lin_freq_ocp.pages.figures.plot_data import MOST_DRAWN, STYLES, thin_out, view
 from lin_freq_ocp.pages.report import findings, proof
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts
@@ -161,7 +161,7 @@ def test_long_signals_keep_their_extremes():
     t = np.arange(50_000.0)
     y = np.sin(t / 7) + (t == 31_234) * 5
     x, thin = thin_out(t, y)
-    assert len(thin) <= MOST_POINTS + 2
+    assert len(thin) <= MOST_DRAWN + 2
     assert thin.max() == y.max()
     assert x[thin.argmax()] == 31_234
     assert (x[0], x[-1]) == (0, 49_999)

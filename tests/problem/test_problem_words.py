@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.description import LONGEST, problem_facts
+from lin_freq_ocp.problem.description import LONGEST_FACT, problem_facts
 from lin_freq_ocp.problem.spectrum.bands import Band
 
 T = 20
@@ -269,11 +269,11 @@ def test_no_sentence_is_long():
     for one in problems:
         for term, value in problem_facts(one):
             assert value
-            assert len(value) <= LONGEST, term
-    assert LONGEST <= 300
+            assert len(value) <= LONGEST_FACT, term
+    assert LONGEST_FACT <= 300
 
 
 def test_a_library_problem_is_described_shortly():
     for name in ("pendulum", "buck_affine", "ball_and_paddle", "elliptic_rendezvous", "max_min_network"):
         for _, value in problem_facts(getattr(lfo.library, name)()):
-            assert len(value) <= LONGEST
+            assert len(value) <= LONGEST_FACT

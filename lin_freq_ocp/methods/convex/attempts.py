@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate
 from lin_freq_ocp.methods.convex.polish import nearest_recession, polish_point
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
@@ -15,10 +15,9 @@ from lin_freq_ocp.program.program import Program, Residuals, Scaling
 from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import own_scaling, own_sizes
 
-ACCURATE = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units
+ACCURATE_ANSWER = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units
 DIVERGED_SIZE = 1e100  # size, in expected units, of a diverged point
 FAR_BOUND = 1e4  # size, in expected units, from which bounds are left out at first, as they disturb solvers
-LEAST_TIME = 1e-3  # seconds given to a solver when the time is over: it makes a step, and ends
 UNBOUNDED_TOLERANCE = 1e-6  # residual of a direction of descent, scaled to slope -1
 
 
@@ -53,7 +52,7 @@ class Solves:
     @property
     def left(self) -> float | None:
         """The seconds that are left, or None for no limit."""
-        return None if self.end == np.inf else max(self.end - now(), LEAST_TIME)
+        return None if self.end == np.inf else max(self.end - now(), LEAST_SECONDS)
 
     @property
     def over(self) -> bool:

@@ -20,7 +20,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, require_convex
-from lin_freq_ocp.methods.convex.attempts import ACCURATE, Attempt, Solves, better_of
+from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, Solves, better_of
 from lin_freq_ocp.methods.convex.polish import polish_point, without_rounding
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
@@ -92,7 +92,7 @@ def convex_candidates(
         yield Candidate("limit", message=message, seconds={"setup": ready - started, "solve": 0.0})
         return
     interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
-    target = max(ACCURATE if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
+    target = max(ACCURATE_ANSWER if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
     asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
     solves = Solves(transcription, solver, tolerance, asked, end, target)
     best = _revise_units(solves, solves.attempt(scaling))

@@ -26,7 +26,7 @@ SQUARE = 2.2e-11  # seconds for a multiplication in products of a matrix with it
 ITERATIONS = 7e-6  # seconds for one entry of y of one stage in all iterations of conjugate gradients of a step
 DIRECTIONS = 100  # of large weights, a common number
 FLOP = 5e-11  # seconds for a multiplication in other products and factors of dense matrices
-STAGE = 6e-7  # seconds for every pair of entries of y of a stage in a step without rows that couple times
+STAGE_SECONDS = 6e-7  # seconds for every pair of entries of y of a stage in a step without rows that couple times
 PLAIN_STAGE = 1e-4  # seconds for a stage in a step by loops that are not compiled
 LARGEST_BYTES = 1e9  # of a dense matrix and its factor, or of the columns that conjugate gradients keep
 RANGE_SPACE_BYTES = 2e9  # of the dense matrix of all rows and its factor, of the rows as signals, and of their sweep
@@ -95,7 +95,7 @@ def step_seconds(stages: Stages, loops: Loops) -> float:
     else:
         least = min(part.rows.oversampling for part in stages.coupling.balls if part.rows.oversampling > 1)
         coupled = sizes.fine_seconds(len(fine), len(fine) // least)
-    alone = STAGE * sizes.entries**2 if loops.compiled else PLAIN_STAGE
+    alone = STAGE_SECONDS * sizes.entries**2 if loops.compiled else PLAIN_STAGE
     return coupled + sizes.horizon * alone
 
 

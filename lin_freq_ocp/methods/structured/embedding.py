@@ -34,7 +34,7 @@ FRACTION = 0.99  # of the way to the boundary
 MOST_FRACTION = 0.999  # of it where a whole step is nearly possible
 FRACTION_SLOPE = 10.0  # of the distance to the boundary by the square of what is missing of a whole step
 CORRECTORS = 2  # at most; a third gains nothing
-FAR = 0.95  # length of a step that no corrector is worth
+LONG_STEP = 0.95  # length of a step that no corrector is worth
 AHEAD, LEAST_AHEAD = 1.5, 0.1  # the longer step that a corrector aims at: a factor, and at least so much more
 OUTLYING = 5.0  # ratio to the aim from which a product of s and z is an outlier
 GAIN = 0.01  # of length, for which a corrector is taken
@@ -292,7 +292,7 @@ class Embedding:
         step = self._direction(point, measures, constant, aim)
         length = self._longest(point, step)
         for _ in range(CORRECTORS):
-            if length >= FAR:
+            if length >= LONG_STEP:
                 break
             aim = self._recentre(point, step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, measures.mu)
             other = self._direction(point, measures, constant, aim)

@@ -43,7 +43,7 @@ MOST_BYTES = 1 << 16  # of a request: the values of a few sliders
 TOKEN_BYTES = 16
 IDLE_SECONDS = 30.0  # without a byte, a connection is closed; browsers open a new one when they need it
 MOST_CONNECTIONS = 32  # each has a thread; a browser opens six for a page
-BUSY = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+BUSY_ANSWER = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 LENGTH = re.compile("[0-9]{1,9}")  # of a request, in ASCII
 HEADERS = {
     "Cache-Control": "no-store",
@@ -156,7 +156,7 @@ class ExploreServer(ThreadingHTTPServer):
         if not self._free.acquire(blocking=False):
             with suppress(OSError):
                 if isinstance(request, socket):
-                    request.sendall(BUSY)
+                    request.sendall(BUSY_ANSWER)
             self.shutdown_request(request)
             return
         try:

@@ -25,7 +25,7 @@ from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome, Filtered
 from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequency_constraint
-from lin_freq_ocp.comparison.moves import ABOVE, frequencies_around, vibration
+from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, frequencies_around, vibration
 from lin_freq_ocp.comparison.trajectories import Signal, controls_of, outputs_of, replay_control, states_of
 from lin_freq_ocp.pages.explorer.frequencies import FREQUENCIES
 from lin_freq_ocp.pages.explorer.frequencies import GROUP as FREQUENCY
@@ -293,7 +293,7 @@ def frame_data(problem: OptimalControlProblem) -> Data:
                 "at": round_values(frequencies_around(box)),
                 "box": [float(box.low[0]), float(box.high[0])],
                 "limit": box.limit,
-                "top": ABOVE * box.limit,
+                "top": HIGHEST_LIMIT * box.limit,
             }
             for term, box in everywhere_of(problem, PlantBox)
         ],

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.typing import LineStyleType
 
 from lin_freq_ocp.base.phrases import number, split_unit
-from lin_freq_ocp.comparison.moves import ABOVE, OURS, UNSHAPED, Moves, boxes_of, frequencies_around, vibration
+from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, OURS, UNSHAPED, Moves, boxes_of, frequencies_around, vibration
 from lin_freq_ocp.pages.figures.panels import FEW_BINS
 from lin_freq_ocp.pages.figures.plot_data import (
     BAND,
@@ -41,8 +41,8 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 PANEL_HEIGHT = 1.15 * ROW_HEIGHT
 LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers
 
-FINENESS = 8  # points for each bin
-DECADES = 4  # below the largest value
+DRAWN_FINENESS = 8  # points for each bin
+SHOWN_DECADES = 4  # below the largest value
 
 
 def moves_figure(moves: Moves) -> Figure:
@@ -86,12 +86,16 @@ def _held_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFrequencie
     limits, factor = everywhere.limits, data.frequency.factor
     end = max(float(limits.high.max()), 2 * np.pi)
     bins = int(np.ceil(everywhere.map.samples * end / (2 * np.pi)))
-    w, top = np.linspace(0.0, end, FINENESS * bins), 0.0
+    w, top = np.linspace(0.0, end, DRAWN_FINENESS * bins), 0.0
     for trace in data.traces:
         signal = everywhere.map.signal(trace.trajectory.x, trace.trajectory.u)
         values = np.abs(everywhere.map.placed(w).transform(signal))
         top, style = max(top, float(values.max())), trace.style
-        at = values.reshape(bins, FINENESS).argmax(1) + FINENESS * np.arange(bins) if bins > FEW_BINS else slice(None)
+        at = (
+            values.reshape(bins, DRAWN_FINENESS).argmax(1) + DRAWN_FINENESS * np.arange(bins)
+            if bins > FEW_BINS
+            else slice(None)
+        )
         ax.plot(
             *thin_out(factor * w[at], values[at]),
             color=style.color,
@@ -108,7 +112,7 @@ def _held_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFrequencie
     ax.axvline(factor * np.pi, color=MUTED, linewidth=1.0, linestyle=(0, (1, 2)), label="Nyquist")
     ax.set_yscale("log")
     top = max(top, float(levels.max()))
-    ax.set_ylim(min(top / 10**DECADES, float(levels.min()) / 10), 2 * top)
+    ax.set_ylim(min(top / 10**SHOWN_DECADES, float(levels.min()) / 10), 2 * top)
     ax.set_xlim(0, factor * end)
     legend_beside(ax)
     short, unit = split_unit(term.name)
@@ -154,12 +158,12 @@ def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing]) -> None:
     notes, inside = list[Note](), (frequencies >= low) & (frequencies <= high)
     for one in shown:
         values = vibration(one.box, one.trajectory, frequencies)
-        if inside.any() and values[inside].min() > ABOVE * box.limit:
+        if inside.any() and values[inside].min() > HIGHEST_LIMIT * box.limit:
             times = align(float(values[inside].max()) / box.limit, 3)
             notes.append(Note(f"{one.label}: leaves the picture, {times} times the limit", one.color))
         ax.plot(frequencies, values, color=one.color, linestyle=one.line, linewidth=one.width, label=one.label)
     ax.set_xlim(frequencies[0], frequencies[-1])
-    ax.set_ylim(0, ABOVE * box.limit)
+    ax.set_ylim(0, HIGHEST_LIMIT * box.limit)
     legend_beside(ax)
     short, unit = split_unit(name)
     y_label = "vibration" + (f" [{unit}]" if unit else "")

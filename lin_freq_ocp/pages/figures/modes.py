@@ -21,13 +21,13 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.pages.figures.plot_data import (
+    AXIS_MARGIN,
     COMPONENTS,
     FILTERED,
     GRID,
     HATCHES,
     INK,
     LABEL_SIZE,
-    MARGIN,
     MUTED,
     NOTE_SIZE,
     PAPER,
@@ -210,7 +210,7 @@ def _show_all(ax: Axes, shown: Array, least: float) -> list[Note]:
     if max(-low, high) <= least:
         ax.set_ylim(-1, 1)
         return [Note("zero, within the tolerance of the adjoint equation")]
-    margin = 1.5 * MARGIN * (high - low if high - low > least else max(-low, high))
+    margin = 1.5 * AXIS_MARGIN * (high - low if high - low > least else max(-low, high))
     ax.set_ylim(low - margin, high + margin)
     if not SMALL <= max(-low, high) < LARGE:  # the power of ten would stand where the title is
         ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 3)))

@@ -38,7 +38,7 @@ from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped
 
 LABEL_CHARACTERS = 30  # A longer name is cut off where several share a legend
 DECADES = 5  # decades of a spectrum below its largest value; what is smaller is drawn at the lower edge
-ABOVE = 30  # A limit of a spectrum that is more than so many times its largest value leaves the picture
+HIDDEN_LIMIT = 30  # A limit of a spectrum that is more than so many times its largest value leaves the picture
 # Up to so many bins, the zero-padded spectrum is drawn as it is; beyond, the largest value between neighbours.
 FEW_BINS = 48
 
@@ -106,7 +106,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: Signal, title: str) -> N
     floor = float(10.0 ** (np.ceil(np.log10(top)) - DECADES))
     length = component.samples
     shade_stop_band(ax, component.stop, length, data.frequency.factor)
-    highest = _draw_levels(ax, data, component, floor, ABOVE * top)
+    highest = _draw_levels(ax, data, component, floor, HIDDEN_LIMIT * top)
     for trace, spectrum in zip(traces, padded, strict=True):
         omega, magnitude = spectrum[0], spectrum[1][:, 0]
         gaps = (len(omega) - 1) // ZERO_PADDING

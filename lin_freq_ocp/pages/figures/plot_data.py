@@ -57,14 +57,14 @@ REFERENCE_LINE: LineStyleType = (0, (6, 1.5, 1.2, 1.5))
 WITHOUT_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}  # backends that only write files
 NOTEBOOK_DPI = 80
 WIDTH, ROW_HEIGHT = 11.0, 3.5  # inches: width of a figure, height of a row of panels
-MOST_POINTS = 1000  # of a longer signal, the smallest and largest value of every group of neighbours is drawn
+MOST_DRAWN = 1000  # of a longer signal, the smallest and largest value of every group of neighbours is drawn
 TITLE_SIZE, NOTE_SIZE, LABEL_SIZE, TICK_SIZE = 11, 9, 9.5, 9
 LEGEND_CHARACTERS, HANDLE_CHARACTERS = 130, 8  # width of a legend above the panels, and of a line or marker in it
 NOTE_CHARACTERS = 70  # width of a note under the title of a panel in half of a figure
 
 OVERLAY_REACH = 0.6  # an overlay may widen an axis by this fraction of what the others span; beyond, it is cut off
 BOUND_REACH = 0.6  # likewise for a bound far from all trajectories
-MARGIN = 0.06  # empty fraction at either side of an axis
+AXIS_MARGIN = 0.06  # empty fraction at either side of an axis
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,9 @@ def plain(text: str) -> str:
 
 def thin_out(x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
     """Return what is drawn of y over x: for long signals, the extremes of every group of neighbours."""
-    if len(y) <= MOST_POINTS:
+    if len(y) <= MOST_DRAWN:
         return x, y
-    starts = np.linspace(0, len(y), MOST_POINTS // 2, endpoint=False, dtype=int)
+    starts = np.linspace(0, len(y), MOST_DRAWN // 2, endpoint=False, dtype=int)
     groups = np.split(y, starts[1:])
     extremes = [(at + group.argmin(), at + group.argmax()) for at, group in zip(starts, groups, strict=True)]
     kept = np.unique([0, len(y) - 1, *np.ravel(extremes)])
@@ -343,5 +343,5 @@ def view(mains: Sequence[Array], overlays: Sequence[Array], bounds: Array, refer
             outside = True
         else:
             low, high = min(low, float(overlay.min())), max(high, float(overlay.max()))
-    margin = MARGIN * (high - low or span)
+    margin = AXIS_MARGIN * (high - low or span)
     return View(low - margin, high + margin, outside)

@@ -35,7 +35,7 @@ PITCH, STRIP = 0.04, 0.25  # fractions of the height: from row to row of marks, 
 UNITS = {"cutoff": "rad/sample", "cutoff_hz": "Hz", "sampling_time": "s", "horizon": "steps"}
 
 # Marker and label of points that have no cost: above all costs without a solution, below without a lower bound.
-ABOVE = {"infeasible": ("x", "infeasible (proven)"), "other": ("$?$", "no point that satisfies all constraints")}
+MARKS_ABOVE = {"infeasible": ("x", "infeasible (proven)"), "other": ("$?$", "no point that satisfies all constraints")}
 BELOW = {"unbounded": ("v", "no lower bound (proven)")}
 
 
@@ -69,7 +69,7 @@ def sweep_figure(sweep: SweepOutcome) -> Figure:
         ax.set_yscale("log")
     if relative:
         ax.axhline(1.0, color=MUTED, linewidth=0.9, linestyle=(0, (1.2, 1.2)), zorder=1)
-    for kinds, above in ((ABOVE, True), (BELOW, False)):
+    for kinds, above in ((MARKS_ABOVE, True), (BELOW, False)):
         _draw_marks(ax, lines, kinds, above)
     unit = UNITS.get(name)
     y_label = "cost, relative to that without the constraint" if relative else "cost"
@@ -157,7 +157,7 @@ def _kind(row: Row) -> str:
     """Return the kind of a point without cost; nothing for a point that has a cost."""
     if row["cost"] is not None:
         return ""
-    return row["status"] if row["proven"] and row["status"] in (*ABOVE, *BELOW) else "other"
+    return row["status"] if row["proven"] and row["status"] in (*MARKS_ABOVE, *BELOW) else "other"
 
 
 def _cost(row: Row, line: Line, relative: bool) -> float | None:

@@ -144,7 +144,7 @@ def _above_zero(formulas: Sequence[Formula]) -> bool:
 # Polyhedra with an interior: finding them, and checking the regions of so many modes, takes seconds; a search over
 # them takes longer.
 MOST_PIECES = 256
-LONGEST_TEXT = 40  # characters of an affine function in the name of a mode
+LONGEST_MODE_NAME = 40  # characters of an affine function in the name of a mode
 
 
 def modes_of(
@@ -227,7 +227,7 @@ def _affine_text(affine: Array, labels: Sequence[str]) -> str:
         size = "" if label and abs(value) == 1 else f"{abs(value):.4g}"
         sign = (" - " if value < 0 else " + ") if text else ("-" if value < 0 else "")
         text += sign + " ".join(part for part in (size, label) if part)
-    return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 3] + "..."
+    return text if len(text) <= LONGEST_MODE_NAME else text[: LONGEST_MODE_NAME - 3] + "..."
 
 
 def _merged(pieces: list[_Piece]) -> list[_Piece]:

@@ -17,7 +17,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 OUTWARD = 1e-12  # part of the largest terms by which sums are rounded outwards: far above their rounding errors
 INFINITE = 1e100  # stands for infinity, so that its product with zero is zero
-UNBOUNDED = 1e90  # larger bounds stem from INFINITE
+LARGEST_BOUND = 1e90  # larger bounds stem from INFINITE
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ from lin_freq_ocp.problem.sets.stage_rows import StageSet, StageSets
 # Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices
 # linearised are right to 1e-9 or so, and what the judge forgives, FACET_TOLERANCE, is ten times as much.
 CONTINUITY_TOLERANCE = 1e-7
-NARROW = 1e-9  # A component whose bounds are closer than this, relative to their size, is fixed between them
+FIXED_WIDTH = 1e-9  # A component whose bounds are closer than this, relative to their size, is fixed between them
 # Rows that reach along a component by less than this part of its half width do not make its unit smaller: what is
 # shorter may be rounding, and THICKNESS times this is still a hundred times above it.
 LEAST_UNIT = 1e-6
@@ -174,7 +174,7 @@ def _pieces(arrays: ModeArrays, t: int, sets: StageSet) -> _Pieces:
     lower, upper = np.where(below, sets.lower, 0.0), np.where(above, sets.upper, 0.0)
     centre = np.where(below & above, (lower + upper) / 2, lower + upper)
     width = np.where(below & above, upper - lower, np.inf)
-    fixed = width <= NARROW * np.maximum(np.abs(lower), np.abs(upper))
+    fixed = width <= FIXED_WIDTH * np.maximum(np.abs(lower), np.abs(upper))
     matrices = np.concatenate([arrays.G[t], arrays.H[t]], axis=-1)
     limits, beyond = arrays.h[t] - matrices @ centre, sets.limits - sets.matrix @ centre
     every, right = np.vstack([*matrices, sets.matrix]), np.concatenate([*limits, beyond])

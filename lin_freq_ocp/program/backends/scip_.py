@@ -18,14 +18,13 @@ from pyscipopt.scip import PY_SCIP_EVENTTYPE, Event, Expr, Variable
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program, SingleBounds
 
 SCIP_FEASIBILITY = 1e-6  # SCIP's own; with less, its LP solver may fail, and a mode sequence is solved again anyway
 NEGLIGIBLE_EIGENVALUE = 1e-14  # eigenvalue of a block of P, relative to its largest, that is rounding of 0
-LEAST_TIME = 1e-3  # seconds given to SCIP when building its model has used them all
 SCIP_INFINITE = 1e20  # as SCIP has it
 
 SETTINGS: dict[str, bool | float | str] = {
@@ -66,7 +65,7 @@ def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
 
 def seconds_left(time_limit: float | None, started: float) -> float | None:
     """Return what is left of a limit, at least so much that SCIP says that it was reached."""
-    return None if time_limit is None else max(time_limit - (now() - started), LEAST_TIME)
+    return None if time_limit is None else max(time_limit - (now() - started), LEAST_SECONDS)
 
 
 def run_scip(model: Model, variables: list[Variable], time_limit: float | None, gap: float) -> Solution | None:

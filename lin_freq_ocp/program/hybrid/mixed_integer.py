@@ -30,7 +30,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.polyhedra import minimiser
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import UNBOUNDED, ModeReach
+from lin_freq_ocp.problem.hybrid.mode_reach import LARGEST_BOUND, ModeReach
 from lin_freq_ocp.problem.hybrid.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -43,7 +43,8 @@ from lin_freq_ocp.program.units import common_scaling
 
 # Of rows of a domain, in half widths: ten times the solvers' tolerances. A mode with an empty domain cannot hold.
 RELAXATION = 1e-6
-OUTWARD = 1e-6  # part of its range by which every bound is enlarged, for the tolerance (1e-7) of the linear program
+# Part of its range by which every bound is enlarged, for the tolerance (1e-7) of the linear program
+BIG_M_MARGIN = 1e-6
 LEAST_HALF_WIDTH = 1e-9  # of an interval (that of a fixed state is a point), relative to the size of its component
 TERM_ROUNDING = 1e-12  # part of the absolute terms of a bound
 Rows = tuple[Array, Array]  # coefficients (rows, n+m) and limits (rows,): rows y <= limits
@@ -85,7 +86,7 @@ class _Stage:
     def domain(self, j: int) -> Rows:
         """Return the rows of mode j in v = (y - centre) / half widths, within [-1, 1], each of norm 1."""
         region = np.isfinite(self.h[j])
-        above, below = np.abs(self.next_upper) < UNBOUNDED, np.abs(self.next_lower) < UNBOUNDED
+        above, below = np.abs(self.next_upper) < LARGEST_BOUND, np.abs(self.next_lower) < LARGEST_BOUND
         rows = np.vstack([self.G[j][region], self.rows, self.F[j][above], -self.F[j][below]])
         images = (self.next_upper - self.c[j])[above], (self.c[j] - self.next_lower)[below]
         limits = np.concatenate([self.h[j][region], self.limits, *images]) - rows @ self.centres[j]
@@ -122,7 +123,7 @@ def excesses(problem: OptimalControlProblem, end: float = np.inf) -> Excesses:
         assert reach is not None  # a mode is possible
         here = np.flatnonzero(reach.allowed[t])
         for bounds, side in ((reach.mode_lower, "lower"), (reach.mode_upper, "upper")):
-            unbounded = (np.abs(bounds[t, here]) >= UNBOUNDED).any(axis=0)
+            unbounded = (np.abs(bounds[t, here]) >= LARGEST_BOUND).any(axis=0)
             if unbounded.any():
                 name = (*problem.state_names, *problem.control_names)[int(np.argmax(unbounded))]
                 raise UnsupportedError(
@@ -203,7 +204,7 @@ def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Ar
         largest[live] = -(cost * v.reshape(cost.shape)).sum(axis=1) * sizes[live]
     middles = np.concatenate([objectives @ stage.centres[j] for j, objectives, _ in asked])
     terms = np.concatenate([np.abs(objectives) @ np.abs(stage.centres[j]) for j, objectives, _ in asked])
-    return np.split(largest + OUTWARD * sizes + middles + TERM_ROUNDING * terms, counts[:-1])
+    return np.split(largest + BIG_M_MARGIN * sizes + middles + TERM_ROUNDING * terms, counts[:-1])
 
 
 def _required(minimiser: Array | None) -> Array:
@@ -236,7 +237,7 @@ def _with_implied_bounds(
             for k in np.flatnonzero(~np.isfinite(side)):
                 found = minimiser(np.where(np.arange(len(units)) == k, -sign, 0.0), rows, limits, low, high)
                 if found is not None:
-                    side[k] = units[k] * (found[k] + sign * OUTWARD * max(1.0, abs(float(found[k]))))
+                    side[k] = units[k] * (found[k] + sign * BIG_M_MARGIN * max(1.0, abs(float(found[k]))))
     state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
     return replace(problem, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
 

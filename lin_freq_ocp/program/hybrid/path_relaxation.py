@@ -34,7 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.hybrid.mode_reach import UNBOUNDED, Reach
+from lin_freq_ocp.problem.hybrid.mode_reach import LARGEST_BOUND, Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, PathMultipliers
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
@@ -360,7 +360,7 @@ class PathRelaxation(ModeRelaxation):
     def _boxes(self, reach: Reach) -> tuple[Mask, Array, Array] | None:
         """Return the edges (T, modes, modes) and boxes (T+1, modes, k) of a reach; None where a box has no end."""
         taken = reach.allowed[..., None]
-        unbounded = taken & ((reach.mode_lower <= -UNBOUNDED) | (reach.mode_upper >= UNBOUNDED))
+        unbounded = taken & ((reach.mode_lower <= -LARGEST_BOUND) | (reach.mode_upper >= LARGEST_BOUND))
         if self._paths is None or unbounded.any():
             return None
         (T, modes), (n, stages) = reach.allowed.shape, (self._n, self._stages)
@@ -370,7 +370,7 @@ class PathRelaxation(ModeRelaxation):
         for part, inner, last in ((low, reach.mode_lower, reach.lower), (high, reach.mode_upper, reach.upper)):
             part[:-1] = np.where(taken, stages.scaled(inner), 0.0)
             part[-1, 0, :n] = (last[-1] - stages.last_reference) / stages.units[:n]
-        if (np.abs(low) >= UNBOUNDED).any() or (np.abs(high) >= UNBOUNDED).any():
+        if (np.abs(low) >= LARGEST_BOUND).any() or (np.abs(high) >= LARGEST_BOUND).any():
             return None
         return self._paths[0].pairs(allowed, low, high), low, high
 

@@ -26,7 +26,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, UNBOUNDED, ModeReach, Reach
+from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, LARGEST_BOUND, ModeReach, Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -315,7 +315,7 @@ class ModeRelaxation:
             for group, value, mask in zip(
                 groups,
                 (high, -low, (low + high) / 2),
-                (~equal & (high < UNBOUNDED), ~equal & (low > -UNBOUNDED), equal),
+                (~equal & (high < LARGEST_BOUND), ~equal & (low > -LARGEST_BOUND), equal),
                 strict=True,
             ):
                 group.of(rows)[:] = mask & taken[:, None]
@@ -341,7 +341,7 @@ class ModeRelaxation:
 
     def _bounded(self, bounds: Array, needed: Mask) -> Array:
         """Return bounds (T, modes, k) in natural units; UnsupportedError where one is needed and missing."""
-        bounded = np.abs(bounds) < UNBOUNDED
+        bounded = np.abs(bounds) < LARGEST_BOUND
         missing = ~bounded & needed[..., None]
         if missing.any():
             t, _, j = (int(i) for i in np.argwhere(missing)[0])

@@ -150,7 +150,7 @@ class Assembler:
         return StandardRows(A, sign * right[row], equations, unequal - equations, row, sign)
 
 
-FLAT = 1e-12  # eigenvalues of a stage's Hessian below this part of the largest are zero
+ZERO_CURVATURE = 1e-12  # eigenvalues of a stage's Hessian below this part of the largest are zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +205,7 @@ def mode_stages(problem: OptimalControlProblem, units: Array) -> ModeStages:
 def symmetric_roots(hessians: Array) -> Array:
     """Return L (times, rank, k) with L'L = H; rows of zeros where the rank is lower."""
     values, vectors = np.linalg.eigh(hessians)
-    kept = values > FLAT * np.maximum(values.max(axis=1, keepdims=True), 0.0)
+    kept = values > ZERO_CURVATURE * np.maximum(values.max(axis=1, keepdims=True), 0.0)
     roots = np.sqrt(np.where(kept, values, 0.0))[..., None] * np.swapaxes(vectors, 1, 2)
     rank = int(kept.sum(axis=1).max(initial=0))
     return roots[:, hessians.shape[-1] - rank :]

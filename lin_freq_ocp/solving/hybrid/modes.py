@@ -115,7 +115,7 @@ class KeptTree(SearchCache):
 
 
 SEQUENCE_BACKEND = "clarabel"  # solves the best sequence, accurately, for its multipliers
-LEAST_TIME = 0.25  # seconds for the best sequence, and for the leaves, when the search has used all the time
+LEAST_PROOF_SECONDS = 0.25  # seconds for the best sequence, and for the leaves, when the search has used all the time
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ class MixedInteger:
         limits = _limits(self.gap, self.node_limit, request)
         end = now() + limits.seconds
         claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
-        left = max(limits.seconds - sum(claim.seconds.values()), LEAST_TIME)
+        left = max(limits.seconds - sum(claim.seconds.values()), LEAST_PROOF_SECONDS)
         clock = now()
         outcome = TreeSearch(problem, replace(limits, seconds=left), progress=request.progress).run(claim.sequence)
         late = now() > end  # the search's own limit was what was left
@@ -259,7 +259,7 @@ def _judged(
     end: float,
 ) -> Outcome:
     clock = now()
-    left = max(end - clock, LEAST_TIME)
+    left = max(end - clock, LEAST_PROOF_SECONDS)
     end = clock + left
     point = None if outcome.sequence is None else _point(problem, outcome.sequence, None if left == np.inf else left)
     trajectory, multipliers, certificate = (None, None, None) if point is None else point

@@ -24,8 +24,8 @@ from lin_freq_ocp.solving.hybrid.smooth import judged_outcome, no_multipliers, p
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 
-ACCURACY = 1e-15  # of the cost over what its terms add up to: steps end at rounding
-VIOLATION = 1e-9  # of amplitudes of order 1: below what the judge allows
+COST_ROUNDING = 1e-15  # of the cost over what its terms add up to: steps end at rounding
+AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: below what the judge allows
 
 
 def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array, float] | None:
@@ -57,17 +57,17 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
         method="SLSQP",
         bounds=[(0.0, QUARTER)] * len(angles),
         constraints=constraints,
-        options={"ftol": ACCURACY, "maxiter": 200},
+        options={"ftol": COST_ROUNDING, "maxiter": 200},
     )
     at = np.clip(np.maximum.accumulate(found.x), 0.0, QUARTER)
     cost, _, values, _ = bound.at(steps, at)
     violation = float(np.maximum(low - values, values - high).max(initial=0.0))
-    return None if violation > VIOLATION else (at, cost)
+    return None if violation > AMPLITUDE_VIOLATION else (at, cost)
 
 
 GAP = 1e-6  # default of the relative gap to prove
-NEAR = 0.05  # half width of a box [rad] from which a local search starts at its centre
-EXCLUDED = "proven by branch and bound: no box of angles holds a pulse train"
+LOCAL_WIDTH = 0.05  # half width of a box [rad] from which a local search starts at its centre
+EXCLUDED_BY_BOXES = "proven by branch and bound: no box of angles holds a pulse train"
 ANGLES = "branch and bound over boxes of the angles"
 
 
@@ -123,9 +123,9 @@ class _Search:
                 return f"time limit of {self._request.time_limit:g} s"
             if not self._bound.halve(self._cutoff):
                 return "too many boxes of angles"
-            if self._bound.widest < NEAR:  # search near the best box of each pattern, once on this scale
+            if self._bound.widest < LOCAL_WIDTH:  # search near the best box of each pattern, once on this scale
                 for steps, angles in self._bound.best():
-                    key = steps.tobytes(), np.round(angles / NEAR).tobytes()
+                    key = steps.tobytes(), np.round(angles / LOCAL_WIDTH).tobytes()
                     if key in self._tried:
                         continue
                     self._tried.add(key)
@@ -159,7 +159,7 @@ class _Search:
             found, status = (trajectory, multipliers, certificate), certificate.status_within(self._gap)
         else:
             excluded = not message and self._bound.value == np.inf
-            status, message = (Status.INFEASIBLE, EXCLUDED) if excluded else (Status.LIMIT, message)
+            status, message = (Status.INFEASIBLE, EXCLUDED_BY_BOXES) if excluded else (Status.LIMIT, message)
         ending = status, "" if status == Status.OPTIMAL else message
         seconds = {"setup": 0.0, "solve": solved - self._started, "certify": now() - solved}
         return judged_outcome(problem, Angles.shorthand, found, ending, seconds, interrupted)

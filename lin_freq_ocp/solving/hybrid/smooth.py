@@ -31,7 +31,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time"
-EXCLUDED = "proven by dynamic programming with intervals: no trajectory exists"
+EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
 
 GLOBAL_GAP = 1e-4  # default of the relative gap to prove
 GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short horizons, and not too long to wait for
@@ -96,7 +96,7 @@ class Nonsmooth:
                 found = bounding.found  # the bound may lead to a better answer
                 status = found[2].status_within(bounding.gap)
             elif found is None and not search.message and left > 0 and _excluded(problem, left):
-                status, message = Status.INFEASIBLE, EXCLUDED
+                status, message = Status.INFEASIBLE, EXCLUDED_BY_INTERVALS
         seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
         return judged_outcome(problem, "nonsmooth", found, (status, message), seconds, search.interrupted)
 

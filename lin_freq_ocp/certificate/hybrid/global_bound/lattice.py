@@ -34,14 +34,14 @@ CUTOFF_MARGIN = 5e-2  # part of the cost by which the first estimate of the cost
 FIRST_LOSS = 1e-2  # part of the cost that the first level is expected to lose
 STEP_SHARE = 0.25  # part of the gap of a level that all steps together may lose in the search for the least
 
-ROUNDS = 10  # bisections at one time of a level; boxes that are still weak are the next level's work
+BISECTIONS = 10  # bisections at one time of a level; boxes that are still weak are the next level's work
 SMALL_BATCH = 2000  # boxes that are bounded in the time a round needs to start: fewer are cut into four
 BOXES_PER_CELL = 100  # boxes bounded at one time of a level, beside SMALL_BATCH
 MAX_SPAN = {1: 12, 2: 12, 3: 5}  # cells along a state that an image may meet to be bounded by each, by states
 MAX_PAIRS = 400_000  # pairs of boxes and cells bounded at once: some hundred megabytes
 
 ARRIVAL_SAMPLES = 256  # controls at which the cost-to-come is estimated
-SAMPLES = 128  # controls at which slopes are estimated
+SLOPE_SAMPLES = 128  # controls at which slopes are estimated
 ZOOM_SAMPLES = 25  # controls around the best sample, each time closer
 ZOOMS, ZOOMS_TO_END = 2, 5  # refinements; more where a state is met exactly, until its distance is negligible
 ARRIVAL_SPREAD = 5  # cells around a sample that count as reached, beside a fortieth of all of them

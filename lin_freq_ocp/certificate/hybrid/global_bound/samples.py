@@ -15,8 +15,8 @@ from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
     FIXED_PRICE,
     MAX_SLOPE,
     RIDGE,
-    SAMPLES,
     SIDES,
+    SLOPE_SAMPLES,
     ZOOM_SAMPLES,
     ZOOMS,
     ZOOMS_TO_END,
@@ -127,7 +127,7 @@ class Samples:
     def _best(self, x: Array) -> tuple[Array, Array, Indices, Array]:
         """Return the least of c + V(f) that samples reach, where, in which mode, and how far apart samples were."""
         m = self.stages.problem.control_dim
-        points, zoom = _unit_grid(SAMPLES, m), _unit_grid(ZOOM_SAMPLES, m)
+        points, zoom = _unit_grid(SLOPE_SAMPLES, m), _unit_grid(ZOOM_SAMPLES, m)
         middle, radius = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
         best, at, chosen = self._best_of(x, middle[:, None] + points * radius[:, None])
         spacing = 2 * radius / (round(len(points) ** (1 / m)) - 1)

@@ -13,11 +13,11 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
+    BISECTIONS,
     BOXES_PER_CELL,
     MAX_PAIRS,
     MAX_SPAN,
     ROUNDING,
-    ROUNDS,
     SMALL_BATCH,
     CostToGo,
     Lattice,
@@ -211,9 +211,9 @@ class Step:
         kept: list[Boxes] = []
         bounds_kept: list[Array] = []
         total, most = 0, SMALL_BATCH + BOXES_PER_CELL * len(lowest)
-        for round_ in range(ROUNDS):
+        for round_ in range(BISECTIONS):
             total += len(boxes.cell)
-            final = round_ == ROUNDS - 1 or total > most
+            final = round_ == BISECTIONS - 1 or total > most
             boxes, bounds, reached, steep = self._bounded(boxes, slopes)
             np.minimum.at(target, boxes.cell, reached - tolerance)
             looked_at = np.flatnonzero(~(bounds >= cutoff[boxes.cell]).any(axis=1))

@@ -96,7 +96,7 @@ def _cut(mask: Mask, t: int, row: Mask) -> Mask:
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
 COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
-CURVED = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
+CURVED_LOSS = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
 
 OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
 
@@ -316,7 +316,7 @@ class BranchAndBound:
         nearest = np.argmin(self._arrays.distance(x, u), axis=1)
         images = self._arrays.images(x, u)[np.arange(len(u)), nearest]
         miss, eta = np.abs(x[1:] - images), adjoint_of(self._relaxation, duals)
-        loss = (miss * np.abs(eta)).sum(axis=1) + CURVED * miss**2 @ self._relaxation.state_curvature
+        loss = (miss * np.abs(eta)).sum(axis=1) + CURVED_LOSS * miss**2 @ self._relaxation.state_curvature
         undecided = 1 - answer.weights.max(axis=1)
         return int(np.lexsort((undecided, np.where(several, loss, -1.0)))[-1])
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -50,7 +50,6 @@ def status_of(solution: Solution) -> tuple[str, str]:
 
 # Violation of rows of order 1 by a point with rounded binaries: a solver's 1e-6 in the row and in each binary
 POINT_TOLERANCE = 1e-5
-LEAST_TIME = 1e-3  # seconds for a solver when setting up has used them all: it reports the limit
 
 
 def solve_miqp(
@@ -70,7 +69,7 @@ def solve_miqp(
         seconds = {"setup": now() - started, "solve": 0.0}
         return SolverClaim("limit", None, None, None, None, f"time limit of {time_limit:.3g} s", seconds)
     ready = now()
-    left = None if time_limit is None else max(time_limit - (ready - started), LEAST_TIME)
+    left = None if time_limit is None else max(time_limit - (ready - started), LEAST_SECONDS)
     solution = solver(mixed.program, gap, left)
     seconds = {"setup": ready - started, "solve": now() - ready}
     bound = None if solution.bound is None else mixed.cost(solution.bound)

@@ -184,7 +184,7 @@ def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
     return found[: len(points)], found[len(points) :] / norms, float(np.abs(matrix @ found).max())
 
 
-ROUNDS = 12  # fits of weights, each with the adjoint of the last
+WEIGHT_FITS = 12  # fits of weights, each with the adjoint of the last
 SAME_ADJOINT = 1e-9  # change of eta, relative to its largest entry, at which the rounds have converged
 SMALLEST_KINK = 1e-9  # difference of two maps' derivatives, relative to their largest entry, that is no kink
 
@@ -213,7 +213,7 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterat
 
 def _with_weights_of(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
     """Yield the fits with weights, starting from an adjoint; the judge finds the weights again."""
-    for _ in range(ROUNDS):
+    for _ in range(WEIGHT_FITS):
         y, _ = fitted_duals(*_weighing(point, eta))
         fit = point.multipliers(y)
         stage = {name: weights for name, weights in fit.stage.items() if name != REGION}

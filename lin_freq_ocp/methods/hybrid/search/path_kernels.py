@@ -41,9 +41,9 @@ OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 """How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
 
 MOST_STEPS = 60
-SHORTEST = 1e-5  # a step that makes no progress
-VANISHED = 1e-2  # tau, relative to kappa, below which a ray is looked for; who uses it checks it
-RAY = 1e-7  # residual of a ray relative to -b'p
+SHORTEST_PATH_STEP = 1e-5  # a step that makes no progress
+VANISHED_TAU = 1e-2  # tau, relative to kappa, below which a ray is looked for; who uses it checks it
+PATH_RAY = 1e-7  # residual of a ray relative to -b'p
 CLEAR_RESIDUAL = 1e-3  # of a point whose cost is good enough to say that a node must be split
 BOUNDED_FROM = 4  # steps: the bounds of points before prove nothing of use
 
@@ -107,7 +107,7 @@ def ended(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear:
     gap, size = abs(cost - numbers[BOUND]), max(1.0, min(abs(cost), abs(proven)))
     if numbers[OF_PRIMAL] <= tolerances[0] and gap <= tolerances[0] * size and cost - proven <= tolerances[1] * size:
         return OPTIMAL
-    if numbers[TAU] < VANISHED * min(1.0, numbers[KAPPA]) and numbers[OF_RAY] <= RAY:
+    if numbers[TAU] < VANISHED_TAU * min(1.0, numbers[KAPPA]) and numbers[OF_RAY] <= PATH_RAY:
         return INFEASIBLE
     if proven > cutoff:
         return DECIDED
@@ -244,7 +244,7 @@ def path_run(
         end = ended(numbers, (tolerance, proven), cutoff, clear)
         if end >= 0:
             return end
-        if not (path_step(data, point, residuals, numbers, width) > SHORTEST and numbers[TAU] > 0.0):
+        if not (path_step(data, point, residuals, numbers, width) > SHORTEST_PATH_STEP and numbers[TAU] > 0.0):
             return STALLED
         numbers[STEPS] += 1
     return STALLED

@@ -273,7 +273,7 @@ CORRECTIONS = 4  # of a step at most
 CORRECTED = 0.99  # infeasibility after a correction, relative to that before, from which no further one is made
 RESTORED = 0.1  # infeasibility to reach where steps fail, relative to that there
 PROXIMITY = 1e-2  # weight of the distance from there, in units of order 1
-LESS = 1e-4  # share of the predicted decrease of the infeasibility
+LEAST_DECREASE = 1e-4  # share of the predicted decrease of the infeasibility
 MOST_STEPS = 300
 MOST_RESTORING = 60
 FEW_ROWS = 250  # that couple times
@@ -424,7 +424,7 @@ class Barrier:
             of_duals, length = here.longest({i: z[i] for i in s}, 1), here.longest(s, -1)
             while length > SHORTEST:
                 trial = here.trial(y, s, length)
-                if trial is not None and trial.measure.theta <= (1 - LESS * length) * here.theta:
+                if trial is not None and trial.measure.theta <= (1 - LEAST_DECREASE * length) * here.theta:
                     point = _moved(point, trial, z, length, of_duals)
                     break
                 length /= 2
