@@ -87,14 +87,14 @@ class ManyOutcome:
     @property
     def controls(self) -> Array:
         """Return the controls, (N, T, m); not a number where there are none."""
-        return self._stacked("u", (self.problem.horizon, self.problem.control_dim))
+        return self._stack_answers("u", (self.problem.horizon, self.problem.control_dim))
 
     @property
     def states(self) -> Array:
         """Return the states, (N, T+1, n); not a number where there are none."""
-        return self._stacked("x", (self.problem.horizon + 1, self.problem.state_dim))
+        return self._stack_answers("x", (self.problem.horizon + 1, self.problem.state_dim))
 
-    def _stacked(self, name: str, shape: tuple[int, int]) -> Array:
+    def _stack_answers(self, name: str, shape: tuple[int, int]) -> Array:
         values = np.full((len(self.items), *shape), np.nan)
         for value, item in zip(values, self.items, strict=True):
             if getattr(item, name) is not None:

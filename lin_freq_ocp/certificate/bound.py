@@ -137,7 +137,7 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return proven
     x, u = trajectory_sizes(problem, extremal.trajectory)
     largest = NUMERICAL_REACH * x, NUMERICAL_REACH * u
-    near = _cut(problem, curvatures, largest, f"{NUMERICAL_REACH:g} times the trajectory")
+    near = _cut_sets(problem, curvatures, largest, f"{NUMERICAL_REACH:g} times the trajectory")
     numerical, _ = _evaluate(extremal, curvatures, near, cost, NUMERICAL)
     return numerical if numerical.value - proven.value > allowed else proven
 
@@ -172,7 +172,7 @@ def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
         proven, _ = _evaluate(extremal, uncurved, reachable_bounds(extremal.problem), 0.0, RIGOROUS)
     if proven.value > 0:
         return proven
-    practical = _cut(extremal.problem, uncurved, largest, "what is practical")
+    practical = _cut_sets(extremal.problem, uncurved, largest, "what is practical")
     return _evaluate(extremal, uncurved, practical, 0.0, NUMERICAL)[0]
 
 
@@ -243,7 +243,7 @@ def _stage_curvatures(extremal: Extremal) -> Pair | None:
     return np.vstack([stage[:, :n], terminal]), stage[:, n:]
 
 
-def _cut(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Enclosure:
+def _cut_sets(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Enclosure:
     """Return the stated sets, cut at ``largest`` in components without curvature whose bounds are farther away."""
     stated, pairs = stated_bounds(problem), list[Pair]()
     for (lower, upper), curvature, size in zip((stated.x, stated.u), curvatures, largest, strict=True):

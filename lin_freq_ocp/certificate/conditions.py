@@ -259,7 +259,7 @@ def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Cond
     holds, fits = LABELS[term.kind]
     subgradient = term_subgradient(fits, priced, level, least)
     if not term.hard:
-        return [subgradient if term.everywhere is None else _raised(subgradient, priced, term.everywhere)]
+        return [subgradient if term.everywhere is None else _soft_mask_condition(subgradient, priced, term.everywhere)]
     if term.everywhere is not None:
         return [holds_everywhere(holds, priced, term.everywhere, least), subgradient]
     return [term_holds(holds, priced, least), subgradient]
@@ -284,7 +284,7 @@ def _bin_of(peak: Peak | None, everywhere: Continuum) -> int | None:
     return round(peak.frequency * everywhere.map.samples / (2 * np.pi))
 
 
-def _raised(subgradient: Condition, priced: PricedTerm, everywhere: Continuum) -> Condition:
+def _soft_mask_condition(subgradient: Condition, priced: PricedTerm, everywhere: Continuum) -> Condition:
     """N-... of a soft mask: the sum over its atoms, with the largest excess at all other frequencies."""
     gap = np.abs(priced.gap).sum() + MISFIT_SHARE * priced.misfit.sum() + abs(priced.beyond)
     never = np.abs(priced.given - priced.weights) * priced.sizes
@@ -298,7 +298,7 @@ def term_holds(label: str, priced: PricedTerm, least: Array) -> Condition:
     scales = _scales(priced.sizes, least)
     scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
     what = "rows hold" if priced.term.kind == "stage rows" else "holds"
-    found = _located(priced.term, worst_condition(label, f"{what}: {priced.term.name}", violation, scales))
+    found = _locate_condition(priced.term, worst_condition(label, f"{what}: {priced.term.name}", violation, scales))
     return replace(found, tolerance=ENDS_TOLERANCE) if priced.term.kind == "linked ends" else found
 
 
@@ -316,10 +316,10 @@ def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array)
     residual = float(gap[t, row]) if len(gap) else 0.0
     what = "row multipliers complementary" if priced.term.kind == "stage rows" else "multipliers are subgradients"
     name = f"{what}: {priced.term.name}"
-    return _located(priced.term, Condition(label, name, residual, scale, CONDITION_TOLERANCE, t, row))
+    return _locate_condition(priced.term, Condition(label, name, residual, scale, CONDITION_TOLERANCE, t, row))
 
 
-def _located(term: Term, condition: Condition) -> Condition:
+def _locate_condition(term: Term, condition: Condition) -> Condition:
     """Return the condition with the time or bin of its group; its entry is a component of joint rows only."""
     positions = term.map.positions
     group = condition.time if 0 < len(positions) == term.shape[0] else None  # a mask may have no atoms

@@ -251,7 +251,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
     """
     x, u = trajectory.x, trajectory.u
     sizes = trajectory_sizes(problem, trajectory)
-    along = _normalised(problem, along, sizes)
+    along = _normalised_direction(problem, along, sizes)
     residuals = _linear_residuals(problem, along, sizes)
     slopes, scales = _quadratic_slope(problem, along, problem.quadratic.gradient(x, u))
     scales.append(_least_slope(problem, trajectory, along, sizes))
@@ -273,7 +273,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
 def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
     """Return the direction if every multiple of it is feasible and the cost decreases without bound, else None."""
     sizes, tubes = stated_sizes(problem), (problem.state_tube, problem.control_tube)
-    along = _normalised(problem, along, sizes)
+    along = _normalised_direction(problem, along, sizes)
     residuals = _linear_residuals(problem, along, sizes)
     at_rest = problem.quadratic.gradient(np.zeros_like(along.x), np.zeros_like(along.u))
     slopes, scales = _quadratic_slope(problem, along, at_rest)
@@ -309,7 +309,7 @@ def _steepest(gradient: tuple[Array, Array], sizes: tuple[Array, Array]) -> floa
     return float(sum((np.abs(part) * size).sum() for part, size in zip(gradient, sizes, strict=True)))
 
 
-def _normalised(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> Trajectory:
+def _normalised_direction(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> Trajectory:
     """Return the direction with a largest entry of 1 in these sizes."""
     problem.require(along)
     largest = max(float(np.abs(along.x / sizes[0]).max()), float(np.abs(along.u / sizes[1]).max()))

@@ -71,7 +71,7 @@ def reachable_bounds(problem: OptimalControlProblem) -> Enclosure:
     reach = _forward_reach(problem, *stated.u)
     if reach is None:
         return stated
-    return Enclosure(_within(stated.x, reach), stated.u, np.inf, f"{stated.follows_from}, forward reach")
+    return Enclosure(_intersection(stated.x, reach), stated.u, np.inf, f"{stated.follows_from}, forward reach")
 
 
 def nearby_bounds(
@@ -90,7 +90,7 @@ def nearby_bounds(
     The unknown bounds do not matter: that far away the cost is higher.
     """
     known, radii = _known_radii(problem, trajectory, deviations, allowed)
-    if not _propagated(problem, trajectory, radii):
+    if not _propagate_radii(problem, trajectory, radii):
         return None
     loss, a, b, c = deviations.left, 0.0, 0.0, 0.0
     for slope, curvature, lost, mask, (alpha, beta) in zip(
@@ -110,11 +110,11 @@ def nearby_bounds(
         radius = RADIUS_MARGIN * (alpha + beta * q) + (RADIUS_MARGIN - 1) * np.abs(signal)
         if not np.isfinite(radius).all():
             return None
-        pairs.append(_within((box.lower, box.upper), (signal - radius, signal + radius)))
+        pairs.append(_intersection((box.lower, box.upper), (signal - radius, signal + radius)))
     return Enclosure(pairs[0], pairs[1], cost, "what costs no more than the trajectory")
 
 
-def _within(bounds: Pair, others: Pair) -> Pair:
+def _intersection(bounds: Pair, others: Pair) -> Pair:
     """Return the intersection of two boxes; where it is empty, the nearest point of the first."""
     lower, upper = np.maximum(bounds[0], others[0]), np.minimum(bounds[1], others[1])
     nearest = np.clip(others[0], *bounds)
@@ -144,7 +144,7 @@ def _known_radii(
     return known, (radii[0], radii[1])
 
 
-def _propagated(problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair) -> bool:
+def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair) -> bool:
     """Fill in the radii that the dynamics imply; whether none is unknown."""
     x, u = radii
     residual = np.abs(state_residual(problem, trajectory))
@@ -155,7 +155,7 @@ def _propagated(problem: OptimalControlProblem, trajectory: Trajectory, radii: P
         unknown = np.isinf(x[0])
         if unknown.any():
             for side, moved in enumerate((residual, np.zeros_like(residual))):
-                x[side, unknown] = _spread(problem.linear, x[side, 0], u[side], moved)[unknown]
+                x[side, unknown] = _radii_of(problem.linear, x[side, 0], u[side], moved)[unknown]
         return bool(np.isfinite(x).all())
     if problem.horizon > MAX_STEPS:
         return False
@@ -201,7 +201,7 @@ def _one_step(
         return
     given = rows.get(t, [])
     columns = np.vstack([np.hstack([A, B, -np.eye(n)]), *(np.append(row, np.zeros(n)) for row, _ in given)])
-    if _determined(columns, np.append(residual[t], [distance for _, distance in given]), values):
+    if _determine_radii(columns, np.append(residual[t], [distance for _, distance in given]), values):
         x[:, t], u[:, t], x[:, t + 1] = values[:, :n], values[:, n : n + m], values[:, n + m :]
 
 
@@ -217,11 +217,11 @@ def _all_steps(dynamics: LinearDynamics, residual: Array, radii: Pair) -> None:
         A, B, _ = dynamics.at(t)
         columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
         columns[t][:, (t + 1) * n : (t + 2) * n] = -np.eye(n)
-    if _determined(columns.reshape(T * n, -1), residual.ravel(), values):
+    if _determine_radii(columns.reshape(T * n, -1), residual.ravel(), values):
         x[:], u[:] = values[:, : x[0].size].reshape(x.shape), values[:, x[0].size :].reshape(u.shape)
 
 
-def _determined(columns: Array, residual: Array, values: Array) -> bool:
+def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
     """Fill in unknown radii, values (2, k), that |columns d| <= residual implies; whether it does, for all of them."""
     unknown = np.isinf(values[0])
     if unknown.sum() > len(columns):
@@ -251,14 +251,14 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
     except NumericalError:
         return None
     none = np.zeros((problem.horizon, problem.state_dim))
-    radius = RADIUS_MARGIN * _spread(problem.linear, (start.upper - start.lower) / 2, (u_upper - u_lower) / 2, none)
+    radius = RADIUS_MARGIN * _radii_of(problem.linear, (start.upper - start.lower) / 2, (u_upper - u_lower) / 2, none)
     if not np.isfinite(radius).all():
         return None
     rounding = (RADIUS_MARGIN - 1) * (np.abs(centre) + radius)
     return centre - radius - rounding, centre + radius + rounding
 
 
-def _spread(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius_d: Array) -> Array:
+def _radii_of(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius_d: Array) -> Array:
     """Return how far x_t can be away, (T+1, n), if x_0, u_t and the offsets are away by radii (n,), (T, m), (T, n)."""
     inputs = np.hstack([radius_u, radius_d])
     with np.errstate(over="ignore", invalid="ignore"):

@@ -53,7 +53,7 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     curvature = control_curvature(problem, response)
     if curvature is None:
         return None
-    extremal = _passed(extremal)
+    extremal = _passed_extremal(extremal)
     cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
     tube = problem.control_tube
     proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, RIGOROUS, "the stated bounds")
@@ -61,7 +61,7 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
-    near = _cut(problem, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
+    near = _cut_bounds(problem, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
     sets = f"{NUMERICAL_REACH:g} times the trajectory"
     numerical = _evaluate(extremal, response, curvature, near, cost, NUMERICAL, sets)
     return numerical if numerical.value - proven.value > allowed else proven
@@ -77,7 +77,7 @@ def farkas_bound(extremal: Extremal, largest: Pair) -> Bound:
     proven = _evaluate(extremal, response, flat, (tube.lower, tube.upper), 0.0, RIGOROUS, "the stated bounds")
     if proven.value > 0:
         return proven
-    near = _cut(problem, largest[1])
+    near = _cut_bounds(problem, largest[1])
     return _evaluate(extremal, response, flat, near, 0.0, NUMERICAL, "what is practical")
 
 
@@ -103,7 +103,7 @@ def control_curvature(problem: OptimalControlProblem, response: Response) -> Arr
     return least if smallest < -2 * error else max(smallest, 0.0) * sizes
 
 
-def _passed(extremal: Extremal) -> Extremal:
+def _passed_extremal(extremal: Extremal) -> Extremal:
     """Return the extremal at controls without what the bands remove, where the cost may be convex only there."""
     problem, trajectory = extremal.problem, extremal.trajectory
     if problem.quadratic.nonconvexity() is None or not problem.control_stop.any():
@@ -114,7 +114,7 @@ def _passed(extremal: Extremal) -> Extremal:
     return extremal_at(problem, Trajectory(trajectory.x, u), extremal.multipliers)
 
 
-def _cut(problem: OptimalControlProblem, largest: Array) -> Pair:
+def _cut_bounds(problem: OptimalControlProblem, largest: Array) -> Pair:
     """Return the bounds of the controls, cut at ``largest`` (m,)."""
     tube = problem.control_tube
     return np.maximum(tube.lower, np.minimum(-largest, tube.upper)), np.minimum(

@@ -43,7 +43,7 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     gain = np.hstack([A, B])
     gain = np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     anchored = (own > 0) | _has_slope(problem)
-    needed = _needed(problem.horizon * gain, known, anchored)
+    needed = _anchoring_sizes(problem.horizon * gain, known, anchored)
     sizes = np.maximum(known, needed)
     caused = gain @ sizes
     most = np.where(caused > 0, caused, needed[:n])
@@ -66,7 +66,7 @@ def _sizes_by_cost(problem: OptimalControlProblem, trajectory: Trajectory) -> Ar
     return np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
 
 
-def _needed(effect: Array, known: Array, anchored: Mask) -> Array:
+def _anchoring_sizes(effect: Array, known: Array, anchored: Mask) -> Array:
     """Return what a component must be to change those that are anchored in data by their sizes, 0 where it cannot.
 
     effect : (n, n + m), the change of states within the horizon per unit of a component. Components that act on

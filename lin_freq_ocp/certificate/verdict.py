@@ -278,14 +278,14 @@ def judge(
             conditions=found.conditions,
             cost=problem.value(trajectory.x, trajectory.u),
             cost_scale=scale,
-            worth_of_residuals=np.inf if _unpriced(problem, multipliers, found.conditions) else found.cost_of_residuals,
+            worth_of_residuals=np.inf if _no_price(problem, multipliers, found.conditions) else found.cost_of_residuals,
             bound=bound,
             borders=found.borders,
         )
         return certificate if tolerance == CONDITION_TOLERANCE else certificate.within(tolerance)
 
 
-def _unpriced(problem: OptimalControlProblem, multipliers: Multipliers, conditions: tuple[Condition, ...]) -> bool:
+def _no_price(problem: OptimalControlProblem, multipliers: Multipliers, conditions: tuple[Condition, ...]) -> bool:
     """Whether multipliers that are all zero say nothing of what residuals beyond rounding are worth."""
     parts = multipliers.eta, multipliers.mu, multipliers.nu, multipliers.rho_u, multipliers.rho_x
     if any(part.any() for part in (*parts, *multipliers.stage.values())):

@@ -55,7 +55,7 @@ SCHEMA = 2  # version of the layout of the .npz; earlier ones are read
 DIMENSIONS_OF_MULTIPLIERS = {"eta_C": 0, "eta": 2, "mu": 2, "nu": 2, "rho_u": 2, "rho_x": 2}
 WEIGHTS = "weights"  # field of Multipliers of piecewise-affine dynamics, an array of two dimensions
 FREQUENCIES = "frequencies/"  # the same, of where the multipliers of a mask at every frequency stand
-STAGE_PREFIX = "stage/"  # prefix of the name of a family of joint rows: its multipliers are an array of their own
+FAMILY = "stage/"  # prefix of the name of a family of joint rows: its multipliers are an array of their own
 TABLE, MATLAB, ARCHIVE = ".csv", ".mat", ".npz"
 
 
@@ -134,7 +134,7 @@ def solution_bytes(trajectory: Trajectory, multipliers: Multipliers | None, summ
     fields: dict[str, ArrayLike] = {"x": trajectory.x, "u": trajectory.u}
     if multipliers is not None:
         fields |= {name: getattr(multipliers, name) for name in DIMENSIONS_OF_MULTIPLIERS}
-        fields |= {STAGE_PREFIX + name: weights for name, weights in multipliers.stage.items()}
+        fields |= {FAMILY + name: weights for name, weights in multipliers.stage.items()}
         fields |= {FREQUENCIES + name: found for name, found in multipliers.frequencies.items()}
         fields |= {} if multipliers.weights is None else {WEIGHTS: multipliers.weights}
     return npz_bytes(fields | {"schema": SCHEMA, "summary": json.dumps(dict(summary))})
@@ -198,11 +198,7 @@ def _multipliers(arrays: Mapping[str, FileArray]) -> Multipliers | None:
     if not any(name in arrays for name in DIMENSIONS_OF_MULTIPLIERS):
         return None
     fields = {name: _number_array(arrays, name, count) for name, count in DIMENSIONS_OF_MULTIPLIERS.items()}
-    stage = {
-        name.removeprefix(STAGE_PREFIX): _number_array(arrays, name, 2)
-        for name in arrays
-        if name.startswith(STAGE_PREFIX)
-    }
+    stage = {name.removeprefix(FAMILY): _number_array(arrays, name, 2) for name in arrays if name.startswith(FAMILY)}
     placed = {name: _number_array(arrays, name, 1, 2) for name in arrays if name.startswith(FREQUENCIES)}
     frequencies = {name.removeprefix(FREQUENCIES): found for name, found in placed.items()}
     weights = _number_array(arrays, WEIGHTS, 2) if WEIGHTS in arrays else None

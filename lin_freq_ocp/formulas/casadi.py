@@ -104,7 +104,7 @@ def from_casadi(
         made = function
     elif callable(function):
         n, m = positive_integer("from_casadi.states", states), positive_integer("from_casadi.controls", controls)
-        made = _compiled(casadi, function, n, m)
+        made = _compile_function(casadi, function, n, m)
     else:
         raise ProblemError("from_casadi", brief(function), "a casadi.Function of (x, u), or a Python function")
     if (made.n_in(), made.n_out()) != (2, 1):
@@ -118,7 +118,7 @@ def from_casadi(
             raise ProblemError(f"from_casadi.{label}", brief(given), f"{made.size1_in(i)}, as the function has")
     own = str(made.name() if made is function else getattr(function, "__name__", ""))
     title = name or (own if own.isidentifier() else "")  # a lambda has none
-    with_derivatives = _Compiled(made, _serialized(made))
+    with_derivatives = _Compiled(made, _serialize_function(made))
     value, jacobian, hessian = (partial(with_derivatives, what) for what in ("value", "jacobian", "hessian"))
     found = DifferentiableFunction(value, jacobian, hessian, made.size1_out(0), title, vectorized=True)
     assign(found, dimensions=(made.size1_in(0), made.size1_in(1)))
@@ -136,7 +136,7 @@ def _translate(casadi: ModuleType, made: Function, found: DifferentiableFunction
     kinked = [operation for operation in KINKED if getattr(casadi, f"OP_{operation}") in codes]
     known = {casadi.OP_CONST, casadi.OP_INPUT, casadi.OP_OUTPUT, *_operations(casadi)}
     if program.is_a("SXFunction") and codes <= known and not (smooth and kinked):
-        translation, n = _Translation(program, _serialized(program)), program.size1_in(0)
+        translation, n = _Translation(program, _serialize_function(program)), program.size1_in(0)
         with suppress(ProblemError):  # a power that formulas do not have
             translation([one for part in signals(n, program.size1_in(1)) for one in part], n)
             assign(found, translation=translation)
@@ -163,7 +163,7 @@ def _casadi() -> ModuleType:
         ) from None
 
 
-def _compiled(casadi: ModuleType, function: Callable[..., object], n: int, m: int) -> Function:
+def _compile_function(casadi: ModuleType, function: Callable[..., object], n: int, m: int) -> Function:
     x, u = casadi.SX.sym("x", n), casadi.SX.sym("u", m)
     try:
         given = function(x, u)
@@ -174,7 +174,7 @@ def _compiled(casadi: ModuleType, function: Callable[..., object], n: int, m: in
     return casadi.Function("f", [x, u], [column])
 
 
-def _serialized(made: Function) -> str:
+def _serialize_function(made: Function) -> str:
     try:
         return str(made.serialize())
     except RuntimeError:  # it calls what has no text

@@ -147,7 +147,7 @@ class DifferentiableFunction:
         ProblemError
             If these are neither formulas nor numbers, or what the function returns has another shape.
         """
-        given = [_listed(f"{self.title}.{letter}", one) for letter, one in (("x", x), ("u", u))]
+        given = [_outputs_of(f"{self.title}.{letter}", one) for letter, one in (("x", x), ("u", u))]
         arguments, states = [*given[0], *given[1]], len(given[0])
         self._require(states, len(given[1]))
         formulas = [one for one in arguments if isinstance(one, Formula)]
@@ -189,7 +189,7 @@ class DifferentiableFunction:
             self._require(len(x), len(u))
 
             def evaluate(what: str, points: Array, states: int = len(x)) -> Array:
-                return self._evaluated(what, points[:, :states], points[:, states:])
+                return self._evaluate(what, points[:, :states], points[:, states:])
 
             for of, what in (("call", "jacobian"), ("jacobian", "hessian"))[: 1 if self.hessian is None else 2]:
                 y, sizes = np.concatenate([x, u]), self._sizes(len(x) + len(u))
@@ -207,20 +207,20 @@ class DifferentiableFunction:
         ----------
         x : (points, n), u : (points, m)
         """
-        return self._kept("values", x, u, lambda: (self._evaluated("call", x, u),))[0]
+        return self._recall("values", x, u, lambda: (self._evaluate("call", x, u),))[0]
 
     def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
         """Return values, (points, outputs, n + m) and (points, outputs, n + m, n + m)."""
 
         def found() -> tuple[Array, Array, Array]:
-            values, slopes = self._evaluated("call", x, u), self._evaluated("jacobian", x, u)
-            curvatures = self._differences(x, u, slopes) if self.hessian is None else self._evaluated("hessian", x, u)
+            values, slopes = self._evaluate("call", x, u), self._evaluate("jacobian", x, u)
+            curvatures = self._differences(x, u, slopes) if self.hessian is None else self._evaluate("hessian", x, u)
             return values, slopes, np.where(np.isfinite(curvatures), curvatures, 0.0)
 
-        values, slopes, curvatures = self._kept("derivatives", x, u, found)
+        values, slopes, curvatures = self._recall("derivatives", x, u, found)
         return values, slopes, curvatures
 
-    def _kept(self, what: str, x: Array, u: Array, compute: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
+    def _recall(self, what: str, x: Array, u: Array, compute: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
         """Return arrays, read-only: those of the last call if its points were the same."""
         last = self._recent.get(what)
         if last is None or not (np.array_equal(last[0], x) and np.array_equal(last[1], u)):
@@ -241,7 +241,7 @@ class DifferentiableFunction:
             for sign in (1, -1):
                 moved = y.copy()
                 moved[:, j] += sign * steps[:, j]
-                jacobian = self._evaluated("jacobian", moved[:, :states], moved[:, states:])
+                jacobian = self._evaluate("jacobian", moved[:, :states], moved[:, states:])
                 defined: Mask = np.asarray(np.isfinite(jacobian).all(axis=(1, 2)))
                 sides.append(np.where(defined[:, None, None], jacobian, slopes))
                 points.append(np.where(defined, moved[:, j], y[:, j]))
@@ -255,7 +255,7 @@ class DifferentiableFunction:
             raise ProblemError(f"{self.title}.sizes", f"{len(self.sizes)} numbers", expected)
         return np.broadcast_to(self.sizes, arguments)
 
-    def _evaluated(self, what: str, x: Array, u: Array) -> Array:
+    def _evaluate(self, what: str, x: Array, u: Array) -> Array:
         """Return what one of the functions makes of points, (points, outputs, ...)."""
         count = x.shape[1] + u.shape[1]
         shape = (self.outputs, *(count,) * ("call", "jacobian", "hessian").index(what))
@@ -265,15 +265,15 @@ class DifferentiableFunction:
         x.flags.writeable = u.flags.writeable = False
         with np.errstate(all="ignore"):
             if self.vectorized and len(defined):
-                made[defined] = self._checked(what, self._called(what, x, u), (len(x), *shape), (x, u))
+                made[defined] = self._check_output(what, self._call_function(what, x, u), (len(x), *shape), (x, u))
                 return made
             for i, point in zip(defined, zip(x, u, strict=True), strict=True):
-                row = self._called(what, *point)
+                row = self._call_function(what, *point)
                 plain = row is _UNDEFINED or (isinstance(row, float) and shape == (1,))
-                made[i] = row if plain else self._checked(what, row, shape, point)
+                made[i] = row if plain else self._check_output(what, row, shape, point)
         return made
 
-    def _called(self, what: str, x: Array, u: Array) -> ArrayLike:
+    def _call_function(self, what: str, x: Array, u: Array) -> ArrayLike:
         try:
             return getattr(self, what)(x, u)
         except LinFreqOCPError:
@@ -285,7 +285,7 @@ class DifferentiableFunction:
             advice = "Return nan where the function is not defined."
             raise ProblemError(f"{self.title}.{what}", got, "numbers", advice) from error
 
-    def _checked(self, what: str, given: ArrayLike, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
+    def _check_output(self, what: str, given: ArrayLike, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
         """Return what a function returned as numbers of the right shape; of one output, also without its axis."""
         if isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == shape:
             return given
@@ -301,7 +301,7 @@ class DifferentiableFunction:
         return array.astype(np.float64).reshape(shape)
 
 
-def _listed(label: str, given: Any) -> list[Formula | float]:
+def _outputs_of(label: str, given: Any) -> list[Formula | float]:
     listed = [given] if isinstance(given, Formula) or np.ndim(given) == 0 else list(given)
     for one in listed:
         if not isinstance(one, Formula):

@@ -18,7 +18,7 @@ Interval = tuple[Array, Array]
 WithDerivatives = tuple[Interval, Interval, Interval]
 # Results are widened by this part of themselves: sums, products, quotients and roots are off by half an eps, the
 # elementary functions of the mathematical library by a few.
-OUTWARD_ROUNDING = 8 * float(np.finfo(np.float64).eps)
+SLACK = 8 * float(np.finfo(np.float64).eps)
 # Results are widened by this, too, as those near zero have no relative accuracy.
 SMALLEST = float(np.finfo(np.float64).tiny)
 # Extrema of sine and cosine this near to an interval (relative to its bounds above 1) are counted as within.
@@ -28,10 +28,7 @@ TURN = 1e-9
 def outward(lower: Array, upper: Array) -> Interval:
     """Return an interval widened by the rounding errors of one operation; what is undefined becomes unbounded."""
     with np.errstate(invalid="ignore"):
-        low, high = (
-            lower - (OUTWARD_ROUNDING * np.abs(lower) + SMALLEST),
-            upper + (OUTWARD_ROUNDING * np.abs(upper) + SMALLEST),
-        )
+        low, high = lower - (SLACK * np.abs(lower) + SMALLEST), upper + (SLACK * np.abs(upper) + SMALLEST)
     return np.fmax(low, -np.inf), np.fmin(high, np.inf)
 
 
@@ -222,25 +219,25 @@ def sum_rule(factors: Sequence[float], arguments: Sequence[IntervalJet], constan
 
 def product_rule(a: IntervalJet, b: IntervalJet, curved: bool) -> IntervalJet:
     """Return a b, without its Hessian unless ``curved``."""
-    slope = _plus(multiply(_raised(a[0], 1), b[1]), multiply(_raised(b[0], 1), a[1]))
+    slope = _plus(multiply(_with_axes(a[0], 1), b[1]), multiply(_with_axes(b[0], 1), a[1]))
     if not curved:
         return multiply(a[0], b[0]), slope, None
     cross = _outer(a[1], b[1])
     hessian = _plus(cross, (np.swapaxes(cross[0], 1, 2), np.swapaxes(cross[1], 1, 2)))
     for factor, other in ((a, b), (b, a)):
         if other[2] is not None:
-            hessian = _plus(hessian, multiply(_raised(factor[0], 2), other[2]))
+            hessian = _plus(hessian, multiply(_with_axes(factor[0], 2), other[2]))
     return multiply(a[0], b[0]), slope, hessian
 
 
 def chain_rule(a: IntervalJet, value: Interval, first: Interval, second: Interval, curved: bool) -> IntervalJet:
     """Return f(a), from enclosures of f and its derivatives over the range of a."""
-    slope = multiply(_raised(first, 1), a[1])
+    slope = multiply(_with_axes(first, 1), a[1])
     if not curved:
         return value, slope, None
-    hessian = multiply(_raised(second, 2), _squares(a[1]))
+    hessian = multiply(_with_axes(second, 2), _squares(a[1]))
     if a[2] is not None:
-        hessian = _plus(hessian, multiply(_raised(first, 2), a[2]))
+        hessian = _plus(hessian, multiply(_with_axes(first, 2), a[2]))
     return value, slope, hessian
 
 
@@ -262,9 +259,9 @@ def norm_rule(arguments: Sequence[IntervalJet], curved: bool) -> IntervalJet:
     for a in arguments:
         unit = meet(multiply(a[0], once), (-np.ones(boxes), np.ones(boxes)))
         unit = np.where(apart, unit[0], -1.0), np.where(apart, unit[1], 1.0)
-        slope = _plus(slope, multiply(_raised(unit, 1), a[1]))
+        slope = _plus(slope, multiply(_with_axes(unit, 1), a[1]))
         if curved and a[2] is not None:
-            hessian = _plus(hessian, multiply(_raised(unit, 2), a[2]))
+            hessian = _plus(hessian, multiply(_with_axes(unit, 2), a[2]))
     if not curved:
         return length, slope, None
     cubed = multiply(multiply(once, once), once)
@@ -274,9 +271,9 @@ def norm_rule(arguments: Sequence[IntervalJet], curved: bool) -> IntervalJet:
             if j != i:
                 others = add(others, square)
                 weight = scale(-1.0, multiply(multiply(a[0], arguments[j][0]), cubed))
-                hessian = _plus(hessian, multiply(_raised(weight, 2), _outer(a[1], arguments[j][1])))
+                hessian = _plus(hessian, multiply(_with_axes(weight, 2), _outer(a[1], arguments[j][1])))
         diagonal = multiply((np.maximum(others[0], 0.0), others[1]), cubed)
-        hessian = _plus(hessian, multiply(_raised(diagonal, 2), _squares(a[1])))
+        hessian = _plus(hessian, multiply(_with_axes(diagonal, 2), _squares(a[1])))
     unknown = ~apart[:, None, None]
     return length, slope, (np.where(unknown, -np.inf, hessian[0]), np.where(unknown, np.inf, hessian[1]))
 
@@ -295,7 +292,7 @@ def _outer(a: Interval, b: Interval) -> Interval:
     return multiply((a[0][:, :, None], a[1][:, :, None]), (b[0][:, None, :], b[1][:, None, :]))
 
 
-def _raised(a: Interval, times: int) -> Interval:
+def _with_axes(a: Interval, times: int) -> Interval:
     """Return (p,) as (p, 1) or (p, 1, 1)."""
     shape = (-1, *(1,) * times)
     return a[0].reshape(shape), a[1].reshape(shape)

@@ -82,15 +82,15 @@ class Operation:
 
     def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
         """Return the values, (points,), from those of the arguments."""
-        raise self._refused(node)
+        raise self._refusal(node)
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         """Return the values with first and second derivatives, points along the last axis."""
-        raise self._refused(node)
+        raise self._refusal(node)
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
         """Return enclosures over boxes lower <= (x, u) <= upper, (boxes, n + m); ``curved``: also of the Hessian."""
-        raise self._refused(node)
+        raise self._refusal(node)
 
     def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
         """Return coefficients and constant, (n + m + 1,), from those of the arguments; None if it is not affine."""
@@ -100,7 +100,7 @@ class Operation:
         """Return the text from those of the arguments, of which some are ``whole``: they need no brackets."""
         return f"{node.kind}({', '.join(parts)})"
 
-    def _refused(self, node: Node) -> ProblemError:
+    def _refusal(self, node: Node) -> ProblemError:
         return ProblemError("formula", f"a {node.kind}", "a formula without maxima and minima: a mode of it")
 
 

@@ -96,7 +96,7 @@ def formula_from_text(
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError):
-        raise ProblemError(field, brief(text), _expected()) from None
+        raise ProblemError(field, brief(text), _expected_text()) from None
     except (RecursionError, MemoryError):  # the parser's words for it
         raise ProblemError(field, f"{brief(text)}, nested too deeply", "fewer terms, factors and brackets") from None
     if known is None:
@@ -112,7 +112,7 @@ def formula_from_text(
     return formula
 
 
-def _expected() -> str:
+def _expected_text() -> str:
     names = ", ".join(function_names())
     return f"numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and {names}, as in 'norm(x_0, x_1) * u_0'"
 
@@ -135,12 +135,12 @@ class _Reader:
             if isinstance(node, ast.BinOp):
                 parts = [node.left, node.right]
             if ready or not parts:
-                made[node] = self._made(node, [made[part] for part in parts])
+                made[node] = self._apply_operation(node, [made[part] for part in parts])
             else:
                 stack += [(node, True), *((part, False) for part in reversed(parts))]
         return made[root]
 
-    def _made(self, node: ast.expr, parts: Sequence[Formula | float]) -> Formula | float:
+    def _apply_operation(self, node: ast.expr, parts: Sequence[Formula | float]) -> Formula | float:
         value = node.value if isinstance(node, ast.Constant) else None
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             return self._number(partial(float, value))
@@ -167,7 +167,7 @@ class _Reader:
         return value
 
     def _other(self) -> ProblemError:
-        return ProblemError("formula", brief(self._text), _expected())
+        return ProblemError("formula", brief(self._text), _expected_text())
 
     def _operation(self, sign: ast.operator, left: Formula | float, right: Formula | float) -> Formula | float:
         compute = ARITHMETIC.get(type(sign))
@@ -281,7 +281,7 @@ class _Writer:
         text, depth = self._written[one]
         large = len(text) > LONGEST_TEXT or depth > DEEPEST
         if depth and (large or (one in self._shared and len(text) >= SHORTEST_NAMED)):
-            self._written[one] = self._named(text), 0
+            self._written[one] = self._short(text), 0
         return self._written[one]
 
     def _long_sum(self, one: Formula, texts: Sequence[str]) -> str:
@@ -293,14 +293,14 @@ class _Writer:
             factors = (*one.data[:-1][chosen], one.data[-1] if last else 0.0)
             some = Formula(one.dimensions, SUM, one.arguments[chosen], factors)
             whole = {i for i, argument in enumerate(some.arguments) if not self._written[argument][1]}
-            names.append(self._named(OPERATIONS[SUM].text(some, texts[chosen], EXACT, whole)))
+            names.append(self._short(OPERATIONS[SUM].text(some, texts[chosen], EXACT, whole)))
         while len(names) > MOST_TERMS:
             names = [
-                self._named(" + ".join(names[first : first + MOST_TERMS])) for first in range(0, len(names), MOST_TERMS)
+                self._short(" + ".join(names[first : first + MOST_TERMS])) for first in range(0, len(names), MOST_TERMS)
             ]
         return " + ".join(names)
 
-    def _named(self, text: str) -> str:
+    def _short(self, text: str) -> str:
         name = f"w_{len(self.definitions)}"
         self.definitions[name] = text
         return name

@@ -43,12 +43,12 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 Benchmark = Callable[..., OptimalControlProblem]
 
 
-def _named(*functions: Benchmark) -> dict[str, Benchmark]:
+def _by_name(*functions: Benchmark) -> dict[str, Benchmark]:
     return {function.__name__: function for function in functions}
 
 
 # Simple problems first.
-LINEAR = _named(
+LINEAR = _by_name(
     pendulum,
     double_integrator,
     two_mass_spring,
@@ -62,9 +62,9 @@ LINEAR = _named(
     scanner,
 )
 # See docs/minimum_time.md, docs/residual_vibration.md and docs/levels.md.
-WAVEFORMS = _named(mri_gradient, printer_move, pulse_pattern)
+WAVEFORMS = _by_name(mri_gradient, printer_move, pulse_pattern)
 # See docs/hybrid_systems.md.
-PIECEWISE_AFFINE = _named(
+PIECEWISE_AFFINE = _by_name(
     absolute_value,
     max_min_network,
     switched_rotation,
@@ -74,9 +74,9 @@ PIECEWISE_AFFINE = _named(
     cart_pole_with_walls,
     ball_and_paddle,
 )
-PIECEWISE_SMOOTH = _named(norm_dynamics, buck_converter, pendulum_swing_up, cart_pole, planar_quadrotor)
+PIECEWISE_SMOOTH = _by_name(norm_dynamics, buck_converter, pendulum_swing_up, cart_pole, planar_quadrotor)
 # See docs/frequency_response.md.
-MEASURED = _named(wave_energy)
+MEASURED = _by_name(wave_energy)
 PROBLEMS = LINEAR | WAVEFORMS | MEASURED | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
 
 

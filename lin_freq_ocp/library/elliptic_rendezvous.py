@@ -151,13 +151,13 @@ def _sampled_model(orbit: _Orbit, first_anomaly: float, horizon: int, step: floa
         return np.concatenate([orbit.rate(anomaly), change.ravel()])
 
     times = step * np.arange(horizon + 1, dtype=np.float64)
-    anomaly = _integrated(lambda _, anomaly: orbit.rate(anomaly), np.array([first_anomaly]), times)[0, :-1]
+    anomaly = _integrate_rates(lambda _, anomaly: orbit.rate(anomaly), np.array([first_anomaly]), times)[0, :-1]
     packed = np.concatenate([anomaly, np.tile(np.eye(4, 6).ravel(), horizon)])
-    sampled = _integrated(rates, packed, np.array([step]))[horizon:, 0].reshape(horizon, 4, 6)
+    sampled = _integrate_rates(rates, packed, np.array([step]))[horizon:, 0].reshape(horizon, 4, 6)
     return sampled[..., :4], sampled[..., 4:]
 
 
-def _integrated(rates: Callable[[float, Array], Array], initial: Array, times: Array) -> Array:
+def _integrate_rates(rates: Callable[[float, Array], Array], initial: Array, times: Array) -> Array:
     """Return the solution at the given times, shape (len(initial), len(times))."""
     from scipy.integrate import solve_ivp  # slow to import
 

@@ -94,7 +94,7 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
     of_end[:, T] = np.eye(n)
     bounded = np.isfinite(end.lower) | np.isfinite(end.upper)
     parts = [(of_end[bounded], np.zeros((int(bounded.sum()), T, m)))]
-    of_controls, of_states = _removed(problem.control_stop, T), _removed(problem.state_stop, T + 1)
+    of_controls, of_states = _removed_rows(problem.control_stop, T), _removed_rows(problem.state_stop, T + 1)
     parts.append((np.zeros((len(of_controls), T + 1, n)), of_controls))
     parts.append((of_states, np.zeros((len(of_states), T, m))))
     for term in problem.terms:
@@ -146,7 +146,7 @@ def _of_spans(rows: Array, spans: Array) -> Array:
     return given / np.where(size > 0, size, 1.0)
 
 
-def _removed(stop: Mask, times: int) -> Array:
+def _removed_rows(stop: Mask, times: int) -> Array:
     """Return the rows of the bins removed from a signal, (rows, times, components): real and imaginary parts."""
     found, angle = [np.zeros((0, times, stop.shape[1]))], 2 * np.pi * np.arange(times) / times
     for k, i in np.argwhere(stop):

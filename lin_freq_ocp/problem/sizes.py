@@ -48,8 +48,8 @@ def completed_sizes(problem: OptimalControlProblem, given: Array) -> tuple[Array
     n, sizes = problem.state_dim, given
     if not sizes.all():
         limited = _limited_sizes(problem)
-        sizes = _completed(problem, np.append(sizes[:n], np.where(sizes[n:] > 0, sizes[n:], limited[n:])))
-        sizes = _completed(problem, np.where(sizes > 0, sizes, limited))
+        sizes = _complete_sizes(problem, np.append(sizes[:n], np.where(sizes[n:] > 0, sizes[n:], limited[n:])))
+        sizes = _complete_sizes(problem, np.where(sizes > 0, sizes, limited))
         sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
 
@@ -63,7 +63,7 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
     stated = np.concatenate([ends, references])
     bounds = np.concatenate([_bounded_sizes(tube) for tube in (problem.state_tube, problem.control_tube)])
     others = np.where(stated > 0, stated, bounds)
-    followed = _completed(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
+    followed = _complete_sizes(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
     bounds = np.where((followed > 0) & (bounds > FAR_BEYOND * followed), followed, bounds)
     return np.where(stated > 0, stated, bounds)
 
@@ -101,7 +101,7 @@ def _limited_sizes(problem: OptimalControlProblem) -> Array:
     return np.where(np.isfinite(least), least, 0.0)
 
 
-def _completed(problem: OptimalControlProblem, sizes: Array, chosen: Callable[..., Array] = np.min) -> Array:
+def _complete_sizes(problem: OptimalControlProblem, sizes: Array, chosen: Callable[..., Array] = np.min) -> Array:
     """Return sizes with those that follow from others filled in: np.min or np.max of what makes others as large."""
     for _ in range(len(sizes)):  # at least another component is known after each pass
         if sizes.all():

@@ -113,11 +113,11 @@ def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allo
     abnormal = abnormal_multipliers(problem, trajectory) if normal.feasible else None
     certificate = normal if abnormal is None else judge(problem, trajectory, abnormal, allowed)
     if certificate.pmp != "satisfied":
-        certificate = replace(normal, rounded=_rounded(problem, trajectory))
+        certificate = replace(normal, rounded=_rounding_tolerance(problem, trajectory))
     return replace(certificate, descent=descent_direction(problem, trajectory, fit.descent))
 
 
-def _rounded(problem: OptimalControlProblem, trajectory: Trajectory) -> Rounded | None:
+def _rounding_tolerance(problem: OptimalControlProblem, trajectory: Trajectory) -> Rounded | None:
     """Return the least tolerance with which a trajectory of few decimals satisfies the maximum principle, if any."""
     decimals = decimals_of(trajectory)
     if decimals is None:

@@ -39,7 +39,7 @@ def judged(
         allowed = allowed_residual(tolerance)
         certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)
         if not candidate.interrupted:
-            status, message = _verified(status, message, certificate, allowed)
+            status, message = _verified_status(status, message, certificate, allowed)
     direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
     if status == Status.UNBOUNDED and direction is not None:
         t, j = direction.steepest, int(np.argmax(np.abs(direction.u).max(0)))
@@ -49,7 +49,7 @@ def judged(
         )
     elif status == Status.UNBOUNDED:
         status, message = Status.NUMERICAL_ERROR, f"{message}, without a verified direction of descent"
-    ray = candidate.ray if status == Status.INFEASIBLE else _diverged(candidate)
+    ray = candidate.ray if status == Status.INFEASIBLE else _diverged_ray(candidate)
     proof = None if ray is None else prove_infeasible(problem, ray)
     seconds = {**candidate.seconds, "certify": now() - clock}
     if proof is not None:
@@ -100,7 +100,7 @@ def with_few_fractional(outcome: Outcome, tolerance: float | None) -> Outcome:
     return replace(found, seconds=seconds, reason=outcome.reason)
 
 
-def _verified(status: Status, message: str, certificate: Certificate, gap: float) -> tuple[Status, str]:
+def _verified_status(status: Status, message: str, certificate: Certificate, gap: float) -> tuple[Status, str]:
     """Return the status of a judged point, and why.
 
     A point that is proven within ``gap`` is optimal, whether or not its solver claims it; a point that a solver calls
@@ -112,13 +112,13 @@ def _verified(status: Status, message: str, certificate: Certificate, gap: float
     if status not in (Status.OPTIMAL, Status.NUMERICAL_ERROR):
         return status, message
     if found == Status.LOCALLY_OPTIMAL:
-        return found, f"the maximum principle is satisfied; {_missing(certificate)}"
+        return found, f"the maximum principle is satisfied; {_missing_proof(certificate)}"
     if status == Status.OPTIMAL:
         message = f"residuals of the program are small, but not those of: {certificate.worst.name}"
     return found, message
 
 
-def _missing(certificate: Certificate) -> str:
+def _missing_proof(certificate: Certificate) -> str:
     """Return why a certificate without failed conditions proves no global optimum."""
     if certificate.bound is None or certificate.gap is None:
         return "there is no bound"
@@ -128,7 +128,7 @@ def _missing(certificate: Certificate) -> str:
     return f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"
 
 
-def _diverged(candidate: Candidate) -> Multipliers | None:
+def _diverged_ray(candidate: Candidate) -> Multipliers | None:
     """Return the multipliers of a solve that failed, divided by their size: near infeasibility they grow into a ray."""
     if candidate.status not in ("numerical_error", "limit") or candidate.multipliers is None or candidate.interrupted:
         return None

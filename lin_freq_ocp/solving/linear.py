@@ -82,7 +82,7 @@ class Convex:
         candidates = convex_candidates(problem, backend, self.tolerance, seconds_left(end))
 
         def verified(candidate: Candidate) -> Outcome:
-            return _judged(problem, candidate, "convex", backend, self.tolerance, end)
+            return _judge_candidates(problem, candidate, "convex", backend, self.tolerance, end)
 
         first = next(candidates)
         if first.status not in ("optimal", "limit") and backend != PROVER:
@@ -132,7 +132,7 @@ class Spectral:
         else:
             kept, change = request.again
             candidate = kept.spectral(problem, change, self.tolerance, seconds_left(end))
-        return _judged(problem, candidate, "spectral", None, self.tolerance, end)
+        return _judge_candidates(problem, candidate, "spectral", None, self.tolerance, end)
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class Structured:
 
         for candidate in solve_structured(problem, self.tolerance, seconds_left(end), excludes, prepared=prepared):
             doubtful = candidate.status in ("unbounded", "numerical_error")
-            outcome = _judged(problem, candidate, "structured", None, self.tolerance, end)
+            outcome = _judge_candidates(problem, candidate, "structured", None, self.tolerance, end)
             certified += outcome.seconds["certify"]
             if first is None or _rank(outcome) > _rank(first):
                 first = outcome
@@ -332,7 +332,7 @@ def _with_proof(outcome: Outcome, tolerance: float | None, end: float) -> Outcom
     return found if _rank(found) == 2 else outcome
 
 
-def _judged(
+def _judge_candidates(
     problem: OptimalControlProblem,
     candidate: Candidate,
     method: str,
@@ -348,7 +348,7 @@ def _judged(
     if candidate.status == "unbounded":
         candidate = _if_feasible(problem, candidate, seconds_left(end))
     outcome = judged(problem, candidate, method, backend, tolerance)
-    if _rank(outcome) == 2 or outcome.interrupted or not (candidate.status == "unbounded" or _far(outcome)):
+    if _rank(outcome) == 2 or outcome.interrupted or not (candidate.status == "unbounded" or _is_far(outcome)):
         return outcome
     try:
         along = steepest_recession(problem)
@@ -361,7 +361,7 @@ def _judged(
     return found if _rank(found) == 2 else outcome
 
 
-def _far(outcome: Outcome) -> bool:
+def _is_far(outcome: Outcome) -> bool:
     """Whether a trajectory is so large that, as a direction, it is as near to all constraints as one must be.
 
     Numbers that are no longer finite are.

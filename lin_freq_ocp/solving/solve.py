@@ -137,13 +137,13 @@ def restored_outcome(translation: Translation, outcome: Outcome, tolerance: floa
         if found != status:
             status, message = found, ""
     if status in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR):
-        message = "; ".join(filter(None, [message, _rounding(translation, trajectory)]))
+        message = "; ".join(filter(None, [message, _rounding_message(translation, trajectory)]))
     return replace(
         outcome, trajectory=trajectory, certificate=after.raised(translation.cost), status=status, message=message
     )
 
 
-def _rounding(translation: Translation, trajectory: Trajectory) -> str:
+def _rounding_message(translation: Translation, trajectory: Trajectory) -> str:
     """Return which state is rounded by how much, where that may be why an answer is not optimal; else nothing."""
     size, moves = np.spacing(np.abs(translation.origin)), np.ptp(trajectory.x, axis=0)
     i = int(np.argmax(np.divide(size, moves, out=np.zeros(len(size)), where=moves > 0)))
@@ -223,8 +223,8 @@ class _Round:
         candidate = Candidate(
             "infeasible" if found.ray is not None else str(found.status) if unsolved else "optimal",
             found.trajectory,
-            found.multipliers and self._placed(found.multipliers),
-            found.ray and self._placed(found.ray),
+            found.multipliers and self._with_frequencies(found.multipliers),
+            found.ray and self._with_frequencies(found.ray),
             message=found.message,
             seconds=seconds,
             interrupted=found.interrupted,
@@ -235,8 +235,8 @@ class _Round:
 
     def _of_modes(self, problem: OptimalControlProblem, seconds: dict[str, float]) -> Outcome:
         """Return the outcome of a search over modes: its bound is that of the relaxed problem, below the optimum."""
-        found, multipliers = self.found, self.found.multipliers and self._placed(self.found.multipliers)
-        evidence = None if found.evidence is None else found.evidence.with_multipliers(self._placed)
+        found, multipliers = self.found, self.found.multipliers and self._with_frequencies(self.found.multipliers)
+        evidence = None if found.evidence is None else found.evidence.with_multipliers(self._with_frequencies)
         outcome = replace(found, problem=problem, multipliers=multipliers, seconds=seconds, evidence=evidence)
         if found.certificate is None or found.trajectory is None or multipliers is None:
             return outcome
@@ -252,7 +252,7 @@ class _Round:
             return replace(outcome, certificate=certificate, status=status, message=message)
         return replace(outcome, certificate=certificate)
 
-    def _placed(self, multipliers: Multipliers) -> Multipliers:
+    def _with_frequencies(self, multipliers: Multipliers) -> Multipliers:
         """Return multipliers with the frequencies that they stand at; those of zero are left out."""
         stage, frequencies = dict(multipliers.stage), Frequencies()
         for name, w in self.frequencies.items():

@@ -79,7 +79,7 @@ class BigMRelaxation(HullRelaxation):
         """Take the rows of modes with M, the most by which any point of the boxes violates them."""
         stages, n = self._stages, self._n
         finite = np.isfinite(stages.limits)
-        lower, upper = self._bounded(reach.mode_lower, many), self._bounded(reach.mode_upper, many)
+        lower, upper = self._require_bounds(reach.mode_lower, many), self._require_bounds(reach.mode_upper, many)
         low = np.where(many[..., None], lower, np.inf).min(axis=1, keepdims=True)
         high = np.where(many[..., None], upper, -np.inf).max(axis=1, keepdims=True)
         low, high = (np.where(np.isfinite(bound), bound, 0.0) for bound in (low, high))
@@ -103,7 +103,7 @@ class BigMRelaxation(HullRelaxation):
     def multipliers(self, duals: Duals) -> ModeMultipliers:
         """Return the multipliers, those of regions with the far rows'."""
         found = super().multipliers(duals)
-        region = self._filled(duals)[self._region.rows].reshape(self._stages.limits.shape)
+        region = self._fill_duals(duals)[self._region.rows].reshape(self._stages.limits.shape)
         return replace(found, region=found.region + region / self._stages.norms / self._scaling.cost)
 
     def _scaled_adjoint(self, full: Array) -> Array:

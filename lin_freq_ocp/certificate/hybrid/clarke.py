@@ -353,7 +353,7 @@ def _flips(stage: SwitchingStage, sizes: Array) -> Iterator[Flip]:
 def _flip_residuals(stage: SwitchingStage) -> list[Array]:
     base = stage.without(np.ones(len(stage.held), dtype=bool))
     return [
-        _outside(slope - base, np.hstack([facets, stage.normals.T]), stage.scale)
+        _cone_residual(slope - base, np.hstack([facets, stage.normals.T]), stage.scale)
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
     ]
 
@@ -364,7 +364,7 @@ def _printed_in_u(stage: SwitchingStage) -> list[Array]:
     own = stage.own_normals(part)
     base, normals, no_state = stage.without(own)[part], stage.normals[own, part].T, np.zeros(stage.states)
     return [
-        np.append(no_state, _outside(slope[part] - base, np.hstack([facets[part], normals]), stage.scale[part]))
+        np.append(no_state, _cone_residual(slope[part] - base, np.hstack([facets[part], normals]), stage.scale[part]))
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
     ]
 
@@ -376,19 +376,19 @@ def _printed_in_x(stage: SwitchingStage) -> list[Array]:
     facets = block_diag(*(facets[part] for facets in stage.facets))
     generators = np.hstack([np.tile(stage.normals[own, part].T, (k, 1)), facets])
     vector = np.concatenate([slope[part] - stage.without(own)[part] for slope in stage.slopes])
-    return np.split(_outside(vector, generators, np.tile(stage.scale[part], k)), k)
+    return np.split(_cone_residual(vector, generators, np.tile(stage.scale[part], k)), k)
 
 
 def _regular_residuals(stage: SwitchingStage) -> list[Array]:
     """Return, per mode, the largest residual of <a_i - a_k, d> <= 0 over the other modes."""
     worst = list[Array]()
     for slope, facets in zip(stage.slopes, stage.facets, strict=True):
-        residuals = [_outside(slope - other, facets, stage.scale) for other in stage.slopes]
+        residuals = [_cone_residual(slope - other, facets, stage.scale) for other in stage.slopes]
         worst.append(max(residuals, key=lambda residual: float(np.abs(residual).max())))
     return worst
 
 
-def _outside(vector: Array, generators: Array, scale: Array) -> Array:
+def _cone_residual(vector: Array, generators: Array, scale: Array) -> Array:
     """Return the residual of a vector from the nearest nonnegative sum of generators, both divided by the scale."""
     from scipy.optimize import nnls  # slow to import
 
@@ -411,7 +411,7 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     active[np.arange(len(sequence)), sequence] = True
     gaps = times_at_gaps(problem, trajectory, arrays, active)
     weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
-    extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
+    extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
     least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
     own = state_equation(replace(problem, dynamics=piecewise_affine(problem).along(sequence)), trajectory, least)
@@ -441,7 +441,7 @@ def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, size
     return np.maximum(violation.max(axis=2), 0.0)
 
 
-def _averaged(problem: OptimalControlProblem, weights: Array, sequence: Indices) -> OptimalControlProblem:
+def _averaged_problem(problem: OptimalControlProblem, weights: Array, sequence: Indices) -> OptimalControlProblem:
     """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
     dynamics, fixed = piecewise_affine(problem).averaged(weights), problem.dynamics.controls_of(sequence)
     return replace(problem, dynamics=dynamics, control_set=held(problem.control_set, fixed))
@@ -462,7 +462,7 @@ def _weights(
             raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", f"shape {(T, modes)}")
         return multipliers.weights
     weights = np.eye(modes)[sequence]
-    extremal = extremal_at(_averaged(problem, weights, sequence), trajectory, multipliers)
+    extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least, none = floors(extremal, trajectory_sizes(problem, trajectory)), np.zeros(0, dtype=np.intp)
     for stage in switching_stages(extremal, least, arrays, active, none):
         weights[stage.time] = 0.0

@@ -130,7 +130,7 @@ class IntervalReach:
         low, high = (np.array([getattr(stage, side) for stage in now]) for side in ("pair_lower", "pair_upper"))
         np.maximum(low[..., :n], np.array([stage.lower for stage in now])[:, None], out=low[..., :n])
         np.minimum(high[..., :n], np.array([stage.upper for stage in now])[:, None], out=high[..., :n])
-        low, high, possible = self._cut(t, low, high)
+        low, high, possible = self._cut_boxes(t, low, high)
         image_low, image_high = self._image(t, low, high)
         centres, generators, radius = self._zonotopes(t, now)
         image_low = np.maximum(np.maximum(image_low, centres - radius), np.array([s.lower for s in after])[:, None])
@@ -165,7 +165,7 @@ class IntervalReach:
         radius = np.abs(generators).sum(axis=-1) + np.abs(self._pushes[t]).sum(axis=-1)
         return centres, generators, radius + INTERVAL_ROUNDING * (np.abs(centres) + radius)
 
-    def _cut(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
+    def _cut_boxes(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
         """Return boxes (..., modes, k) cut by the rows of the regions, and which of them have a point."""
         rows, limits, above = self._rows[t], self._limits[t], self._above[t]
         least = np.where(rows > 0, low[..., None, :], high[..., None, :])  # where a row is least
@@ -256,7 +256,7 @@ def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[
             return [None] * len(tree.nodes), False
         children.setdefault(node.parent, []).append(index)
     reached: list[Stages | None] = [reach.whole()] + [None] * (len(tree.nodes) - 1)
-    covers = bool(tree.nodes) and _within(reached[0], tree, 0)
+    covers = bool(tree.nodes) and _is_covered(reached[0], tree, 0)
     level = [0]
     while level:
         parents = [index for index in level if reached[index] is not None and index in children]
@@ -274,16 +274,16 @@ def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[
             others += [(before, t, np.arange(modes) == i) for i in left]
         for child, found in zip(level, reach.restricted_each(choices), strict=True):
             reached[child] = found
-            covers &= _within(found, tree, child)
+            covers &= _is_covered(found, tree, child)
         covers &= all(found is None for found in reach.restricted_each(others))
     return reached, covers
 
 
-def _within(stages: Stages | None, tree: ModeTree, index: int) -> bool:
-    return stages is None or not (_allowed(stages) & ~tree.nodes[index].allowed).any()
+def _is_covered(stages: Stages | None, tree: ModeTree, index: int) -> bool:
+    return stages is None or not (_allowed_modes(stages) & ~tree.nodes[index].allowed).any()
 
 
-def _allowed(stages: Stages) -> Mask:
+def _allowed_modes(stages: Stages) -> Mask:
     """Return which modes can hold, (T, modes)."""
     return np.array([stage.modes for stage in stages[:-1]])
 
@@ -432,7 +432,7 @@ class _Boxes:
 
 
 def _boxes(reached: Stages, y: Array, last: Array) -> _Boxes:
-    allowed = _allowed(reached)
+    allowed = _allowed_modes(reached)
     following = np.zeros_like(allowed)
     following[:-1], following[-1, 0] = allowed[1:], True
     (T, modes), n = allowed.shape, len(last)

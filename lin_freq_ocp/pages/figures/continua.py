@@ -41,7 +41,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 PANEL_HEIGHT = 1.15 * ROW_HEIGHT
 LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers
 
-DRAWN_FINENESS = 8  # points for each bin
+PER_BIN = 8  # points for each bin
 SHOWN_DECADES = 4  # below the largest value
 
 
@@ -86,16 +86,12 @@ def _held_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFrequencie
     limits, factor = everywhere.limits, data.frequency.factor
     end = max(float(limits.high.max()), 2 * np.pi)
     bins = int(np.ceil(everywhere.map.samples * end / (2 * np.pi)))
-    w, top = np.linspace(0.0, end, DRAWN_FINENESS * bins), 0.0
+    w, top = np.linspace(0.0, end, PER_BIN * bins), 0.0
     for trace in data.traces:
         signal = everywhere.map.signal(trace.trajectory.x, trace.trajectory.u)
         values = np.abs(everywhere.map.placed(w).transform(signal))
         top, style = max(top, float(values.max())), trace.style
-        at = (
-            values.reshape(bins, DRAWN_FINENESS).argmax(1) + DRAWN_FINENESS * np.arange(bins)
-            if bins > FEW_BINS
-            else slice(None)
-        )
+        at = values.reshape(bins, PER_BIN).argmax(1) + PER_BIN * np.arange(bins) if bins > FEW_BINS else slice(None)
         ax.plot(
             *thin_out(factor * w[at], values[at]),
             color=style.color,

@@ -102,7 +102,7 @@ def sampled_map(
         if not continuous:
             return model(0.0, np.append(x, u))
         span, units = (0.0, step or 0.0), np.sqrt(np.maximum(1.0, np.abs(x)))
-        final, _ = _solved(lambda seconds, state: model(seconds, np.append(state, u)), span, x, units, integrator)
+        final, _ = _solve_span(lambda seconds, state: model(seconds, np.append(state, u)), span, x, units, integrator)
         return np.full(n, np.nan) if final is None else final
 
     def jacobian(x: Array, u: Array) -> Array:
@@ -110,10 +110,10 @@ def sampled_map(
         return np.hstack([A, B])
 
     flat = np.zeros((n, n + m, n + m))
-    return DifferentiableFunction(_defined(value), _defined(jacobian), lambda x, u: flat, n, "system"), step
+    return DifferentiableFunction(_defined_model(value), _defined_model(jacobian), lambda x, u: flat, n, "system"), step
 
 
-def _defined(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
+def _defined_model(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
     def called(x: Array, u: Array) -> Array:
         try:
             return function(x, u)
@@ -123,7 +123,7 @@ def _defined(function: Callable[[Array, Array], Array]) -> Callable[[Array, Arra
     return called
 
 
-def _solved(
+def _solve_span(
     derivative: Model, span: tuple[float, float], start: Array, sizes: Array, integrator: Any
 ) -> tuple[Array | None, str]:
     """Return the solution of a differential equation at the end of a span, or None and why there is none."""
@@ -185,7 +185,7 @@ def _model(system: System, n: int, params: Mapping[str, object] | None, t: int) 
     return model
 
 
-def _shifted(model: Model, seconds: float, point: Array, steps: Array) -> Array:
+def _shifted_values(model: Model, seconds: float, point: Array, steps: Array) -> Array:
     """Return the model 2 steps and 1 step behind the point, and 1 and 2 ahead, along each variable: (4, n, n + m)."""
     shifts = np.diag(steps)
     return np.stack([[model(seconds, point + k * shift) for shift in shifts] for k in (-2, -1, 1, 2)]).swapaxes(1, 2)
@@ -206,7 +206,7 @@ def _one_sided(shifted: Array, value: Array, steps: Array) -> Array:
 def _smooth_slope(model: Model, seconds: float, point: Array, size: Array, value: Array, t: int) -> Array:
     """Return the derivatives at a point of the trajectory."""
     steps = [RELATIVE_STEP * size, SMALLER * RELATIVE_STEP * size]
-    shifted = [_shifted(model, seconds, point, step) for step in steps]
+    shifted = [_shifted_values(model, seconds, point, step) for step in steps]
     slope, closer = (_slope(around, step) for around, step in zip(shifted, steps, strict=True))
     sides, closer_sides = (_one_sided(around, value, step) for around, step in zip(shifted, steps, strict=True))
     effect = np.abs(slope) * size
@@ -245,14 +245,14 @@ def _over_one_period(
             advice = "If it is stiff, integrator='Radau' helps." if integrator != "Radau" else "Sample it faster."
             raise ProblemError(f"system, t = {t}", f"{count} evaluations in one period", "a model with fewer", advice)
         here, phi = np.concatenate([joined[:n], point[n:]]), joined[n:].reshape(n, -1)
-        slope = _slope(_shifted(model, seconds, here, steps), steps)
+        slope = _slope(_shifted_values(model, seconds, here, steps), steps)
         slope_phi = slope[:, :n] @ phi
         slope_phi[:, n:] += slope[:, n:]
         return np.concatenate([model(seconds, here), slope_phi.ravel()])
 
     start = np.concatenate([point[:n], np.eye(n, len(point)).ravel()])
     sizes = np.concatenate([size[:n], np.divide.outer(size[:n], size).ravel()])
-    final, message = _solved(derivative, span, start, sizes, integrator)
+    final, message = _solve_span(derivative, span, start, sizes, integrator)
     if final is None:
         advice = "A state may become infinite within the period."
         raise ProblemError(f"system, t = {t}", f"no solution ({message})", "one over the whole period", advice)

@@ -45,13 +45,13 @@ class Response:
     def linear(self, u: Array) -> Array:
         """Return the outputs (T+1, p) of controls (T, m), without those of no controls."""
         spectrum = fft.rfft(u, n=self.record, axis=0)
-        y = fft.irfft(_applied(self._typed(u.dtype), spectrum), n=self.record, axis=0)
+        y = fft.irfft(_apply_response(self._in_precision(u.dtype), spectrum), n=self.record, axis=0)
         return y[np.arange(self.horizon + 1) % self.record]
 
     def pull_back(self, weights: Array) -> Array:
         """Return the adjoint of ``linear``, (T, m), for weights (T+1, p)."""
-        G = np.swapaxes(self._typed(weights.dtype), 1, 2).conj()
-        return fft.irfft(_applied(G, self._spectrum(weights)), n=self.record, axis=0)[: self.horizon]
+        G = np.swapaxes(self._in_precision(weights.dtype), 1, 2).conj()
+        return fft.irfft(_apply_response(G, self._spectrum(weights)), n=self.record, axis=0)[: self.horizon]
 
     def _spectrum(self, weights: Array) -> ComplexArray:
         """Return the DFT of the weights of one record, where x_T repeats x_0 if it is a period."""
@@ -69,12 +69,12 @@ class Response:
         (_, p, m), T = self.G.shape, self.horizon
         return impulse[(t - s) % self.record].transpose(0, 2, 1, 3).reshape((T + 1) * p, T * m)
 
-    def _typed(self, dtype: np.dtype[np.floating]) -> ComplexArray:
+    def _in_precision(self, dtype: np.dtype[np.floating]) -> ComplexArray:
         """Return G in the precision of signals of a type."""
         return extended(self.G) if dtype == np.longdouble else self.G
 
 
-def _applied(G: ComplexArray, spectrum: ComplexArray) -> ComplexArray:
+def _apply_response(G: ComplexArray, spectrum: ComplexArray) -> ComplexArray:
     """Return G_k v_k, for G (bins, p, m) and v (bins, m)."""
     return (G * spectrum[:, None, :]).sum(axis=2)
 

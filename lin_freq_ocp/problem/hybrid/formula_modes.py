@@ -158,7 +158,7 @@ def modes_of(
     labels = names("dynamics.state_names", state_names, n, "x") + names("dynamics.control_names", control_names, m, "u")
     labels = [label.split(" [")[0] for label in labels]
     pieces = [_affine(piece, labels) for piece in formula_pieces(formulas, MOST_PIECES)]
-    pieces = _merged([piece.irredundant() for piece in pieces])
+    pieces = _merge_pieces([piece.irredundant() for piece in pieces])
     unique = unique_names([piece.name(labels) for piece in pieces])
     return [piece.mode(n, n + m, name) for piece, name in zip(pieces, unique, strict=True)]
 
@@ -230,7 +230,7 @@ def _affine_text(affine: Array, labels: Sequence[str]) -> str:
     return text if len(text) <= LONGEST_MODE_NAME else text[: LONGEST_MODE_NAME - 3] + "..."
 
 
-def _merged(pieces: list[_Piece]) -> list[_Piece]:
+def _merge_pieces(pieces: list[_Piece]) -> list[_Piece]:
     """Return the pieces, with those of the same map whose union is a polyhedron joined."""
     merged = list(pieces)
     i = 0
@@ -258,7 +258,7 @@ def _union(one: _Piece, other: _Piece) -> _Piece | None:
     first, second = one.cell(units), other.cell(units)
     if not first.apart_from(second, SMALLEST_PIECE):
         return None
-    of_first, of_second = _holding(first, second), _holding(second, first)
+    of_first, of_second = _rows_that_hold(first, second), _rows_that_hold(second, first)
     around = first.take(of_first) & second.take(of_second)
     for row in np.flatnonzero(~of_first):
         for other_row in np.flatnonzero(~of_second):
@@ -270,7 +270,7 @@ def _union(one: _Piece, other: _Piece) -> _Piece | None:
     return replace(one, choices=choices, rows=rows).irredundant()
 
 
-def _holding(cell: Cell, other: Cell) -> Mask:
+def _rows_that_hold(cell: Cell, other: Cell) -> Mask:
     """Return which rows of a cell hold on all of another."""
     return np.array(
         [(other & cell.beyond(row)).inner_point(SMALLEST_PIECE) is None for row in range(len(cell.limits))], dtype=bool

@@ -154,7 +154,7 @@ def _require_one_each(guards: _Guards, modes: Mapping[str, AffineMode | None]) -
     patterns = list(modes)
     for i, first in enumerate(patterns):
         for second in patterns[i + 1 :]:
-            both = _together(first, second)
+            both = _common_pattern(first, second)
             if both is not None and modes[first] is not modes[second] and guards.occurs(both):
                 got = f"a pattern that holds together with {first!r}"
                 raise ProblemError(f"guards.modes[{second!r}]", got, "one of the two")
@@ -165,7 +165,7 @@ def _require_one_each(guards: _Guards, modes: Mapping[str, AffineMode | None]) -
             raise ProblemError("guards.modes", got, expected, advice)
 
 
-def _together(first: str, second: str) -> str | None:
+def _common_pattern(first: str, second: str) -> str | None:
     """Return the pattern of the signs that both patterns allow, None if they allow none."""
     pairs = list(zip(first, second, strict=True))
     if any({*pair} == {*SIGNS} for pair in pairs):
@@ -364,7 +364,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
         return any(mode.region.time_varying or mode.region.e.ndim > 1 for mode in self.modes)
 
     @cached_property
-    def _checked(self) -> CheckedRegions:
+    def _regions_within_sets(self) -> CheckedRegions:
         """What the regions were found to be within sets."""
         return CheckedRegions(self.mode_names, not self.regions_vary)
 
@@ -387,11 +387,11 @@ class PiecewiseAffineDynamics(StandardDynamics):
         """Raise ProblemError unless the regions overlap on borders only within the sets."""
         if REGION in sets.names:
             raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: that one is taken by the modes")
-        self._checked.require_apart(self.arrays(sets.horizon), sets)
+        self._regions_within_sets.require_apart(self.arrays(sets.horizon), sets)
 
     def gap(self, sets: StageSets) -> str | None:
         """Return a place in the sets that no region holds, as text; None if they cover the sets."""
-        return self._checked.gap(self.arrays(sets.horizon), sets)
+        return self._regions_within_sets.gap(self.arrays(sets.horizon), sets)
 
     def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
         """Return where regions meet within the sets, and whether the map jumps there."""

@@ -120,7 +120,7 @@ class Box(ConvexSet):
 
     def at(self, t: int) -> Box:
         """Return the box of one time, of bounds (times, n)."""
-        return _checked(self.lower[t], self.upper[t])
+        return _box_of_checked(self.lower[t], self.upper[t])
 
     @property
     def fixed(self) -> Mask:
@@ -253,7 +253,7 @@ def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
         lower, upper = np.where(excess > 0, end.lower, lower), np.where(excess > 0, end.upper, upper)
     else:
         beyond = np.zeros(lower.shape, dtype=bool)
-    return _checked(frozen(lower), frozen(upper)), beyond
+    return _box_of_checked(frozen(lower), frozen(upper)), beyond
 
 
 def held(given: SetOrSets, values: Array | None) -> SetOrSets:
@@ -265,10 +265,10 @@ def held(given: SetOrSets, values: Array | None) -> SetOrSets:
 
 def box_of(one: ConvexSet) -> Box:
     """Return a box as it is, and the bounds of any other set."""
-    return one if isinstance(one, Box) else _checked(*one.bounds)
+    return one if isinstance(one, Box) else _box_of_checked(*one.bounds)
 
 
-def _checked(lower: Array, upper: Array) -> Box:
+def _box_of_checked(lower: Array, upper: Array) -> Box:
     """Return a box of bounds that need no check."""
     box = Box.__new__(Box)
     assign(box, lower=lower, upper=upper)

@@ -60,7 +60,7 @@ class HalfSpaces(Penalty):
         return np.where(np.isfinite(self.limit), change, 0.0)
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
-        return np.clip(multipliers, 0.0, np.where(np.isfinite(self.limit), self._scaled(eta_C), 0.0))
+        return np.clip(multipliers, 0.0, np.where(np.isfinite(self.limit), self._scaled_weight(eta_C), 0.0))
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
         slack = np.where(multipliers > 0, self.limit - v, 0.0)
@@ -76,10 +76,10 @@ class HalfSpaces(Penalty):
         return multipliers
 
     def least_slacks(self, v: Array) -> Array:
-        return np.zeros(0) if self.hard else np.maximum(v - self.limit, 0.0).ravel()[self._limited(v.shape)]
+        return np.zeros(0) if self.hard else np.maximum(v - self.limit, 0.0).ravel()[self._limited_entries(v.shape)]
 
     def conic(self, groups: int, dim: int) -> ConicForm:
-        entries = self._limited((groups, dim))
+        entries = self._limited_entries((groups, dim))
         upper, none = self.bounds((groups, dim))[1].ravel()[entries], np.full(len(entries), -np.inf)
         if self.hard:
             return selected_rows(entries, none, upper)
@@ -105,7 +105,7 @@ class HalfSpaces(Penalty):
         weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
         return HalfSpaces(np.array([one.limit for one in others]), weights.reshape(len(others), -1))
 
-    def _limited(self, shape: tuple[int, ...]) -> Indices:
+    def _limited_entries(self, shape: tuple[int, ...]) -> Indices:
         return np.flatnonzero(np.isfinite(np.broadcast_to(self.limit, shape)))
 
 
@@ -174,7 +174,7 @@ class NormBall(Penalty):
         return np.where(np.isfinite(self.radius), norm_of(change, self.order), 0.0)[:, None]
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
-        largest = np.where(np.isfinite(self.radius), self._scaled(eta_C)[..., 0], 0.0)
+        largest = np.where(np.isfinite(self.radius), self._scaled_weight(eta_C)[..., 0], 0.0)
         size = norm_of(multipliers, DUAL_ORDER[self.order])
         shrink = np.where(size > largest, largest / np.where(size > 0, size, 1.0), 1.0)
         return multipliers * shrink[:, None]
@@ -338,7 +338,7 @@ class LargestExcess(Penalty):
 
     def cost(self, v: Array) -> Array:
         """Return h(v), of all groups together, (1,): which of them has the largest excess is a matter of rounding."""
-        return np.array([self.weight * self._raised(v)])
+        return np.array([self.weight * self._largest_violation(v)])
 
     def slope(self, v: Array, change: Array, near: float) -> float:
         excess = self.excess(v)
@@ -358,7 +358,7 @@ class LargestExcess(Penalty):
         return limited * (most / spent) if spent > most else limited
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
-        spent, raised = self._spent(multipliers), self._raised(v)
+        spent, raised = self._spent(multipliers), self._largest_violation(v)
         gaps = spent * (1 + raised) - (multipliers * v).sum(1)
         if len(gaps):  # what is not spent counts at the group of the largest excess
             gaps[int(np.argmax(self.excess(v)))] += raised * (eta_C * self.weight - spent.sum())
@@ -378,7 +378,7 @@ class LargestExcess(Penalty):
         return norm_of(multipliers, 2)[:, None]
 
     def least_slacks(self, v: Array) -> Array:
-        return np.array([self._raised(v) * self._unit])
+        return np.array([self._largest_violation(v) * self._unit])
 
     def conic(self, groups: int, dim: int) -> ConicForm:
         limited = np.flatnonzero(np.isfinite(self.limit))
@@ -403,7 +403,7 @@ class LargestExcess(Penalty):
         """Return L."""
         return float(np.max(self.limit, initial=0.0, where=np.isfinite(self.limit))) or 1.0
 
-    def _raised(self, v: Array) -> float:
+    def _largest_violation(self, v: Array) -> float:
         """Return the largest relative excess, zero or above."""
         return self.excess(v).max(initial=0.0)
 

@@ -172,7 +172,7 @@ class Penalty(ABC):
         """Return the finite weights, 0 for the infinite ones."""
         return np.where(np.isinf(self.weights), 0.0, self.weights)
 
-    def _scaled(self, eta_C: float) -> Array:
+    def _scaled_weight(self, eta_C: float) -> Array:
         """Return weight * eta_C, with infinity what it is."""
         return np.where(np.isinf(self.weights), np.inf, eta_C * self._prices)
 

@@ -301,16 +301,16 @@ class VibrationMap(ScaledMap):
     def gain(self) -> ComplexArray:
         """Return (z - 1) / sqrt(1 - zeta^2), (groups,)."""
         turned: ComplexArray = np.exp(self._angles)
-        return (turned - 1) / np.sqrt(1 - self._damping**2)
+        return (turned - 1) / np.sqrt(1 - self._damping_ratio**2)
 
     @property
     def _angles(self) -> ComplexArray:
         """Return s h, (groups,)."""
-        w, damping = (2 * np.pi * self.sampling_time) * extended(self.at[:, 0]), self._damping
+        w, damping = (2 * np.pi * self.sampling_time) * extended(self.at[:, 0]), self._damping_ratio
         return w * (-damping + 1j * np.sqrt(1 - damping**2))
 
     @property
-    def _damping(self) -> Array:
+    def _damping_ratio(self) -> Array:
         return extended(self.at[:, 1])
 
     @cached_property

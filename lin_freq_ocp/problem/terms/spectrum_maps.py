@@ -309,7 +309,7 @@ class SpectrogramMap(AffineMap):
         spectra = np.zeros((len(self.starts), len(k)), dtype=np.result_type(pairs, np.complex64))
         spectra[:, base.bins] = (pairs[..., 0] + 1j * pairs[..., 1]) * np.conj(self._turns.astype(spectra.dtype))
         frames = fft.irfft(base.points * factor * spectra, n=base.points, axis=1)
-        return base.spread(self._added(frames[:, : base.samples] * base.window, shapes), shapes)
+        return base.spread(self._add_windows(frames[:, : base.samples] * base.window, shapes), shapes)
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         base, L = self.spectrum, self.spectrum.samples
@@ -334,7 +334,7 @@ class SpectrogramMap(AffineMap):
     def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         total = np.abs(self._window_pairs(weights)).sum(axis=(1, 2))
         frames = total[:, None] * np.abs(self.spectrum.window)
-        return self.spectrum.magnitudes().spread(self._added(frames, shapes), shapes)
+        return self.spectrum.magnitudes().spread(self._add_windows(frames, shapes), shapes)
 
     def spectrum_form(self, n: int, m: int) -> SpectrumForm | None:
         if len(self.starts) > 1:
@@ -362,7 +362,7 @@ class SpectrogramMap(AffineMap):
         frames = sliding_window_view(whole, self.spectrum.samples)[len(self.past) + self.starts]
         return frames * self.spectrum.window
 
-    def _added(self, frames: Array, shapes: Shapes) -> Array:
+    def _add_windows(self, frames: Array, shapes: Shapes) -> Array:
         """Return the sum of windows over each time from 0 on."""
         P, samples = len(self.past), self.spectrum.length(shapes[1][0])
         signal = np.zeros(P + samples, dtype=frames.dtype)

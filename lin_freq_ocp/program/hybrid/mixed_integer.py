@@ -90,7 +90,7 @@ class _Stage:
         rows = np.vstack([self.G[j][region], self.rows, self.F[j][above], -self.F[j][below]])
         images = (self.next_upper - self.c[j])[above], (self.c[j] - self.next_lower)[below]
         limits = np.concatenate([self.h[j][region], self.limits, *images]) - rows @ self.centres[j]
-        rows, limits = _normalised(rows * self.halves[j], limits)
+        rows, limits = _normalise_rows(rows * self.halves[j], limits)
         most = 2 * np.sqrt(rows.shape[1])  # a row of norm 1 is at most half of it
         return rows, np.clip(limits, -most, most)
 
@@ -186,7 +186,7 @@ def _least_excesses(domains: Sequence[Rows]) -> Array:
     upper = np.tile(np.append(np.ones(columns - 1), np.inf), len(blocks))
     lower = np.tile(np.append(-np.ones(columns - 1), 0.0), len(blocks))
     matrix = sp.csr_array(sp.block_diag(blocks, format="csr"))
-    return _required(minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
+    return _require_minimiser(minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
 
 
 def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Array]:
@@ -200,20 +200,20 @@ def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Ar
         cost, ones = -scaled[live] / sizes[live, None], np.ones(scaled[live].size)
         matrix = sp.csr_array(sp.block_diag([rows for rows, _ in blocks], format="csr"))
         limits = np.concatenate([limits for _, limits in blocks])
-        v = _required(minimiser(cost.ravel(), matrix, limits, -ones, ones))
+        v = _require_minimiser(minimiser(cost.ravel(), matrix, limits, -ones, ones))
         largest[live] = -(cost * v.reshape(cost.shape)).sum(axis=1) * sizes[live]
     middles = np.concatenate([objectives @ stage.centres[j] for j, objectives, _ in asked])
     terms = np.concatenate([np.abs(objectives) @ np.abs(stage.centres[j]) for j, objectives, _ in asked])
     return np.split(largest + BIG_M_MARGIN * sizes + middles + TERM_ROUNDING * terms, counts[:-1])
 
 
-def _required(minimiser: Array | None) -> Array:
+def _require_minimiser(minimiser: Array | None) -> Array:
     if minimiser is None:
         raise NumericalError("A linear program about the domains of modes was not solved.")
     return minimiser
 
 
-def _normalised(rows: Array, limits: Array) -> Rows:
+def _normalise_rows(rows: Array, limits: Array) -> Rows:
     """Return rows of norm 1, or 0."""
     norms = np.linalg.norm(rows, axis=1)
     sizes = np.where(norms > 0, norms, np.where(limits != 0, np.abs(limits), 1.0))
@@ -232,7 +232,7 @@ def _with_implied_bounds(
         return problem
     for t in map(int, np.flatnonzero(unbounded.any(axis=1))):
         low, high = lower[t] / units, upper[t] / units
-        rows, limits = _normalised(further[t][0] * units, further[t][1])
+        rows, limits = _normalise_rows(further[t][0] * units, further[t][1])
         for sign, side in ((1.0, upper[t]), (-1.0, lower[t])):
             for k in np.flatnonzero(~np.isfinite(side)):
                 found = minimiser(np.where(np.arange(len(units)) == k, -sign, 0.0), rows, limits, low, high)
@@ -325,7 +325,7 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
         Block.MODES: list(_mode_rows(found, columns)),
     }
     require_time(end)
-    own, of_signals = _joined(rows, hosts[0], columns), common_scaling(hosts)
+    own, of_signals = _join_rows(rows, hosts[0], columns), common_scaling(hosts)
     # the units of the signals, 1 for binaries, and those of rows that make their largest coefficient 1
     units = np.append(of_signals.columns, np.ones(len(own.q) - len(of_signals.columns)))
     largest = abs(own.A @ sp.diags_array(units)).max(axis=1).toarray().ravel()
@@ -381,7 +381,7 @@ def _equal_groups(chosen: Indices, *parts: Array) -> Iterator[Indices]:
             yield chosen[group.ravel() == g]
 
 
-def _joined(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _Columns) -> Program:
+def _join_rows(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _Columns) -> Program:
     """Return the rows with all of the host's but its dynamics, in the host's deviations from the references."""
     program, count, binaries = host.program, len(host.program.q) + columns.delta.size, columns.delta.size
     listed = [row for block in rows.values() for row in block]
@@ -408,11 +408,11 @@ def _joined(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _C
         A=A,
         lower=np.append(limits[0], program.lower[first:]),
         upper=np.append(limits[1], program.upper[first:]),
-        rows={block: _shifted(part, moved) for block, part in program.rows.items()} | blocks,
-        cones=tuple(_shifted(cone, moved) for cone in program.cones),
+        rows={block: _shift_slice(part, moved) for block, part in program.rows.items()} | blocks,
+        cones=tuple(_shift_slice(cone, moved) for cone in program.cones),
         binaries=columns.delta.ravel(),
     )
 
 
-def _shifted(rows: slice, by: int) -> slice:
+def _shift_slice(rows: slice, by: int) -> slice:
     return slice(rows.start + by, rows.stop + by)

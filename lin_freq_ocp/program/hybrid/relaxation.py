@@ -199,7 +199,7 @@ class ModeRelaxation:
         """
         if self._bounds is None:
             return None
-        full, rows = self._filled(duals), self._rows
+        full, rows = self._fill_duals(duals), self._rows
         region = np.maximum(rows.one_region.of(full) + rows.share_region.of(full), 0.0)
         eta, rho = self._scaled_adjoint(full), self._host_rows[0].of(full).ravel()
         found, rest = self._bounds.phi(reach, eta, rho, region.reshape(self._stages.limits.shape))
@@ -248,7 +248,7 @@ class ModeRelaxation:
 
     def multipliers(self, duals: Duals) -> ModeMultipliers:
         """Return the multipliers of the duals of a member."""
-        full, rows = self._filled(duals), self._rows
+        full, rows = self._fill_duals(duals), self._rows
         region = rows.one_region.of(full) + rows.share_region.of(full)
         of_equations, of_inequalities, of_cones = (full[part.rows].ravel() for part in self._host_rows)
         sides = np.concatenate([of_equations, of_inequalities, -of_cones])
@@ -265,14 +265,14 @@ class ModeRelaxation:
 
     def adjoint(self, duals: Duals) -> Array:
         """Return eta alone, (T, n)."""
-        return self._scaled_adjoint(self._filled(duals)) * self._adjoint_units
+        return self._scaled_adjoint(self._fill_duals(duals)) * self._adjoint_units
 
     @property
     def _adjoint_units(self) -> Array:
         of_dynamics = self._scaling.rows[self._program.rows[Block.DYNAMICS]]
         return of_dynamics.reshape(self.problem.horizon, self._n) / self._scaling.cost
 
-    def _filled(self, duals: Duals) -> Array:
+    def _fill_duals(self, duals: Duals) -> Array:
         full = np.zeros(len(self._template.right))
         full[duals.rows] = duals.y
         return full
@@ -324,7 +324,7 @@ class ModeRelaxation:
     def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
         """Take the rows of modes where several are left, and fill in what depends on the reach."""
         several, groups = np.asarray(many.any(axis=1)), self._rows
-        lower, upper = self._bounded(reach.mode_lower, many), self._bounded(reach.mode_upper, many)
+        lower, upper = self._require_bounds(reach.mode_lower, many), self._require_bounds(reach.mode_upper, many)
         equal = upper - lower <= FIXED
         groups.share_sum.take(rows, several)
         groups.share_map.take(rows, several)
@@ -339,7 +339,7 @@ class ModeRelaxation:
             part.coefficients(values)[:, k:] = bound.reshape(-1, k)
         groups.cone.take(rows, many)
 
-    def _bounded(self, bounds: Array, needed: Mask) -> Array:
+    def _require_bounds(self, bounds: Array, needed: Mask) -> Array:
         """Return bounds (T, modes, k) in natural units; UnsupportedError where one is needed and missing."""
         bounded = np.abs(bounds) < LARGEST_BOUND
         missing = ~bounded & needed[..., None]

@@ -29,7 +29,7 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     if not best.failed and _facts(best).flip_stationary:
         return best
     sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
-    facts, descent = _verified(problem, trajectory, sequence, _facts(best))
+    facts, descent = _verify_flips(problem, trajectory, sequence, _facts(best))
     if best.failed and best.feasible:  # abnormal multipliers may satisfy all conditions
         found = abnormal_multipliers(problem.with_modes(sequence), trajectory)
         if found is not None:
@@ -79,17 +79,17 @@ def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
     return *stationary, -len(facts.flips), -certificate.worst.relative
 
 
-def _verified(
+def _verify_flips(
     problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, facts: SwitchingFacts
 ) -> tuple[SwitchingFacts, Direction | None]:
     """Return the facts with the result of every flip, and the steepest direction of descent that was verified."""
-    improves, direction = _tried(problem, trajectory, sequence)
+    improves, direction = _try_sequence(problem, trajectory, sequence)
     directions, flips = [direction], list[Flip]()
     for flip in facts.flips[:MOST_FLIPS]:
         if flip.mode != sequence[flip.time]:
             flipped = sequence.copy()
             flipped[flip.time] = flip.mode
-            answer, direction = _tried(problem, trajectory, flipped)
+            answer, direction = _try_sequence(problem, trajectory, flipped)
             directions.append(direction)
         else:
             answer = improves
@@ -99,7 +99,7 @@ def _verified(
     return replace(facts, flips=(*flips, *rest)), min(found, key=lambda direction: direction.slope, default=None)
 
 
-def _tried(
+def _try_sequence(
     problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices
 ) -> tuple[bool | None, Direction | None]:
     """Return whether a mode sequence improves on the trajectory to first order, and the direction along which it does.

@@ -133,11 +133,11 @@ class _Search:
         require_convex(problem)
         limits = _limits(self.gap, self.node_limit, request)
         started = now()
-        found = self._searched(problem, limits, request)
+        found = self._search(problem, limits, request)
         seconds = {"setup": found.setup, "solve": now() - started - found.setup}
-        return _judged(problem, self.shorthand, found, self.gap, seconds, started + request.time_limit)
+        return _judge_search(problem, self.shorthand, found, self.gap, seconds, started + request.time_limit)
 
-    def _searched(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
+    def _search(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
         raise NotImplementedError
 
 
@@ -166,7 +166,7 @@ class BranchAndBound(_Search):
     shorthand: ClassVar[str] = "branch_and_bound"
     takes_start: ClassVar[bool] = True
 
-    def _searched(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
+    def _search(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
         first = None if request.start is None else request.start.sequence
         if self.executor is not None:
             return search_in_parts(problem, limits, self.executor, request.progress, first)
@@ -194,7 +194,7 @@ class Enumeration(_Search):
     shorthand: ClassVar[str] = "enumerate"
     takes_start: ClassVar[bool] = False
 
-    def _searched(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
+    def _search(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
         return enumerate_sequences(problem, limits, request.progress)
 
 
@@ -236,7 +236,7 @@ class MixedInteger:
         if late and outcome.message and not outcome.interrupted:
             outcome = replace(outcome, message=f"time limit of {limits.seconds:g} s")
         seconds = {**claim.seconds, "solve": claim.seconds["solve"] + now() - clock}
-        result = replace(_judged(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
+        result = replace(_judge_search(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
         found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
         certificate, agreed = result.certificate, False
         if claim.cost is not None and certificate is not None:
@@ -250,7 +250,7 @@ def _limits(gap: float, node_limit: int | None, request: Request) -> SearchLimit
     return SearchLimits(gap, request.time_limit, node_limit or SearchLimits.nodes)
 
 
-def _judged(
+def _judge_search(
     problem: OptimalControlProblem,
     method: str,
     outcome: SearchOutcome,

@@ -95,7 +95,7 @@ class Nonsmooth:
                 message = bounding.run() if left > 0 else UNBOUNDED
                 found = bounding.found  # the bound may lead to a better answer
                 status = found[2].status_within(bounding.gap)
-            elif found is None and not search.message and left > 0 and _excluded(problem, left):
+            elif found is None and not search.message and left > 0 and _is_excluded(problem, left):
                 status, message = Status.INFEASIBLE, EXCLUDED_BY_INTERVALS
         seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
         return judged_outcome(problem, "nonsmooth", found, (status, message), seconds, search.interrupted)
@@ -198,12 +198,12 @@ class _Bounding:
         return "" if self._proven else message or f"the global bound leaves a gap of {self.found[2].gap:.1e}"
 
     @property
-    def _wanted(self) -> float:
+    def _wanted_gap(self) -> float:
         return self.gap * self.found[2].cost_scale
 
     @property
     def _proven(self) -> bool:
-        return self.found[2].cost - self.best <= self._wanted
+        return self.found[2].cost - self.best <= self._wanted_gap
 
     def _improve(self) -> bool:
         """Whether a path of the bound leads to a better answer, which is taken."""
@@ -212,7 +212,7 @@ class _Bounding:
             self.search.problem,
             multipliers,
             certificate.cost,
-            self._wanted,
+            self._wanted_gap,
             self.deadline,
             self._report,
             certificate.cost_scale,
@@ -238,7 +238,7 @@ class _Bounding:
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
 
 
-def _excluded(problem: OptimalControlProblem, seconds: float) -> bool:
+def _is_excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     """Whether intervals prove, without the frequency constraints, that there is no trajectory: D is infinite."""
     try:
         deadline = now() + seconds

@@ -71,9 +71,9 @@ class AngleBound:
         d = problem.horizon - 1
         self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
         self.size = self._price * (2 * self._amplitude**2 + abs(self._offset))
-        patterns = [one for one in product((dynamics.step, -dynamics.step), repeat=d) if _within(one, limits)]
+        patterns = [one for one in product((dynamics.step, -dynamics.step), repeat=d) if _stays_in_limits(one, limits)]
         middle = np.full((len(patterns), d), QUARTER / 2)
-        self.boxes = self._bounded(
+        self.boxes = self._bound_boxes(
             Boxes(np.array(patterns).reshape(len(patterns), d), middle, middle.copy(), np.full(len(patterns), -np.inf))
         )
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
@@ -120,10 +120,10 @@ class AngleBound:
         shift[rows, side] = radius[rows, side]
         halves = [Boxes(given.steps, given.centre + sign * shift, radius, given.bound) for sign in (-1.0, 1.0)]
         parts = zip(*((one.steps, one.centre, one.radius, one.bound) for one in halves), strict=True)
-        self.boxes = self._bounded(Boxes(*(np.concatenate(part) for part in parts)))
+        self.boxes = self._bound_boxes(Boxes(*(np.concatenate(part) for part in parts)))
         return True
 
-    def _bounded(self, given: Boxes) -> Boxes:
+    def _bound_boxes(self, given: Boxes) -> Boxes:
         """Return the boxes that may hold a train, with their bounds: not below those of the boxes that they are of."""
         s, c, r = given.steps, given.centre, given.radius
         # boxes of angles in order whose amplitudes may meet their bounds
@@ -180,7 +180,7 @@ def _multipliers(slope: Array, slopes: Array, largest: float) -> Array:
     return np.where((np.abs(found) < largest).all(axis=1, keepdims=True), found, 0.0)
 
 
-def _within(pattern: tuple[float, ...], limits: tuple[float, float]) -> bool:
+def _stays_in_limits(pattern: tuple[float, ...], limits: tuple[float, float]) -> bool:
     """Whether the levels of a pattern stay within limits."""
     levels = np.cumsum(pattern)
     slack = ROUNDING * np.abs(levels).max(initial=1.0)

@@ -253,7 +253,7 @@ def _next_level(done: list[_Done], cutoff: float) -> list[_Task] | None:
         lattice, parents = now.value.lattice.halved(alive)
         if lattice.shape.prod() > MAX_LATTICE:
             return None
-        halves, target = _halved(boxes, now.value.lattice, lattice, alive), np.full(len(parents), np.inf)
+        halves, target = _halve_cells(boxes, now.value.lattice, lattice, alive), np.full(len(parents), np.inf)
         if t == 0:
             tasks.append(_Task(lattice, halves, target, np.full(len(parents), cutoff)))
         else:
@@ -266,7 +266,7 @@ def _next_level(done: list[_Done], cutoff: float) -> list[_Task] | None:
     return tasks
 
 
-def _halved(boxes: Boxes, coarse: Lattice, fine: Lattice, alive: Mask) -> Boxes:
+def _halve_cells(boxes: Boxes, coarse: Lattice, fine: Lattice, alive: Mask) -> Boxes:
     """Return the parts of boxes in each half of their cells."""
     n, split = len(coarse.width), coarse.split
     corners = index_tuples(split)

@@ -124,7 +124,7 @@ class Stages:
         left = level - sum(form.least for form in forms)
         shadows = [form.shadow(max(left, 0.0) if np.isfinite(left) else np.inf) for form in forms]
         x, u = np.array([shadow[:, :n] for shadow in shadows]), np.array([shadow[:, n:] for shadow in shadows[:-1]])
-        return cls(problem, costs, *_clipped(u, problem.control_tube), *_clipped(x, problem.state_tube))
+        return cls(problem, costs, *_clip_shadow(u, problem.control_tube), *_clip_shadow(x, problem.state_tube))
 
     def cost(self, t: int, y: Array) -> Array:
         """Return c_t of pairs (points, n + m)."""
@@ -161,7 +161,7 @@ class QuadraticForm:
         return np.stack([self._centre - radius, self._centre + radius])
 
 
-def _clipped(shadow: Array, box: Box) -> tuple[Array, Array]:
+def _clip_shadow(shadow: Array, box: Box) -> tuple[Array, Array]:
     """Return the intersection of shadows (times, 2, .) with a box; the nearest of the box where it is empty."""
     return np.clip(shadow[:, 0], box.lower, box.upper), np.clip(shadow[:, 1], box.lower, box.upper)
 

@@ -53,12 +53,12 @@ def least_of(
     with np.errstate(invalid="ignore"):
         for j in range(sigma.shape[1]):
             s = sigma[:, j]
-            reached = _scaled(s, centre.values[0][box, j], centre.values[1][box, j])
+            reached = _scale_interval(s, centre.values[0][box, j], centre.values[1][box, j])
             value = value + reached[0] - s * at[:, j]
             terms += np.abs(reached[0]) + np.abs(s * at[:, j])
             for total, (low, high) in ((slope, centre.slopes), (wide, whole.slopes), (bend, whole.curvatures)):
                 factor = s.reshape(-1, *[1] * (low.ndim - 2))
-                for side, more in enumerate(_scaled(factor, low[box, j], high[box, j])):
+                for side, more in enumerate(_scale_interval(factor, low[box, j], high[box, j])):
                     total[side] = total[side] + more
         first = np.where(r > 0, -np.maximum(np.abs(wide[0]), np.abs(wide[1])) * r, 0.0).sum(axis=1)
         best = np.fmax(_second_order(slope, bend, r), np.where(np.isnan(first), -np.inf, first))
@@ -100,7 +100,7 @@ def _second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Ar
     return np.where(np.isnan(found), -np.inf, found)
 
 
-def _scaled(factor: Array, low: Array, high: Array) -> tuple[Array, Array]:
+def _scale_interval(factor: Array, low: Array, high: Array) -> tuple[Array, Array]:
     ends = factor * low, factor * high
     return np.fmin(*ends), np.fmax(*ends)
 
@@ -214,7 +214,7 @@ class Step:
         for round_ in range(BISECTIONS):
             total += len(boxes.cell)
             final = round_ == BISECTIONS - 1 or total > most
-            boxes, bounds, reached, steep = self._bounded(boxes, slopes)
+            boxes, bounds, reached, steep = self._bound_boxes(boxes, slopes)
             np.minimum.at(target, boxes.cell, reached - tolerance)
             looked_at = np.flatnonzero(~(bounds >= cutoff[boxes.cell]).any(axis=1))
             boxes, bounds, steep = boxes.take(looked_at), bounds[looked_at], steep[looked_at]
@@ -234,7 +234,7 @@ class Step:
             cover.reduced[:] = np.nan_to_num((np.concatenate(bounds_kept) - lowest[cover.cell]).min(axis=1))
         return CostToGo(lattice, lowest, slopes, *cover.extremes(len(lowest), slice(self._n))), cover
 
-    def _bounded(self, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
+    def _bound_boxes(self, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
         """Return the boxes in which their mode can hold, with bounds, values at centres, and losses per direction."""
         none = np.zeros((0, slopes.shape[1]))
         found = [(boxes.take(np.zeros(0, dtype=np.intp)), none, none, boxes.radius[:0])]

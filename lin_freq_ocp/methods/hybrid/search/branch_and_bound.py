@@ -79,15 +79,15 @@ def shifted_cover(
             split, here = nodes[own[0]].stage, len(cover) - 1
             chosen = [nodes[child].allowed[split] for child in own]
             pending += [
-                (child, here, split - 1, _cut(mask, split - 1, row)) for child, row in zip(own, chosen, strict=True)
+                (child, here, split - 1, _cut_at(mask, split - 1, row)) for child, row in zip(own, chosen, strict=True)
             ]
             others = ~np.any(chosen, axis=0)
             if others.any():
-                pending.append((-1, here, split - 1, _cut(mask, split - 1, others)))
+                pending.append((-1, here, split - 1, _cut_at(mask, split - 1, others)))
     return tuple(cover)
 
 
-def _cut(mask: Mask, t: int, row: Mask) -> Mask:
+def _cut_at(mask: Mask, t: int, row: Mask) -> Mask:
     found = mask.copy()
     found[t] &= row
     return found
@@ -146,7 +146,7 @@ class BranchAndBound:
             else:
                 everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
                 reach = self._relaxation.reach.from_start(everything) if within is None else within
-                root = None if reach is None else self._relaxed(reach, self._cutoff)
+                root = None if reach is None else self._relax_node(reach, self._cutoff)
                 self._open([(everything, root)], -1, -1, -np.inf)
             message = message or self._loop()
         except KeyboardInterrupt:
@@ -210,7 +210,7 @@ class BranchAndBound:
             if message:
                 return message
             if bound < self._cutoff:
-                answer = self._relaxed(reach, self._cutoff)
+                answer = self._relax_node(reach, self._cutoff)
                 if answer.bound >= bound:  # else the duals that the cover brought prove more
                     self._duals[index] = answer.duals
                 bound = max(bound, answer.bound)
@@ -226,7 +226,7 @@ class BranchAndBound:
             least, seconds = min(bound, self._heap[0][0]) if self._heap else bound, now() - self._started
             self.progress(SearchProgress(self._cost, least, self._solved, len(self._heap), seconds))
         reaches = self._relaxation.reach.after(answer.reach, t, [mask[t] for mask in masks])
-        answers = [None if reach is None else self._relaxed(reach, self._cutoff) for reach in reaches]
+        answers = [None if reach is None else self._relax_node(reach, self._cutoff) for reach in reaches]
         self._open(list(zip(masks, answers, strict=True)), index, t, bound)
 
     def _open(self, answers: list[tuple[Mask, Relaxed | None]], parent: int, stage: int, bound: float) -> None:
@@ -257,10 +257,10 @@ class BranchAndBound:
         if bound < self._cutoff:
             heapq.heappush(self._heap, (bound, index, answer))
             if index >= self._next_rounding or self._best is None:
-                self._try(self._rounded(answer))
+                self._try(self._round_answer(answer))
                 self._next_rounding = index + ROUNDING_EVERY
 
-    def _rounded(self, answer: Relaxed) -> Iterator[Indices]:
+    def _round_answer(self, answer: Relaxed) -> Iterator[Indices]:
         """Yield the sequence of the largest weights, and the sequence of the relaxed controls' trajectory."""
         if answer.trajectory is None or answer.weights is None:
             return
@@ -281,7 +281,7 @@ class BranchAndBound:
                 self._tried.add(sequence.tobytes())
                 reach = self._relaxation.reach.from_start(sequence[:, None] == modes)
                 if reach is not None:
-                    self._accept(sequence, self._relaxed(reach, self._cost))
+                    self._accept(sequence, self._relax_node(reach, self._cost))
 
     def _accept(self, sequence: Indices, answer: Relaxed) -> None:
         """Keep a sequence if it is the best so far, and try its flips."""
@@ -326,7 +326,7 @@ class BranchAndBound:
             return np.inf
         return self._cost - SHARE_OF_GAP * self.limits.gap * self._scale
 
-    def _relaxed(self, reach: Reach, cutoff: float) -> Relaxed:
+    def _relax_node(self, reach: Reach, cutoff: float) -> Relaxed:
         self._solved += 1
         end = self._started + self.limits.search_seconds
         compiled = self._solved > self.compiled_from or compiled_is_loaded()

@@ -103,13 +103,13 @@ def relaxed(
         return Relaxed(reach, -np.inf)
     if isinstance(relaxation, PathRelaxation):
         answer = relaxed_path(relaxation, reach, tolerances, end, cutoff, compiled)
-        checked = None if answer is None else _checked(relaxation, answer)
+        checked = None if answer is None else _check_answer(relaxation, answer)
         if checked is not None and (checked is answer or (cutoff is not None and checked.bound >= cutoff)):
             return checked
-    return _checked(relaxation, _relaxed_by_shares(relaxation, reach, tolerances, end, cutoff))
+    return _check_answer(relaxation, _relaxed_by_shares(relaxation, reach, tolerances, end, cutoff))
 
 
-def _checked(relaxation: ModeRelaxation, answer: Relaxed) -> Relaxed:
+def _check_answer(relaxation: ModeRelaxation, answer: Relaxed) -> Relaxed:
     """Return an answer, without its trajectory if that is one of a single sequence and not feasible."""
     sequence, trajectory = answer.sequence, answer.trajectory
     if sequence is None or trajectory is None or relaxation.violation(trajectory, sequence) <= FEASIBLE:

@@ -214,7 +214,7 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterat
 def _with_weights_of(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
     """Yield the fits with weights, starting from an adjoint; the judge finds the weights again."""
     for _ in range(WEIGHT_FITS):
-        y, _ = fitted_duals(*_weighing(point, eta))
+        y, _ = fitted_duals(*_weight_program(point, eta))
         fit = point.multipliers(y)
         stage = {name: weights for name, weights in fit.stage.items() if name != REGION}
         yield Multipliers(1.0, fit.eta, fit.mu, fit.nu, fit.rho_u, fit.rho_x, stage)
@@ -303,10 +303,10 @@ def _on_kinks(point: _FitPoint) -> tuple[Program, Array]:
         push[:, t] = across / units / point.scaling.cost
         pushes.append(push.reshape(len(across), len(point.sequence) * len(signals)))
     fixed = sp.csc_array(sp.vstack(rows))
-    return _extended(_without_regions(point), fixed, np.asarray(fixed @ point.z), equations=True), np.vstack(pushes)
+    return _augment(_without_regions(point), fixed, np.asarray(fixed @ point.z), equations=True), np.vstack(pushes)
 
 
-def _weighing(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
+def _weight_program(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
     """Return the program whose duals are weights of modes, and the point.
 
     The cost max(0, max_j -v_j'(dx, du)) of a stage, v_j = (F_j - F_s)' eta, is a slack sigma >= 0 of price 1 with rows
@@ -321,7 +321,7 @@ def _weighing(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
         rows[k, variables + times.index(t)] = -1.0
     rows[count:, variables:] = -np.eye(len(times))
     z, sparse = np.append(point.z, np.zeros(len(times))), sp.csc_array(rows)
-    return _extended(_without_regions(point), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
+    return _augment(_without_regions(point), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
 
 
 def _hull(point: _FitPoint) -> tuple[Program, Array]:
@@ -345,7 +345,7 @@ def _hull(point: _FitPoint) -> tuple[Program, Array]:
     beside = sp.csc_array((value, (row, column)), shape=(program.A.shape[0], further))
     cone = sp.block_diag(cones)
     rows = sp.csc_array(sp.hstack([sp.csc_array((cone.shape[0], len(point.z))), cone]))
-    extended = _extended(program, rows, np.zeros(cone.shape[0]), prices=np.zeros(further), beside=beside)
+    extended = _augment(program, rows, np.zeros(cone.shape[0]), prices=np.zeros(further), beside=beside)
     return extended, np.append(point.z, np.zeros(further))
 
 
@@ -365,7 +365,7 @@ def _own_rows(point: _FitPoint, t: int, j: int) -> tuple[Indices, Array]:
     return np.array(list(found), dtype=int) - 1, np.array(list(found.values()))
 
 
-def _extended(
+def _augment(
     program: Program,
     rows: sp.csc_array,
     limits: Array,

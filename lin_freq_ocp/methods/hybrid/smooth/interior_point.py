@@ -213,7 +213,7 @@ class Local:
             own.scale(self.point.s[i], self.point.z[i])
         if not (self._objective.curved and self.point.z[DYNAMICS].any() and self._exact(sides)):
             stages.H[:] = self._objective.H
-            self._factored(sides[0])
+            self._factor_system(sides[0])
         squares = {i: own.product(own.lam, own.lam) - mu * own.identity for i, own in self.cones.items()}
         self._centred = {i: own.scaled(own.quotient(squares[i]), 1) for i, own in self.cones.items()}
 
@@ -225,11 +225,11 @@ class Local:
         stages.H[:-1, :count, :count] += curved
         Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
         if self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed):  # on the dynamics
-            self._factored(sides[0])
+            self._factor_system(sides[0])
             return True
-        return self.theta <= NEAR and any(side.indefinite and self._factored(side) for side in sides)
+        return self.theta <= NEAR and any(side.indefinite and self._factor_system(side) for side in sides)
 
-    def _factored(self, side: KKTSolver) -> bool:
+    def _factor_system(self, side: KKTSolver) -> bool:
         """Factor the system by a side; return what it sees of convexity."""
         self._step = StepSystem(self.system, side.exchanged(self.system.stages))
         return self._step.factor()
@@ -321,7 +321,7 @@ class Barrier:
         """Iterate from a point until it is accurate, no step helps, or the time is over."""
         try:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # seen by numbers that are not finite
-                ended = self._iterated(y)
+                ended = self._iterate_newton(y)
         except KeyboardInterrupt:
             if self._last is None:
                 raise
@@ -331,7 +331,7 @@ class Barrier:
             return Answer(ended, Point(y, [], {}), np.inf, 0)
         return Answer(ended, last.point, largest(last.left), self._steps)
 
-    def _iterated(self, y: Array) -> End:
+    def _iterate_newton(self, y: Array) -> End:
         mu, last, system = self.mu, 0.0, System(self.model.stages, self.loops)
         rows, z = system.rows(y), [np.zeros_like(right) for right in system.b]
         s = {i: moved_inside(cone, system.b[i] - rows[i]) for i, cone in system.cones.items()}
@@ -351,7 +351,7 @@ class Barrier:
             clock = now()
             if clock + last > self.end:
                 return End.TIME
-            after = self._stepped(local, entries, mu) or self._restored(local, entries, mu)
+            after = self._filter_step(local, entries, mu) or self._restore_feasibility(local, entries, mu)
             if after is None:
                 return End.TIME if now() > self.end else End.STALLED
             local = after
@@ -364,7 +364,7 @@ class Barrier:
         found = self.model.derivatives(point.y)
         return Local(self.model, objective or self._cost, self.loops, point, found) if found.finite else None
 
-    def _stepped(self, local: Local, entries: Filter, mu: float) -> Local | None:
+    def _filter_step(self, local: Local, entries: Filter, mu: float) -> Local | None:
         """Return the next point by a step that the filter takes; None if it takes none."""
         local.factor(mu, self._sides)
         y, z, s = local.step()
@@ -376,16 +376,16 @@ class Barrier:
             if trial is not None:
                 taken = entries.takes(here, trial.measure, slope, length)
                 if not taken and length == first and trial.measure.theta >= here.theta:
-                    trial = self._corrected(local, entries, trial, slope, length)
+                    trial = self._corrected_step(local, entries, trial, slope, length)
                     taken = trial is not None
                 if taken and trial is not None:
-                    after = self._at(_moved(local.point, trial, z, length, of_duals))
+                    after = self._at(_moved_point(local.point, trial, z, length, of_duals))
                     if after is not None:
                         return after
             length /= 2
         return None
 
-    def _corrected(self, local: Local, entries: Filter, trial: Trial, slope: float, length: float) -> Trial | None:
+    def _corrected_step(self, local: Local, entries: Filter, trial: Trial, slope: float, length: float) -> Trial | None:
         """Return a point that the filter takes by steps corrected for the curvature of the dynamics, or None."""
         here, left, part = local.measure(local.mu), [*local.left], length
         for _ in range(CORRECTIONS):
@@ -403,7 +403,7 @@ class Barrier:
             trial = after
         return None
 
-    def _restored(self, local: Local, entries: Filter, mu: float) -> Local | None:
+    def _restore_feasibility(self, local: Local, entries: Filter, mu: float) -> Local | None:
         """Return a point of less infeasibility that the filter accepts, by steps without the cost; None if none."""
         target, stages = RESTORED * local.theta, self.model.stages
         entries.add(local.measure(mu))
@@ -425,7 +425,7 @@ class Barrier:
             while length > SHORTEST:
                 trial = here.trial(y, s, length)
                 if trial is not None and trial.measure.theta <= (1 - LEAST_DECREASE * length) * here.theta:
-                    point = _moved(point, trial, z, length, of_duals)
+                    point = _moved_point(point, trial, z, length, of_duals)
                     break
                 length /= 2
             else:
@@ -444,7 +444,7 @@ def sides_for(stages: Stages, loops: Loops) -> tuple[KKTSolver, ...]:
     return range_space_solver(stages, loops), *kept
 
 
-def _moved(point: Point, trial: Trial, z: list[Array], length: float, of_duals: float) -> Point:
+def _moved_point(point: Point, trial: Trial, z: list[Array], length: float, of_duals: float) -> Point:
     """Return a point with new variables, and its duals moved: those of cones by a length of their own."""
     lengths = [of_duals if i in trial.s else length for i in range(len(z))]
     moved = [own + part * change for own, part, change in zip(point.z, lengths, z, strict=True)]

@@ -79,12 +79,12 @@ def grid_trajectories(
             following.append(RegularGridInterpolator(axes, value, bounds_error=False, fill_value=far))
             total = costs.at(t, pairs) + np.nan_to_num(following[-1](after), nan=far)
             value = np.minimum(total.reshape(-1, len(controls)).min(axis=1), far).reshape(value.shape)
-        found = _followed(problem, costs, following[::-1], far)
+        found = _follow_values(problem, costs, following[::-1], far)
         if found is not None:
             yield found
 
 
-def _followed(
+def _follow_values(
     problem: OptimalControlProblem, costs: _StageCosts, following: list[RegularGridInterpolator], far: float
 ) -> Trajectory | None:
     controls = _controls(problem, FINER * POINTS[problem.state_dim, problem.control_dim][1])
@@ -233,7 +233,7 @@ class LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
         try:
             if self.start is not None:
-                self._try(self.start.trajectory or self._held(SHARES[0]), self.start.sequence, warm=True)
+                self._try(self.start.trajectory or self._constant_trajectory(SHARES[0]), self.start.sequence, warm=True)
                 if self._smooth and self.best is not None and self.best.feasible:
                     return self
             self._on_grid(None)
@@ -244,7 +244,7 @@ class LocalSearch:
                 self._try(trajectory, sequence)
             if self._smooth and self.best is not None and not self.best.feasible:
                 self._try(self.best.trajectory, self.best.sequence, warm=True)
-            while not self._late() and (self._on_grid(self.best) or self._improved()):
+            while not self._late() and (self._on_grid(self.best) or self._improve_neighbours()):
                 pass
         except KeyboardInterrupt:
             self.interrupted, self.message = True, "interrupted"
@@ -254,7 +254,7 @@ class LocalSearch:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
         before = self.best
         self._try(trajectory, sequence, PRICES[:1])
-        while self.best is not before and self._improved():
+        while self.best is not before and self._improve_neighbours():
             pass
         return self.best is not before and self.best is not None and self.best.feasible
 
@@ -269,7 +269,7 @@ class LocalSearch:
             self._try(trajectory, piecewise_smooth(self.problem).sequence_of(trajectory.x, trajectory.u))
         return self.best is not before
 
-    def _improved(self) -> bool:
+    def _improve_neighbours(self) -> bool:
         """Try the neighbours of the best sequence; return whether one of them is better."""
         before = self.best
         if before is None:
@@ -316,13 +316,13 @@ class LocalSearch:
         """Yield trajectories of constant controls with their mode sequences, then with each mode alone."""
         dynamics = piecewise_smooth(self.problem)
         for share in SHARES:
-            trajectory = self._held(share)
+            trajectory = self._constant_trajectory(share)
             alone = np.zeros(self.problem.horizon, dtype=np.intp)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
         for mode in range(len(dynamics.modes)):
-            yield self._held(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
+            yield self._constant_trajectory(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
-    def _held(self, share: float) -> Trajectory:
+    def _constant_trajectory(self, share: float) -> Trajectory:
         """Return the trajectory of controls at a share between their bounds.
 
         Where there is none, the state is constant. Of one smooth map, whose replay may take long, it then goes straight

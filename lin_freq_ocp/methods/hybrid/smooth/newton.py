@@ -118,7 +118,7 @@ class System:
         F, derivative = self.equations(v * self.units)
         F, J = F * self.scales, derivative * self.scales[:, None] * self.units
         free, fixed = np.isinf(self.lower) & np.isinf(self.upper), self.lower == self.upper
-        phi, by_v, by_F = _bounded(v, F, self.lower, self.upper)
+        phi, by_v, by_F = _bounded_complementarity(v, F, self.lower, self.upper)
         phi, by_v, by_F = np.where(free, F, phi), np.where(free, 0.0, by_v), np.where(free, 1.0, by_F)
         phi = np.where(fixed, v - np.where(fixed, self.lower, 0.0), phi)
         by_v, by_F = np.where(fixed, 1.0, by_v), np.where(fixed, 0.0, by_F)
@@ -197,7 +197,7 @@ def jets_of(found: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Arr
     return values, slopes, curvatures
 
 
-def _bounded(v: Array, F: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+def _bounded_complementarity(v: Array, F: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
     """Return phi(v - l, phi(h - v, -F)) with its derivatives by v and by F."""
     with np.errstate(invalid="ignore"):
         inner, by_a, by_b = _fischer_burmeister(upper - v, -F)
@@ -299,7 +299,7 @@ def _run(system: System, v: Array, most_steps: int) -> NewtonRun:
     value = system.at(v)
     residuals = [float(np.linalg.norm(value.phi))]
     while residuals[-1] > CONVERGED and len(residuals) <= most_steps:
-        stepped = _stepped(system, v, value)
+        stepped = _damped_step(system, v, value)
         if stepped is None:
             break
         v, value = stepped
@@ -323,7 +323,7 @@ def _run(system: System, v: Array, most_steps: int) -> NewtonRun:
     return NewtonRun(Trajectory(x, u), multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
 
 
-def _stepped(system: System, v: Array, value: SystemValue) -> tuple[Array, SystemValue] | None:
+def _damped_step(system: System, v: Array, value: SystemValue) -> tuple[Array, SystemValue] | None:
     """Return the point after a step that decreases |Phi|^2, damped as little as possible, or None."""
     U, sizes, V = np.linalg.svd(value.slopes)
     gradient, along = value.slopes.T @ value.phi, U.T @ value.phi
@@ -358,7 +358,7 @@ def starting_point(
             regions = piecewise_smooth(system.problem).jets_at(y).regions
             crossed = [regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.switches]
             v[system.alpha] = np.array(crossed, dtype=float)
-        return _fitted(system, v / system.units, near)
+        return _fit_multipliers_near(system, v / system.units, near)
     v[system.eta] = multipliers.eta
     for block, rows, signal in (
         (system.rho_x, system.rows_x, system.problem.in_time(multipliers.rho_x)),
@@ -371,7 +371,7 @@ def starting_point(
     return v / system.units
 
 
-def _fitted(system: System, v: Array, near: float) -> Array:
+def _fit_multipliers_near(system: System, v: Array, near: float) -> Array:
     """Return the unknowns with the multipliers of least squares."""
     from scipy.optimize import lsq_linear  # slow to import
 

@@ -72,7 +72,7 @@ def local_optimum(
     """
     best: LocalOptimum | None = None
     for price in prices:
-        found = _descended(problem, start if best is None else best.trajectory, sequence, price, end)
+        found = _descend(problem, start if best is None else best.trajectory, sequence, price, end)
         if found is None:
             return best
         best = found
@@ -93,7 +93,7 @@ def flipped(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Ind
                 yield changed
 
 
-def _descended(
+def _descend(
     problem: OptimalControlProblem, start: Trajectory, sequence: Indices, price: float, end: float
 ) -> LocalOptimum | None:
     fixed = _SequenceProgram.of(problem, start, sequence)
