@@ -36,7 +36,7 @@ def test_ctrl_c_while_nothing_is_known_yet(monkeypatch):
 def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
     """A program may be solved twice, in natural and then in revised units: the interrupt may come in either."""
     finished = []
-    monkeypatch.setattr(convex, "ACCURATE", -1.0)
+    monkeypatch.setattr(convex, "ACCURATE_ANSWER", -1.0)
     monkeypatch.setattr(convex, "revised_scaling", lambda transcription, scaling, z: scaling)
 
     def impatient(program, tolerance, time_limit):
