@@ -61,7 +61,7 @@ def decimals_of(trajectory: Trajectory) -> int | None:
 
 
 class Facts(ABC):
-    """What the theorem says of a trajectory beside its conditions, where the dynamics are not smooth."""
+    """Facts about a trajectory of nonsmooth dynamics that the conditions do not say."""
 
     @property
     @abstractmethod

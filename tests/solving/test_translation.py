@@ -55,6 +55,16 @@ def test_a_move_costs_the_same_from_everywhere(method, origin, band):
     np.testing.assert_allclose(far.trajectory.x[-1], [origin + 1.0, 0.0], atol=1e-15 * origin)
 
 
+def test_the_bound_of_a_search_tree_is_that_of_the_given_cost():
+    """A price on the position costs more where zero is farther away: the tree's bounds are raised by as much."""
+    levels, cost = lfo.FiniteSet([-1, 0, 1]), lfo.QuadraticCost(R=1.0, q=[1e-3, 0.0])
+    near, far = (lfo.solve(move(place, T=4, control_set=levels, cost=cost)) for place in (0.0, 1e6))
+    raised = 4 * 1e-3 * 1e6
+    assert far.status == near.status == "optimal"
+    assert far.tree_bound.value == pytest.approx(near.tree_bound.value + raised, abs=1e-5)
+    np.testing.assert_allclose(far.tree_bound.bounds, near.tree_bound.bounds + raised, atol=1e-5)
+
+
 def test_a_state_that_misses_its_end_is_not_feasible_however_far_from_zero():
     certificate = lfo.certify(move(UTM, 4.0), np.zeros((20, 1)))
     assert not certificate.feasible

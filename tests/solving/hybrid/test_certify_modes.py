@@ -252,3 +252,12 @@ def test_multipliers_of_any_place_are_judged_without_an_error():
         )
         assert certificate.pmp == "violated"
         assert not certificate.feasible
+
+
+def test_all_multipliers_of_a_tree_are_restated():
+    evidence = lfo.solve(lfo.library.pendulum_with_wall(horizon=4)).evidence
+    restated = evidence.with_multipliers(lambda multipliers: replace(multipliers, eta=2.0 * multipliers.eta))
+    pairs = [(a.proof, b.proof) for a, b in zip(evidence.tree.nodes, restated.tree.nodes, strict=True) if a.proof]
+    assert pairs
+    for before, after in pairs:
+        np.testing.assert_array_equal(after.multipliers.eta, 2.0 * before.multipliers.eta)
