@@ -137,7 +137,7 @@ def extended(given: ArrayLike) -> NDArray[Any]:
 def times_vectors(matrix: ArrayLike, vectors: Array) -> Array:
     """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (T, columns)."""
     matrix = np.asarray(matrix)
-    if matrix.ndim == 2 and not matrix.any():
+    if matrix.ndim == 2 and not np.count_nonzero(matrix):
         return np.zeros((len(vectors), len(matrix)), dtype=vectors.dtype)
     return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
 

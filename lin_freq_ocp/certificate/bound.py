@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array, extended
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
@@ -123,7 +123,7 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     if curvatures is None:
         return None
     problem = extremal.problem
-    cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
+    cost = extremal.cost
     proven, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
     if cost - proven.value <= allowed:
         return proven
@@ -149,7 +149,7 @@ def optimum_box(extremal: Extremal, allowed: float) -> Enclosure:
     """
     problem, curvatures = extremal.problem, _stage_curvatures(extremal)
     if curvatures is not None:
-        cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
+        cost = extremal.cost
         _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
         summed = _sum_of_terms(extremal, np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms)
         level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
@@ -201,7 +201,7 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float,
         stage_gaps[: len(signal)] -= minimum.sum(1)
         losses.append(ARITHMETIC_ROUNDING * np.abs(slope * signal) - np.minimum(*pessimistic))
         steepest.append(np.abs(slope) + error)
-    residual = extended(x)[1:] - extremal.problem.linear.successors(extended(x), extended(u))
+    residual = extremal.x[1:] - extremal.problem.linear.successors(extremal.x, extremal.u)
     dynamics_term = float((extremal.multipliers.eta * residual).sum())
     frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
     stage_term = float(sum(priced.gap.sum() + priced.beyond for priced in extremal.terms))

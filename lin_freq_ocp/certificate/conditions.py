@@ -15,7 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, state_residual
+from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.sizes import Floors, floors
 from lin_freq_ocp.certificate.tolerances import (
@@ -28,11 +28,9 @@ from lin_freq_ocp.certificate.tolerances import (
     SCALE_FLOOR,
     TRIVIALITY,
 )
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.problem.trajectory import Trajectory
 
 # By kind of term: the labels of the condition that it holds, and of that on its multipliers
 LABELS = {
@@ -109,7 +107,7 @@ def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Con
     return (
         non_negativity(extremal),
         non_triviality(extremal),
-        state_equation(problem, extremal.trajectory, least),
+        state_equation(extremal.state_residual, problem.equations.motion_sizes(x, u), least),
         *adjoint_and_transversality(extremal, least),
         stationarity_in_u(extremal, least),
         *hamiltonian_maximum(extremal, least),
@@ -143,11 +141,10 @@ def non_triviality(extremal: Extremal) -> Condition:
     return Condition("C-ii", "multipliers not all zero", float(trivial), 1.0, 0.0)
 
 
-def state_equation(problem: OptimalControlProblem, trajectory: Trajectory, least: Floors) -> Condition:
-    """C-iii: x_{t+1} = f_t(x_t, u_t); compared with what the component moves."""
-    scales = np.maximum(problem.equations.motion_sizes(trajectory.x, trajectory.u), least.x)
-    residual = np.abs(state_residual(problem, trajectory))
-    return _of_states(worst_condition("C-iii", "state equation", residual, scales), least)
+def state_equation(residual: Array, moved: Array, least: Floors) -> Condition:
+    """C-iii: x_{t+1} = f_t(x_t, u_t); the residual (T, n) compared with what each component moves, (n,)."""
+    condition = worst_condition("C-iii", "state equation", np.abs(residual), np.maximum(moved, least.x))
+    return _of_states(condition, least)
 
 
 def _of_states(condition: Condition, least: Floors) -> Condition:
@@ -209,9 +206,11 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
 
 def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array) -> Condition:
     """C-vi, C-vii: the removed bins are zero; compared with the root mean square over all bins of the component."""
+    if not stopped.any():
+        scale = max(float(np.linalg.norm(signal[:, 0])), float(least[0]))
+        return Condition(label, name, 0.0, scale, CONDITION_TOLERANCE, 0, 0)
     magnitude = np.zeros(stopped.shape)
-    if stopped.any():
-        magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
+    magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
     return worst_condition(label, name, magnitude, np.maximum(np.linalg.norm(signal, axis=0), least))
 
 
@@ -243,7 +242,7 @@ def cost_of_residuals(extremal: Extremal) -> float:
     """
     multipliers, (x, u) = extremal.multipliers, (extremal.trajectory.x, extremal.trajectory.u)
     tubes = (x, multipliers.mu, extremal.problem.state_tube), (u, multipliers.nu, extremal.problem.control_tube)
-    parts = [multipliers.eta * state_residual(extremal.problem, extremal.trajectory), extremal.control_signal * u]
+    parts = [multipliers.eta * extremal.state_residual, extremal.control_signal * u]
     parts += [extremal.state_signal * x, *(np.abs(normal) * tube.violation(signal) for signal, normal, tube in tubes)]
     parts += [
         np.abs(one.weights) * np.broadcast_to(one.term.penalty.violation(one.values), one.weights.shape)

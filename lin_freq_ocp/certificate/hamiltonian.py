@@ -10,6 +10,7 @@ follows from it holds for them, too, and the bound for multipliers of any sign.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -61,6 +62,8 @@ class Extremal:
 
     Attributes
     ----------
+    x : (T+1, n), u : (T, m)
+        The trajectory.
     state_signal : (T+1, n), control_signal : (T, m)
         The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat.
     in_x : (T+1, n), in_u : (T, m)
@@ -74,6 +77,8 @@ class Extremal:
     problem: OptimalControlProblem
     trajectory: Trajectory
     multipliers: Multipliers
+    x: Array
+    u: Array
     state_signal: Array
     control_signal: Array
     in_x: Array
@@ -82,10 +87,20 @@ class Extremal:
     in_u_terms: Array
     terms: list[PricedTerm]
 
-    @property
+    @cached_property
     def eta_before(self) -> Array:
         """Return eta_{t-1} for t = 0 .. T, shape (T+1, n), with 0 at t = 0."""
-        return np.vstack([np.zeros(self.problem.state_dim), self.multipliers.eta])
+        return np.concatenate([np.zeros((1, self.problem.state_dim)), self.multipliers.eta])
+
+    @cached_property
+    def state_residual(self) -> Array:
+        """Return x_{t+1} - f_t(x_t, u_t), (T, n), in the precision of the trajectory."""
+        return state_residual(self.problem, self.trajectory)
+
+    @cached_property
+    def cost(self) -> float:
+        """Return J."""
+        return self.problem.value(self.x, self.u)
 
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
@@ -113,7 +128,7 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     in_u += through_u
     in_x_terms[:-1] += terms_x
     in_u_terms += terms_u
-    terms = _priced_terms(problem, trajectory, multipliers)
+    terms = _priced_terms(problem, trajectory, multipliers, x, u)
     shapes = x.shape, u.shape
     for priced in terms:
         pulled_x, pulled_u = priced.term.map.pull_back(priced.weights, shapes)
@@ -122,11 +137,13 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
         size_x, size_u = priced.term.map.pulled_sizes(priced.weights, shapes)
         in_x_terms += size_x
         in_u_terms += size_u
-    return Extremal(problem, trajectory, multipliers, *signals, in_x, in_u, in_x_terms, in_u_terms, terms)
+    return Extremal(problem, trajectory, multipliers, x, u, *signals, in_x, in_u, in_x_terms, in_u_terms, terms)
 
 
-def _priced_terms(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> list[PricedTerm]:
-    x, u = extended(trajectory.x), extended(trajectory.u)
+def _priced_terms(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, x: Array, u: Array
+) -> list[PricedTerm]:
+    """Return the terms along a trajectory, which is (x, u) in extended precision."""
     priced: list[PricedTerm] = []
     for term in problem.terms:
         given = multipliers.stage.get(term.name, np.zeros(term.shape))

@@ -54,8 +54,7 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     if curvature is None:
         return None
     extremal = _passed_extremal(extremal)
-    cost = problem.value(extended(extremal.trajectory.x), extended(extremal.trajectory.u))
-    tube = problem.control_tube
+    cost, tube = extremal.cost, problem.control_tube
     proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, RIGOROUS, "the stated bounds")
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
@@ -127,7 +126,7 @@ def _evaluate(
 ) -> Bound:
     """Return D over bounds of the controls."""
     problem, multipliers = extremal.problem, extremal.multipliers
-    x, u, unit = extended(extremal.trajectory.x), extended(extremal.trajectory.u), unit_rounding(problem)
+    x, u, unit = extremal.x, extremal.u, unit_rounding(problem)
     # the part of mu at bounds that exist, and these bounds
     mu, lower, upper = multipliers.mu, problem.state_tube.lower, problem.state_tube.upper
     above, below = (mu > 0) & np.isfinite(upper), (mu < 0) & np.isfinite(lower)

@@ -19,7 +19,7 @@ from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, in_form, printable
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.levels import with_levels
-from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, terms_of
+from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, changed, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets, box_of, end_set, end_within
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
@@ -175,20 +175,19 @@ class OptimalControlProblem(ProblemData):
         given = known_entries("references", references, ("x_ref", "u_ref"))
         if self.quadratic.zero:
             raise ProblemError("references", f"some for {brief(self.cost)}", "a problem with a quadratic cost")
-        quadratic, problem = replace(self.quadratic, **given), copy(self)
+        quadratic = replace(self.quadratic, **given)
         cost = CostSum([quadratic, *self.cost.norms]) if self.cost.norms else quadratic
-        assign(problem, cost=cost.at_dimensions(self.state_dim, self.control_dim, self.horizon))
-        return problem
+        return changed(self, cost=cost.at_dimensions(self.state_dim, self.control_dim, self.horizon))
 
-    @property
+    @cached_property
     def linear(self) -> LinearDynamics:
-        """Return the dynamics, which must be linear; else raise UnsupportedError."""
+        """The dynamics, which must be linear; else UnsupportedError."""
         advice = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
         return in_form(self.dynamics, LinearDynamics, advice)
 
-    @property
+    @cached_property
     def equations(self) -> StateEquations:
-        """Return the dynamics, which must be linear or known by a frequency response; else raise UnsupportedError."""
+        """The dynamics, which must be linear or known by a frequency response; else UnsupportedError."""
         advice = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
         return in_form(self.dynamics, StateEquations, advice)
 
@@ -207,8 +206,7 @@ class OptimalControlProblem(ProblemData):
         """
         if self.dynamics.affine:
             return self
-        problem = copy(self)
-        assign(problem, dynamics=self.dynamics.affine_at(trajectory.x, trajectory.u, selections))
+        problem = changed(self, dynamics=self.dynamics.affine_at(trajectory.x, trajectory.u, selections))
         problem.__dict__.update(borders=(), gap=None)  # smooth pieces meet continuously, and cover the sets
         return problem
 

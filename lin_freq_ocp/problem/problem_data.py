@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign, brief
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
@@ -49,14 +51,14 @@ class ProblemData:
         """Return where zero states lie in the coordinates that they were given in (``Translation``); None: there."""
         return self.__dict__.get("_origin")
 
-    @property
+    @cached_property
     def state_dim(self) -> int:
-        """Return n."""
+        """The number n of states."""
         return self.dynamics.state_dim
 
-    @property
+    @cached_property
     def control_dim(self) -> int:
-        """Return m."""
+        """The number m of controls."""
         return self.dynamics.control_dim
 
     @property
@@ -79,9 +81,9 @@ class ProblemData:
         """Return the names of the control components, with units."""
         return self.dynamics.control_names
 
-    @property
+    @cached_property
     def quadratic(self) -> QuadraticCost:
-        """Return the quadratic part of the cost."""
+        """The quadratic part of the cost."""
         return self.cost.quadratic
 
     @property
@@ -156,13 +158,32 @@ class ProblemData:
     def in_time(self, rho_x: ComplexArray) -> Array:
         """Return (R' rho_x)_t, (T+1, n), for rho_x (N//2 + 1, n); it is zero where a state is in no spectrum."""
         signal = time_signal(rho_x, self.state_samples)
-        return np.pad(signal, ((0, self.horizon + 1 - len(signal)), (0, 0)))
+        last = np.zeros((self.horizon + 1 - len(signal), self.state_dim), dtype=signal.dtype)
+        return np.concatenate([signal, last])
 
     @cached_property
     def state_stop(self) -> Mask:
         """Which bins are removed from which state: shape (N//2 + 1, n), N = ``state_samples``."""
         constraints, names = self.state_spectrum, self.state_names
         return stopped_bins("state_spectrum", constraints, self.state_samples, names, self.sampling_time)
+
+
+Data = TypeVar("Data", bound=ProblemData)
+# The cached properties that depend on a field, where not on everything
+DEPENDENT = {
+    "dynamics": ("linear", "equations", "borders", "gap"),
+    "cost": ("quadratic",),
+    "state_set": ("state_boxes", "met_ends", "state_tube", "terms"),
+}
+
+
+def changed(problem: Data, **fields: object) -> Data:
+    """Return a problem with other fields, which fit: nothing is checked again, and what depends on them not kept."""
+    other = copy(problem)
+    assign(other, **fields)
+    for name in (name for field in fields for name in DEPENDENT.get(field, ())):
+        other.__dict__.pop(name, None)
+    return other
 
 
 def terms_of(problem: ProblemData) -> tuple[Term, ...]:

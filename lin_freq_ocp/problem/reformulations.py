@@ -10,29 +10,19 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import (
-    Array,
-    Bound,
-    Mask,
-    assign,
-    brief,
-    one_component,
-    real_array,
-    with_columns,
-    with_rows,
-)
+from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, one_component, real_array, with_columns, with_rows
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.problem_data import changed
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
@@ -41,7 +31,6 @@ from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-OF_STATES = ("state_boxes", "met_ends", "state_tube", "terms", "borders", "gap")  # what a problem caches of its states
 # Distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
 FAR_FROM_ZERO = 10.0
 ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its terms
@@ -96,9 +85,8 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
     dynamics, cost = problem.dynamics.translated(origin), problem.cost.translated(origin)
     if dynamics is None or cost is None:
         return none
-    moved = copy(problem)
-    assign(
-        moved,
+    moved = changed(
+        problem,
         dynamics=dynamics,
         cost=cost.at_dimensions(problem.state_dim, problem.control_dim, problem.horizon),
         state_set=translated_set(problem.state_set, origin),
@@ -107,8 +95,6 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
         stage_rows=tuple(rows.translated(origin) for rows in problem.stage_rows),
         _origin=origin if problem.origin is None else problem.origin + origin,
     )
-    for name in OF_STATES:
-        moved.__dict__.pop(name, None)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BandWarning)  # the given problem has said so
         _ = moved.ends, moved.terms

@@ -31,7 +31,7 @@ from scipy.linalg import block_diag
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
-from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
+from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, state_residual
 from lin_freq_ocp.certificate.sizes import Floors, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.certificate.verdict import Certificate, Facts, Judgement
@@ -414,7 +414,9 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
     least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
-    own = state_equation(replace(problem, dynamics=piecewise_affine(problem).along(sequence)), trajectory, least)
+    along = replace(problem, dynamics=piecewise_affine(problem).along(sequence))
+    moved = along.equations.motion_sizes(trajectory.x, trajectory.u)
+    own = state_equation(state_residual(along, trajectory), moved, least)
     linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
     active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)
     stages = switching_stages(extremal, least, arrays, active, gaps)
