@@ -71,17 +71,20 @@ def diagonal_curvature(hessian: Array) -> Array | None:
     C = D^-1/2 H D^-1/2: H >= lambda_min(C) D. Where H is a rounded product, with lambda_min(C) about 0, m is zero only
     if H is exactly semidefinite; else it is below zero by the ``least_rise`` of H.
     """
-    curvature = np.array(np.diagonal(hessian, axis1=-2, axis2=-1))
-    if (curvature < 0).any() or hessian[curvature == 0].any():
+    curvature = hessian.diagonal(axis1=-2, axis2=-1).copy()
+    if (curvature < 0).any():
+        return None
+    if np.count_nonzero(hessian) == np.count_nonzero(curvature):
+        return curvature
+    if hessian[curvature == 0].any():
         return None
     pattern = (hessian != 0).any(axis=tuple(range(hessian.ndim - 2)))
-    if np.count_nonzero(pattern) > np.count_nonzero(pattern.diagonal()):
-        _, groups = connected_components(pattern, directed=False)
-        for mine in (np.flatnonzero(groups == group) for group in np.unique(groups)):
-            part = _least_part(hessian[..., mine[:, None], mine]) if len(mine) > 1 else np.ones(())
-            if part is None:
-                return None
-            curvature[..., mine] *= part[..., None]
+    _, groups = connected_components(pattern, directed=False)
+    for mine in (np.flatnonzero(groups == group) for group in np.unique(groups)):
+        part = _least_part(hessian[..., mine[:, None], mine]) if len(mine) > 1 else np.ones(())
+        if part is None:
+            return None
+        curvature[..., mine] *= part[..., None]
     return curvature
 
 
@@ -196,7 +199,7 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float,
         (x, u), slopes, terms, curvatures, (box.x, box.u), strict=True
     ):
         low, high, slope = lower - signal, upper - signal, exact.astype(np.float64)
-        error = unit * size.astype(np.float64) + ARITHMETIC_ROUNDING * np.abs(slope)
+        error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
         minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
         stage_gaps[: len(signal)] -= minimum.sum(1)
         losses.append(ARITHMETIC_ROUNDING * np.abs(slope * signal) - np.minimum(*pessimistic))

@@ -156,7 +156,7 @@ def _of_states(condition: Condition, least: Floors) -> Condition:
 def adjoint_and_transversality(extremal: Extremal, least: Floors) -> list[Condition]:
     """C-iii: eta_{t-1} = D_x H_t - mu_t, 0 < t < T; C-iv: D_x H_0 = mu_0, eta_{T-1} = -eta_C D c_T - ... - mu_T."""
     before, mu = extremal.eta_before, extremal.multipliers.mu
-    residual = np.abs(before - extremal.in_x + mu)
+    residual = np.abs(before - extremal.in_x + mu).astype(np.float64)
     scales = _scales(np.abs(before) + extremal.in_x_terms + np.abs(mu), least.in_x)
     last = len(residual) - 1
     conditions = [worst_condition("C-iii", "adjoint equation", residual[1:-1], scales, first=1)] if last > 1 else []
@@ -168,7 +168,7 @@ def adjoint_and_transversality(extremal: Extremal, least: Floors) -> list[Condit
 def stationarity_in_u(extremal: Extremal, least: Floors) -> Condition:
     """C-v, to first order: D_u H_t = nu_t (and nu_t in N_U(u_t), which is N-u)."""
     nu = extremal.multipliers.nu
-    residual = np.abs(extremal.in_u - nu)
+    residual = np.abs(extremal.in_u - nu).astype(np.float64)
     return worst_condition(
         "C-v", "Hamiltonian stationary in u", residual, _scales(extremal.in_u_terms + np.abs(nu), least.in_u)
     )
@@ -190,7 +190,7 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
         return []
     tube, reach = problem.control_tube, MAXIMISATION_REACH * least.u / SCALE_FLOOR
     low, high = np.maximum(tube.lower - u, -reach), np.minimum(tube.upper - u, reach)
-    excess = -box_minimum(-extremal.in_u, curvature, low, np.maximum(low, high))
+    excess = -box_minimum(-extremal.in_u.astype(np.float64), curvature, low, np.maximum(low, high))
     excess = np.maximum(excess, 0.0)  # u_t a rounding error outside U_t can exceed the maximum over it
     total = excess.sum(1)
     for priced in extremal.terms:
@@ -199,8 +199,8 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
             np.add.at(total, times, np.maximum(priced.gap, 0.0).sum(1))
     terms = (extremal.in_u_terms * np.abs(u)).sum(1)
     scale = max(least.level, float(terms.max()))
-    t = int(np.argmax(total))
-    component = int(np.argmax(excess[t]))
+    t = int(total.argmax())
+    component = int(excess[t].argmax())
     return [Condition("C-v", "Hamiltonian maximal in u", float(total[t]), scale, CONDITION_TOLERANCE, t, component)]
 
 
@@ -337,7 +337,7 @@ def _scales(terms: Array, least: Array) -> Array:
 
 def worst_condition(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:
     """Return the condition at its worst entry relative to its component's scale; residual (times, components)."""
-    relative = np.divide(residual, scales, out=np.zeros_like(residual), where=scales > 0)
+    relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
     t, component = _argmax(relative)
     return Condition(
         label, name, float(residual[t, component]), float(scales[component]), CONDITION_TOLERANCE, first + t, component
@@ -345,4 +345,4 @@ def worst_condition(label: str, name: str, residual: Array, scales: Array, first
 
 
 def _argmax(values: Array) -> Sequence[int]:
-    return divmod(int(np.argmax(values)), values.shape[1])
+    return divmod(int(values.argmax()), values.shape[1])

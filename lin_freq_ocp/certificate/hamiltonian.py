@@ -58,7 +58,8 @@ class PricedTerm:
 class Extremal:
     """A trajectory with its multipliers, and what several conditions need of them.
 
-    Signals and derivatives are in extended precision: they are what is left of terms that cancel.
+    Signals and derivatives are in extended precision: they are what is left of terms that cancel. Sums of absolute
+    values are not: nothing in them cancels.
 
     Attributes
     ----------
@@ -119,11 +120,11 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     signals = problem.in_time(extended(multipliers.rho_x)), time_signal(extended(multipliers.rho_u), T)
     cost_x, cost_u = problem.quadratic.gradient(x, u)
     in_x, in_u = -eta_C * cost_x - signals[0], -eta_C * cost_u - signals[1]
-    cost_x_terms, cost_u_terms = problem.quadratic.gradient_magnitudes(x, u)
+    cost_x_terms, cost_u_terms = problem.quadratic.gradient_magnitudes(trajectory.x, trajectory.u)
     in_x_terms = abs(eta_C) * cost_x_terms + np.abs(multipliers.rho_x).sum(0)
     in_u_terms = abs(eta_C) * cost_u_terms + np.abs(multipliers.rho_u).sum(0)
     through_x, through_u = problem.equations.pull_back(eta)
-    terms_x, terms_u = problem.equations.pulled_sizes(eta)
+    terms_x, terms_u = problem.equations.pulled_sizes(multipliers.eta)
     in_x[:-1] += through_x
     in_u += through_u
     in_x_terms[:-1] += terms_x
@@ -173,7 +174,9 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
     ):
         if rho.shape != stop.shape:
             raise ProblemError(f"multipliers.{field}", f"shape {rho.shape}", f"shape {stop.shape}")
-        for k, i in np.argwhere((rho != 0) & ~stop)[:1]:
+        of_free = (rho != 0) & ~stop
+        if of_free.any():
+            k, i = np.argwhere(of_free)[0]
             raise ProblemError(f"multipliers.{field}[{k}, {i}]", f"{rho[k, i]:g}", "0", f"Bin {k} is free.")
     terms = {term.name: term for term in problem.terms}
     for name, given in multipliers.stage.items():

@@ -113,11 +113,8 @@ def cost_scale(
 
 def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
     """Return the sum of the absolute values of the terms of the cost."""
-    cost, x, u = problem.quadratic, trajectory.x, trajectory.u
-    linear = np.append((x[:-1] * cost.q).sum(1) + (u * cost.r).sum(1), x[-1] @ cost.p)
-    total = float(np.abs(cost.stage_values(x, u) - linear).sum() + np.abs(x[-1] * cost.p).sum())
-    total += float(np.abs(x[:-1] * cost.q).sum() + np.abs(u * cost.r).sum())
-    return total + sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
+    x, u = trajectory.x, trajectory.u
+    return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(t.cost(x, u)).sum()) for t in problem.terms)
 
 
 def _own_sizes(problem: OptimalControlProblem, offset: Array) -> Array:
@@ -168,7 +165,7 @@ def floors(
     """
     problem, T = extremal.problem, extremal.problem.horizon
     x, u = trajectory_sizes(problem, extremal.trajectory) if sizes is None else sizes
-    steady = np.tile(x, (T + 1, 1)), np.tile(u, (T, 1))
+    steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
     if extremal.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
         before = np.abs(extremal.eta_before) + extremal.in_x_terms

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -17,7 +16,17 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, one_component, real_array, shaped, times_vectors
+from lin_freq_ocp.base.arrays import (
+    Array,
+    Mask,
+    assign,
+    brief,
+    one_component,
+    real_array,
+    sealed,
+    shaped,
+    times_vectors,
+)
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum
 from lin_freq_ocp.problem.terms.term import Term
@@ -179,7 +188,12 @@ class QuadraticCost(Cost):
     @property
     def zero(self) -> bool:
         """Whether all its terms are zero."""
-        return not any(getattr(self, term).any() for term in ("Q", "R", "S", "q", "r", "P", "p"))
+        return not self._nonzero
+
+    @cached_property
+    def _nonzero(self) -> frozenset[str]:
+        """The names of the matrices and vectors that are not zero."""
+        return frozenset(name for name in ("Q", "R", "S", "q", "r", "P", "p") if getattr(self, name).any())
 
     def describe(self) -> str:
         """Return the nonzero terms as a formula; empty if all are zero."""
@@ -263,11 +277,27 @@ class QuadraticCost(Cost):
     def stage_values(self, x: Array, u: Array) -> Array:
         """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (T+1,)."""
         a, b = self.deviations(x, u)
-        stage = (0.5 * b * times_vectors(self.R, b) + u * self.r).sum(1)
-        if self.Q.any() or self.S.any() or self.q.any():
-            slope = 0.5 * times_vectors(self.Q, a[:-1]) + times_vectors(self.S, b)
-            stage = stage + (a[:-1] * slope + x[:-1] * self.q).sum(1)
-        return np.append(stage, 0.5 * a[-1] @ self.P @ a[-1] + self.p @ x[-1])
+        values = np.empty(len(x), dtype=np.result_type(a, b))
+        values[:-1] = (0.5 * b * times_vectors(self.R, b)).sum(1)
+        if "Q" in self._nonzero or "S" in self._nonzero:
+            values[:-1] += (a[:-1] * (0.5 * times_vectors(self.Q, a[:-1]) + times_vectors(self.S, b))).sum(1)
+        values[-1] = 0.5 * a[-1] @ self.P @ a[-1]
+        return values + sum(linear.sum(1) for linear in self._linear_terms(x, u))
+
+    def sum_of_terms(self, x: Array, u: Array) -> float:
+        """Return the sum of the absolute values of the terms; of one time, the quadratic part is a single term."""
+        linear = self._linear_terms(x, u)
+        quadratic = self.stage_values(x, u) - sum(part.sum(1) for part in linear)
+        return float(np.abs(quadratic).sum() + sum(np.abs(part).sum() for part in linear))
+
+    def _linear_terms(self, x: Array, u: Array) -> list[Array]:
+        """Return q'x_t and p'x_T, and r'u_t, entry by entry, (T+1, n) and (T+1, m), where they are not zero."""
+        parts = list[Array]()
+        if "q" in self._nonzero or "p" in self._nonzero:
+            parts.append(np.concatenate([x[:-1] * self.q, x[-1:] * self.p]))
+        if "r" in self._nonzero:
+            parts.append(np.concatenate([u * self.r, np.zeros((1, u.shape[1]))]))
+        return parts
 
     def value(self, x: Array, u: Array) -> float:
         """Return the total cost."""
@@ -276,10 +306,12 @@ class QuadraticCost(Cost):
     def gradient(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the gradients in x, shape (T+1, n), and in u, shape (T, m)."""
         a, b = self.deviations(x, u)
-        in_x = np.empty_like(x)
-        in_x[:-1] = times_vectors(self.Q, a[:-1]) + times_vectors(self.S, b) + self.q
+        in_x, in_u = np.empty(a.shape, a.dtype), times_vectors(self.R, b) + self.r
+        in_x[:-1] = times_vectors(self.Q, a[:-1]) + self.q
         in_x[-1] = self.P @ a[-1] + self.p
-        in_u = times_vectors(self.R, b) + times_vectors(np.swapaxes(self.S, -1, -2), a[:-1]) + self.r
+        if "S" in self._nonzero:
+            in_x[:-1] += times_vectors(self.S, b)
+            in_u += times_vectors(np.swapaxes(self.S, -1, -2), a[:-1])
         return in_x, in_u
 
     def magnitudes(self) -> QuadraticCost:
@@ -288,7 +320,7 @@ class QuadraticCost(Cost):
 
     @cached_property
     def _magnitudes(self) -> QuadraticCost:
-        other = copy(self)
+        other = object.__new__(QuadraticCost)
         assign(other, **{field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")})
         assign(other, x_ref=np.zeros(()), u_ref=np.zeros(()))
         return other
@@ -299,14 +331,18 @@ class QuadraticCost(Cost):
         return plain.gradient(np.abs(x) + np.abs(self.x_ref), np.abs(u) + np.abs(self.u_ref))
 
     def stage_hessians(self) -> Array:
-        """Return [[Q, S], [S', R]], shape (1, n+m, n+m) if constant in time, else (T, n+m, n+m)."""
+        """Return [[Q, S], [S', R]], read-only, (1, n+m, n+m) if constant in time, else (T, n+m, n+m)."""
+        return self._stage_hessians
+
+    @cached_property
+    def _stage_hessians(self) -> Array:
         Q, R, S = (part[None] if part.ndim == 2 else part for part in (self.Q, self.R, self.S))
         times = max(len(Q), len(R), len(S))
         n, m = S.shape[1:]
         hessian = np.empty((times, n + m, n + m))
         hessian[:, :n, :n], hessian[:, n:, n:] = Q, R
         hessian[:, :n, n:], hessian[:, n:, :n] = S, np.swapaxes(S, 1, 2)
-        return hessian
+        return sealed(hessian)
 
     @cached_property
     def rises(self) -> tuple[Array, float]:

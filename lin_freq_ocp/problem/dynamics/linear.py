@@ -279,9 +279,9 @@ class LinearDynamics(StateEquations):
 
     def gains(self) -> tuple[Array, Array, Array]:
         """Return the largest |A| (n, n), |B| (n, m) and |d| (n,) over times."""
-        n, m = self.state_dim, self.control_dim
-        A, B = np.abs(self.A).reshape(-1, n, n).max(0), np.abs(self.B).reshape(-1, n, m).max(0)
-        return A, B, np.abs(self.offset).reshape(-1, n).max(0)
+        plain = self.magnitudes()
+        A, B = (matrix if matrix.ndim == 2 else matrix.max(0) for matrix in (plain.A, plain.B))
+        return A, B, plain.offset if plain.offset.ndim == 1 else plain.offset.max(0)
 
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:
         """Return these dynamics."""
