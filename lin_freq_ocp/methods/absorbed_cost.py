@@ -17,53 +17,65 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import with_columns
-from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import wider
+from lin_freq_ocp.problem.reductions import Reduction
+from lin_freq_ocp.problem.reformulations import OwnStates, augment_states
 from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
-@dataclass(frozen=True, eq=False)
-class AbsorbedCost:
-    """The problem with further outputs, and what the given one was."""
+class AbsorbedCost(Reduction):
+    """The cost becomes convex at each time, as squares of further outputs."""
 
-    problem: OptimalControlProblem
-    given: OptimalControlProblem
+    def accepts(self, problem: OptimalControlProblem) -> bool:
+        """Whether it is not convex at each time, of constant Q, R and S over a frequency response."""
+        return (
+            problem.dynamics.response(problem.horizon) is not None
+            and problem.quadratic.nonconvexity() is not None
+            and not any(part.ndim == 3 for part in (problem.quadratic.Q, problem.quadratic.R, problem.quadratic.S))
+        )
+
+    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, AbsorbedCostInverse]:
+        """Return the problem with further outputs."""
+        response = problem.dynamics.response(problem.horizon)
+        curvature = None if response is None else bin_curvature(problem, response)
+        assert response is not None  # it is accepted
+        assert curvature is not None
+        values, vectors = np.linalg.eigh(curvature.within)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2).conj()
+        if not response.closed:  # the samples from T on, as outputs that lead by T
+            lead = np.where(np.arange(len(root)) % 2 == 0, 1.0, -1.0)[:, None, None]
+            root = np.concatenate([root, lead * root], axis=1)
+        k = root.shape[1]
+        dynamics = FrequencyResponse(
+            np.concatenate([response.G, root], axis=1),
+            problem.sampling_time,
+            disturbance=with_columns(response.base[:-1] if response.closed else response.base, k),
+            mode="periodic" if response.closed else "zero-padded",
+            state_names=[*problem.state_names, *(f"square root of the cost {i}" for i in range(k))],
+            control_names=problem.control_names,
+        )
+        free = np.full(k, np.inf)
+        further = augment_states(problem, dynamics, Box(-free, free), -free, _cost(problem, response, k))
+        return further, AbsorbedCostInverse(problem, further, response, curvature)
+
+
+@dataclass(frozen=True, eq=False)
+class AbsorbedCostInverse(OwnStates):
+    """The way back to the given outputs and cost."""
+
     response: Response
     curvature: BinCurvature
 
-    def candidate(self, found: Candidate) -> Candidate:
-        """Return the candidate for the given problem."""
-        n, trajectory, multipliers = self.given.state_dim, found.trajectory, found.multipliers
-        if trajectory is not None:
-            trajectory = Trajectory(trajectory.x[:, :n], trajectory.u)
-        if trajectory is not None and multipliers is not None:
-            multipliers = self._with_given_gradients(self._without_outputs(multipliers), trajectory)
-        ray = None if found.ray is None else self._without_outputs(found.ray)
-        descent = None if found.descent is None else Trajectory(found.descent.x[:, :n], found.descent.u)
-        return replace(found, trajectory=trajectory, multipliers=multipliers, ray=ray, descent=descent)
-
-    def _without_outputs(self, given: Multipliers) -> Multipliers:
-        """Return the multipliers without those of the further outputs."""
-        n, stage = self.given.state_dim, dict(given.stage)
-        sizes = {term.name: term.shape[1] for term in self.given.terms}
-        for term in self.problem.terms:
-            if term.name in stage and stage[term.name].shape[1] > sizes[term.name]:
-                # the values of the given signals: further outputs have their own bounds
-                form, own = term.map.stage_form(self.problem.state_dim, self.given.control_dim), slice(sizes[term.name])
-                if form is not None:
-                    matrix = form[0][0]
-                    own = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
-                stage[term.name] = stage[term.name][:, own]
-        return replace(given, eta=given.eta[:, :n], mu=given.mu[:, :n], rho_x=given.rho_x[:, :n], stage=stage)
-
-    def _with_given_gradients(self, found: Multipliers, at: Trajectory) -> Multipliers:
-        """Return multipliers whose gradients are those of the given cost at a trajectory."""
+    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers of the given states; at a trajectory, with the gradients of the given cost there."""
+        found = super().multipliers(found)
+        if at is None:
+            return found
         cost, link = self.given.quadratic, self.given.links[-1].name
         absorbed = at.u @ cost.S.T
         if self.response.closed:
@@ -82,31 +94,6 @@ class AbsorbedCost:
             missing = ((H - inside) @ spectrum[:, :, None])[:, :, 0] * ~self.curvature.passed
             rho_u -= self.response.weight[:, None] * missing / self.response.record
         return replace(found, eta=eta, rho_u=rho_u, stage={**found.stage, link: on_link})
-
-
-def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
-    """Return the problem whose cost is convex at each time; None if the given one's is, or has no response."""
-    response = problem.dynamics.response(problem.horizon)
-    found = None if response is None else bin_curvature(problem, response)
-    if response is None or found is None or problem.quadratic.nonconvexity() is None:
-        return None
-    values, vectors = np.linalg.eigh(found.within)
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2).conj()
-    if not response.closed:  # the samples from T on, as outputs that lead by T
-        lead = np.where(np.arange(len(root)) % 2 == 0, 1.0, -1.0)[:, None, None]
-        root = np.concatenate([root, lead * root], axis=1)
-    k = root.shape[1]
-    dynamics = FrequencyResponse(
-        np.concatenate([response.G, root], axis=1),
-        problem.sampling_time,
-        disturbance=with_columns(response.base[:-1] if response.closed else response.base, k),
-        mode="periodic" if response.closed else "zero-padded",
-        state_names=[*problem.state_names, *(f"square root of the cost {i}" for i in range(k))],
-        control_names=problem.control_names,
-    )
-    free = np.full(k, np.inf)
-    further = wider(problem, dynamics, Box(-free, free), -free, _cost(problem, response, k))
-    return AbsorbedCost(further, problem, response, found)
 
 
 def _cost(problem: OptimalControlProblem, response: Response, k: int) -> CostSum:

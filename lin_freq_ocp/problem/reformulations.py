@@ -1,4 +1,4 @@
-"""Problems made of a problem: its states counted from another origin, states added to its own, rates limited.
+"""Reductions of any problem: states counted from another origin, states added, rates limited, sampled frequencies.
 
 A far origin costs digits, so that states are counted from where they move. Where a constraint has a memory, the memory
 becomes a state; a limit on the change of a control is joint rows on (x_t, u_{t-1}). Semi-infinite constraints have
@@ -29,17 +29,18 @@ from lin_freq_ocp.base.arrays import (
     with_rows,
 )
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
-from lin_freq_ocp.base.phrases import split_unit
+from lin_freq_ocp.base.phrases import plural, split_unit
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.reductions import Inverse, Reduction
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_indices, entries_of
 from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 OF_STATES = ("state_boxes", "met_ends", "state_tube", "terms", "borders", "gap")  # what a problem caches of its states
 # Distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
@@ -47,8 +48,21 @@ FAR_FROM_ZERO = 10.0
 ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its terms
 
 
+class FarOrigin(Reduction):
+    """States are counted from where they move, where that is far from zero."""
+
+    def accepts(self, problem: OptimalControlProblem) -> bool:
+        """Whether some state moves far from zero, and its dynamics, cost and sets can be translated."""
+        return translation_of(problem).moves
+
+    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, Translation]:
+        """Return the translated problem."""
+        translation = translation_of(problem)
+        return translation.problem, translation
+
+
 @dataclass(frozen=True, eq=False)
-class Translation:
+class Translation(Inverse):
     """A problem, and the same problem with its states counted from an origin, (n,): x = origin + y.
 
     A, B, control sets, multipliers and costs stay; offsets, ends, state sets, references, rows, guards and regions move
@@ -56,8 +70,6 @@ class Translation:
     relative tolerance sees numbers of 5e6; counted from the start of the move, it is the same problem as anywhere else.
     """
 
-    given: OptimalControlProblem
-    problem: OptimalControlProblem
     origin: Array
 
     @property
@@ -75,9 +87,13 @@ class Translation:
         """Return a trajectory of the given problem as one of the translated problem."""
         return Trajectory(trajectory.x - self.origin, trajectory.u) if self.moves else trajectory
 
-    def restored(self, trajectory: Trajectory) -> Trajectory:
-        """Return a trajectory of the translated problem as one of the given problem."""
-        return Trajectory(trajectory.x + self.origin, trajectory.u) if self.moves else trajectory
+    def trajectory(self, found: Trajectory) -> Trajectory:
+        """Return a trajectory of the translated problem as one of the given problem, rounded to its digits."""
+        return Trajectory(found.x + self.origin, found.u) if self.moves else found
+
+    def judged_at(self, trajectory: Trajectory) -> tuple[OptimalControlProblem, Trajectory]:
+        """Return the translated problem with the rounded trajectory: residuals there are not those of large numbers."""
+        return self.problem, self.translated(trajectory)
 
 
 def translation_of(problem: OptimalControlProblem) -> Translation:
@@ -202,25 +218,25 @@ class AddedStates:
 def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
     dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
-    return wider(problem, dynamics, added.initial, added.lower, _augmented_cost(problem, len(added.A)))
+    return augment_states(problem, dynamics, added.initial, added.lower, _augmented_cost(problem, len(added.A)))
 
 
-def wider(
+def augment_states(
     problem: OptimalControlProblem, dynamics: Dynamics, initial: Box, lower: Array, cost: Cost
 ) -> OptimalControlProblem:
     """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,)."""
     k = len(lower)
     free, state_set, boxes = np.full(k, np.inf), problem.state_set, problem.state_boxes
     if isinstance(state_set, Sequence):
-        wider_set: SetOrSets = [_with_box(one, boxes.at(t), Box(lower, free)) for t, one in enumerate(state_set)]
+        augmented_set: SetOrSets = [_with_box(one, boxes.at(t), Box(lower, free)) for t, one in enumerate(state_set)]
     else:
         shape = problem.horizon + 1, k
-        wider_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
+        augmented_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
     return replace(
         problem,
         dynamics=dynamics,
         cost=cost,
-        state_set=wider_set,
+        state_set=augmented_set,
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
         state_spectrum=[
@@ -236,7 +252,7 @@ def wider(
 
 def _augmented_cost(problem: OptimalControlProblem, k: int) -> CostSum:
     cost, n = problem.quadratic, problem.state_dim
-    wider = QuadraticCost(
+    augmented = QuadraticCost(
         Q=with_rows(with_columns(cost.Q, k), np.zeros((k, n + k))),
         R=cost.R,
         S=with_rows(cost.S, np.zeros((k, problem.control_dim))),
@@ -247,7 +263,7 @@ def _augmented_cost(problem: OptimalControlProblem, k: int) -> CostSum:
         x_ref=with_columns(cost.x_ref, k),
         u_ref=cost.u_ref,
     )
-    return CostSum([wider, *(one.extended(n, k) for one in problem.cost.norms)])
+    return CostSum([augmented, *(one.extended(n, k) for one in problem.cost.norms)])
 
 
 def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
@@ -258,7 +274,84 @@ def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
     return Intersection([box, *(one.extended(n, k) for one in members)]) if members else box
 
 
+@dataclass(frozen=True, eq=False)
+class OwnStates(Inverse):
+    """The way back from a problem in the states (x, w) to the one in x, where w has no cost at a trajectory."""
+
+    def trajectory(self, found: Trajectory) -> Trajectory:
+        """Return the trajectory without w."""
+        return Trajectory(found.x[:, : self.given.state_dim], found.u)
+
+    def direction(self, found: Trajectory) -> Trajectory:
+        """Return the direction without w."""
+        return self.trajectory(found)
+
+    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers without those of w; what limits x and w together keeps them under its name."""
+        n, stage = self.given.state_dim, dict(found.stage)
+        sizes = {term.name: term.shape[1] for term in self.given.terms}
+        for term in self.problem.terms:
+            if term.name in stage and stage[term.name].shape[1] > sizes.get(term.name, np.inf):
+                # the values of x and u: w has bounds of its own
+                form, own = term.map.stage_form(self.problem.state_dim, self.given.control_dim), slice(sizes[term.name])
+                if form is not None:
+                    matrix = form[0][0]
+                    own = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
+                stage[term.name] = stage[term.name][:, own]
+        return replace(found, eta=found.eta[:, :n], mu=found.mu[:, :n], rho_x=found.rho_x[:, :n], stage=stage)
+
+
 RATE_LIMIT = "rate limit"  # of the added rows
+
+
+@dataclass(frozen=True)
+class RateLimit(Reduction):
+    """|u_t - u_{t-1}| <= limit as joint rows, in the states (x, u_{t-1}); arguments as those of ``rate_limited``.
+
+    The limits keep their multipliers under their name: those of the rows for u_t - u_{t-1} itself.
+    """
+
+    limit: Bound
+    previous: ArrayLike | None = None
+
+    def accepts(self, problem: OptimalControlProblem) -> bool:
+        """Whether its rates are not limited."""
+        return all(rows.name != RATE_LIMIT for rows in problem.stage_rows)
+
+    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, OwnStates]:
+        """Return the problem with one more state for each limited control; ProblemError if the limit does not fit."""
+        m, limit, previous = problem.control_dim, self.limit, self.previous
+        given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
+        limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
+        if limits.shape not in ((), (m,)) or (limits < 0).any():
+            expected = f"one number, zero or above, or one for each of the {m} controls"
+            raise ProblemError("rate_limit", brief(limit), expected)
+        limits = np.broadcast_to(limits, m)
+        limited = np.flatnonzero(np.isfinite(limits))
+        if not len(limited):
+            raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
+        if not self.accepts(problem):
+            raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{RATE_LIMIT}'")
+        k, chosen = len(limited), np.eye(m)[limited]
+        before = np.full((2, k), [[-np.inf], [np.inf]])
+        if previous is not None:
+            last = one_component(real_array("previous", previous), m)
+            if last.shape != (m,):
+                raise ProblemError("previous", f"shape {last.shape}", f"one number for each of the {m} controls")
+            before = np.tile(last[limited], (2, 1))
+        labels = [split_unit(problem.control_names[j]) for j in limited]
+        names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
+        added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
+        remembering = extended(problem, added)
+        of_x = np.zeros((k, problem.state_dim))
+        rows = StageRows(
+            np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
+            np.vstack([chosen, -chosen]),
+            np.tile(limits[limited], 2),
+            name=RATE_LIMIT,
+        )
+        limited_problem = replace(remembering, stage_rows=[*remembering.stage_rows, rows])
+        return limited_problem, OwnStates(problem, limited_problem)
 
 
 def rate_limited(
@@ -291,37 +384,7 @@ def rate_limited(
     3
     """
     require_problem(problem)
-    m = problem.control_dim
-    given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
-    limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
-    if limits.shape not in ((), (m,)) or (limits < 0).any():
-        expected = f"one number, zero or above, or one for each of the {m} controls"
-        raise ProblemError("rate_limit", brief(limit), expected)
-    limits = np.broadcast_to(limits, m)
-    limited = np.flatnonzero(np.isfinite(limits))
-    if not len(limited):
-        raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
-    if any(rows.name == RATE_LIMIT for rows in problem.stage_rows):
-        raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{RATE_LIMIT}'")
-    k, chosen = len(limited), np.eye(m)[limited]
-    before = np.full((2, k), [[-np.inf], [np.inf]])
-    if previous is not None:
-        last = one_component(real_array("previous", previous), m)
-        if last.shape != (m,):
-            raise ProblemError("previous", f"shape {last.shape}", f"one number for each of the {m} controls")
-        before = np.tile(last[limited], (2, 1))
-    labels = [split_unit(problem.control_names[j]) for j in limited]
-    names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
-    added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
-    remembering = extended(problem, added)
-    of_x = np.zeros((k, problem.state_dim))
-    rows = StageRows(
-        np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
-        np.vstack([chosen, -chosen]),
-        np.tile(limits[limited], 2),
-        name=RATE_LIMIT,
-    )
-    return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
+    return RateLimit(limit, previous).apply(problem)[0]
 
 
 Kind = TypeVar("Kind", bound=Continuum)
@@ -363,3 +426,40 @@ def at_frequencies(
             for one in entries_of(problem.output_spectrum)
         ],
     )
+
+
+@dataclass(frozen=True)
+class SampledMasks(Reduction):
+    """Semi-infinite constraints hold at finitely many points only, by the names of their terms (a relaxation)."""
+
+    points: Mapping[str, Array]
+
+    def accepts(self, problem: OptimalControlProblem) -> bool:
+        """Whether it has semi-infinite constraints."""
+        return any(term.everywhere is not None for term in problem.terms)
+
+    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, SampledMasksInverse]:
+        """Return the relaxed problem."""
+        relaxed = at_frequencies(problem, self.points, relaxed=True)
+        return relaxed, SampledMasksInverse(problem, relaxed, self.points)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMasksInverse(Inverse):
+    """The way back to constraints at every point: multipliers are zero at all points but the sampled ones."""
+
+    points: Mapping[str, Array]
+
+    @property
+    def shortfall(self) -> str:
+        """Return where an answer of the relaxed problem satisfies the constraints."""
+        return f"at the frequencies of {plural(len(self.points), 'mask')} only"
+
+    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers with the points that they stand at; those of zero are left out."""
+        stage, frequencies = dict(found.stage), dict[str, Array]()
+        for name, points in self.points.items():
+            weights = found.stage.get(name, np.zeros((len(points), 2)))
+            used = np.flatnonzero(weights.any(axis=1))
+            stage[name], frequencies[name] = weights[used], points[used]
+        return replace(found, stage=stage, frequencies=frequencies)

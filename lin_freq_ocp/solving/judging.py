@@ -10,13 +10,13 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.rays import prove_infeasible, unbounded_direction
-from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.problem.level_rows import with_few_between
+from lin_freq_ocp.problem.level_rows import FewBetweenLevels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.problem.reductions import Inverse, reduce_problem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
 ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
@@ -81,19 +81,59 @@ def judged(
     )
 
 
+def candidate_of(outcome: Outcome) -> Candidate:
+    """Return the claim that a judged outcome makes: its point, ray or direction."""
+    unsolved = outcome.status in (Status.UNBOUNDED, Status.LIMIT, Status.NUMERICAL_ERROR)
+    return Candidate(
+        "infeasible" if outcome.ray is not None else str(outcome.status) if unsolved else "optimal",
+        outcome.trajectory,
+        outcome.multipliers,
+        outcome.ray,
+        message=outcome.message,
+        seconds=outcome.seconds,
+        interrupted=outcome.interrupted,
+        descent=None if outcome.direction is None else Trajectory(outcome.direction.x, outcome.direction.u),
+    )
+
+
+def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float) -> Outcome:
+    """Return an outcome of the reduced problem as one of the given problem, its point judged again there.
+
+    The bound of a search over modes, and directions, hold for both problems. The status falls where more than
+    ``allowed`` is left of a condition, or the bound is no longer close enough.
+    """
+    evidence = None if outcome.evidence is None else outcome.evidence.recovered(inverse)
+    outcome = replace(outcome, problem=inverse.given, evidence=evidence)
+    if outcome.trajectory is None:
+        return outcome
+    trajectory = inverse.trajectory(outcome.trajectory)
+    multipliers = outcome.multipliers and inverse.multipliers(outcome.multipliers, trajectory)
+    before, outcome = outcome.certificate, replace(outcome, trajectory=trajectory, multipliers=multipliers)
+    if before is None or multipliers is None:
+        return outcome
+    after = replace(judge(*inverse.judged_at(trajectory), multipliers, allowed), descent=before.descent)
+    if inverse.given.dynamics.mode_names:
+        after = replace(after, bound=before.bound, borders=before.borders)
+    status, message = outcome.status, outcome.message
+    if status in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
+        gap = max(before.gap or 0.0, 0.0) + GAP_TOLERANCE
+        found = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
+        if found != status:
+            status, message = found, inverse.shortfall
+    return replace(outcome, certificate=after.raised(inverse.cost), status=status, message=message)
+
+
 def with_few_fractional(outcome: Outcome, tolerance: float | None) -> Outcome:
     """Return the outcome of an optimum of the same cost with few samples between levels, or the outcome itself.
 
-    The multipliers are those of the first: normals to the optima's common face. The judge decides.
+    The judge decides.
     """
-    problem, at = outcome.problem, outcome.trajectory
-    if outcome.status != Status.OPTIMAL or at is None:
+    if outcome.status != Status.OPTIMAL or outcome.trajectory is None:
         return outcome
-    u = with_few_between(problem, at.u)
-    if u is None:
+    candidate = reduce_problem(outcome.problem, (FewBetweenLevels(),)).recover(candidate_of(outcome))
+    if candidate.trajectory is outcome.trajectory:
         return outcome
-    candidate = Candidate("optimal", simulate(problem, u, at.x[0]), outcome.multipliers)
-    found = judged(problem, candidate, outcome.method, outcome.backend, tolerance)
+    found = judged(outcome.problem, candidate, outcome.method, outcome.backend, tolerance)
     if found.status != Status.OPTIMAL:
         return outcome
     seconds = {**outcome.seconds, "certify": outcome.seconds.get("certify", 0.0) + found.seconds["certify"]}

@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.judging import judged
-from lin_freq_ocp.solving.kept import spectral_form
+from lin_freq_ocp.solving.kept import spectral_problem
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -126,9 +126,9 @@ class Spectral:
         if excluded is not None:
             return excluded
         if request.again is None:
-            form = spectral_form(problem)
-            found = SpectralSolver(form.problem).solve(tolerance=self.tolerance, time_limit=seconds_left(end))
-            candidate = form.given(found)
+            reduced = spectral_problem(problem)
+            found = SpectralSolver(reduced.problem).solve(tolerance=self.tolerance, time_limit=seconds_left(end))
+            candidate = reduced.recover(found)
         else:
             kept, change = request.again
             candidate = kept.spectral(problem, change, self.tolerance, seconds_left(end))

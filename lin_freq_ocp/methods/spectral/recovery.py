@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
-from lin_freq_ocp.methods.spectral.reductions import soft_sets
+from lin_freq_ocp.methods.spectral.reductions import SoftSetsInverse, soft_sets
 from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import Data, EndsModel, Structure, forces
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -225,7 +225,6 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUni
     n, m = problem.state_dim, problem.control_dim
     x, u = units.cost / units.x, units.cost / units.u
     forces = found.on_rows[: n + m].T * np.concatenate([x, u])
-    on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in soft_sets(problem) or ()}
     on_ends: dict[str, Array] = {}
     if structure.kkt.lti.periodic:  # the multiplier of x_T - x_0 = 0; mu_0 moves to mu_T where x_T has the bound
         tube, mu = problem.state_tube, forces[:, :n]
@@ -236,15 +235,17 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUni
     weights = found.on_rows[n + m :, :-1] * (units.cost / units.rows)[:, None]
     splits = np.cumsum([rows.e.shape[-1] for rows in problem.stage_rows])[:-1]
     on_stage_rows = np.split(weights, splits) if problem.stage_rows else []
-    return Multipliers(
+    multipliers = Multipliers(
         found.eta_C,
         sealed(found.eta.T * x),
         sealed(forces[:, :n]),
         sealed(forces[:-1, n:]),
         (found.band * (structure.spaces.weight / problem.horizon)).T * u,
         found.rho_x * x,
-        {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_sets | on_ends,
+        {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_ends,
     )
+    soft = soft_sets(problem)  # the model has their prices beside the bounds, so that no other problem was made
+    return SoftSetsInverse(problem, problem, soft).multipliers(multipliers) if soft else multipliers
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,8 @@
-"""Reductions of constraints to those that the Fourier-domain method takes, and their multipliers.
+"""Reductions of constraints to those that the Fourier-domain method takes.
 
-Polyhedral sets become joint rows (RowForm). Soft sets whose rows bound single components become soft bounds (SoftSet).
-Soft stop bands are removed like hard ones, and their multipliers are compared with their prices (SoftBins).
-docs/spectral.md, 12, derives soft bounds and soft bands.
+Soft stop bands are removed like hard ones, and their multipliers are compared with their prices (SoftBins). Polyhedral
+sets become joint rows (RowForm). Soft sets whose rows bound single components become bounds with prices (SoftSets),
+which the model of the method holds beside the hard ones. docs/spectral.md, 12, derives soft bounds and soft bands.
 """
 
 from __future__ import annotations
@@ -11,15 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, sealed
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, sealed, with_rows
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.methods.absorbed_cost import AbsorbedCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.reductions import Inverse, Reduction
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.stage_rows import StageRows, row_families
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
-from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 SETS = (TermKind.STATE_SET, TermKind.CONTROL_SET)
 PRICE_ROUNDING = 1e-9  # part of a price, and of other forces on the component in a ray, that may be rounding
@@ -27,22 +30,41 @@ FIELDS = {TermKind.CONTROL_SPECTRUM: "control_spectrum", TermKind.STATE_SPECTRUM
 AT_THE_END = " at the end"  # suffix of the names of rows on x_T
 
 
-@dataclass(frozen=True, eq=False)
-class RowForm:
-    """A given problem, the problem with its polyhedral sets as joint rows, and the sets that became rows.
+class RowForm(Reduction):
+    """Polyhedral sets become joint rows: F x_t <= g for t < T is a row with D = 0.
 
-    F x_t <= g for t < T is a row with D = 0, and F x_T <= g is one on the step before: F A x + F B u <= g - F d. There
-    the adjoint of the rows' problem is eta', that of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
+    F x_T <= g is one on the step before: F A x + F B u <= g - F d. There the adjoint of the rows' problem is eta', that
+    of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
     """
 
-    given: OptimalControlProblem
-    problem: OptimalControlProblem
+    def accepts(self, problem: OptimalControlProblem) -> bool:
+        """Whether all sets are polyhedra, not all of them soft ones that bounds can say, and A and B constant."""
+        return _joint_rows(problem) is not None
+
+    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, RowFormInverse]:
+        """Return the problem with joint rows in place of its polyhedral sets."""
+        found = _joint_rows(problem)
+        assert found is not None  # it is accepted
+        polyhedra, stage_rows = found
+        changed = replace(
+            problem,
+            state_set=problem.state_boxes,
+            control_set=problem.control_tube,
+            initial_state=problem.initial_box,
+            terminal_state=problem.terminal_box,
+            stage_rows=stage_rows,
+        )
+        return changed, RowFormInverse(problem, changed, polyhedra)
+
+
+@dataclass(frozen=True, eq=False)
+class RowFormInverse(Inverse):
+    """The way back from joint rows to the polyhedral sets that they state."""
+
     polyhedra: tuple[LinearRows, ...]
 
-    def multipliers(self, found: Multipliers) -> Multipliers:
-        """Return multipliers of the given problem from those of the problem in rows."""
-        if not self.polyhedra:
-            return found
+    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers of the rows as those of the sets, and the adjoint without the rows on x_T."""
         eta, stage, T = found.eta.copy(), dict(found.stage), self.given.horizon
         for rows in self.polyhedra:
             weights, before = np.zeros(rows.e.shape), rows.times < T
@@ -52,36 +74,29 @@ class RowForm:
                 weights[~before] = stage.pop(rows.name + AT_THE_END)[-1:]
                 eta[-1] -= rows.C[0, :, : eta.shape[1]].T @ weights[~before][0]
             stage[rows.name] = weights
-        return Multipliers(found.eta_C, eta, found.mu, found.nu, found.rho_u, found.rho_x, stage)
+        return replace(found, eta=eta, stage=stage)
 
 
-def row_form(problem: OptimalControlProblem) -> RowForm:
-    """Return the problem with its polyhedral sets as joint rows.
+def _joint_rows(problem: OptimalControlProblem) -> tuple[tuple[LinearRows, ...], tuple[StageRows, ...]] | None:
+    """Return the polyhedral sets, and all joint rows with theirs; None where these cannot take the place of the sets.
 
-    Unchanged if it has none, or other sets too, or if all are soft sets that bounds can say.
+    That is where there are other sets too, where all are soft sets that bounds can say, and where a row on x_T is
+    one that no control and no state before it can change.
     """
     sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
     found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
-    recursion = problem.dynamics.response(problem.horizon) is None
-    others = len(found) < len(sets) or soft_sets(problem) is not None
-    if others or not recursion or problem.linear.time_varying:
-        return RowForm(problem, problem, ())
-    polyhedra = tuple(rows for rows, _ in found)
+    if len(found) < len(sets) or soft_sets(problem) is not None:
+        return None
+    if problem.dynamics.response(problem.horizon) is not None or problem.linear.time_varying:
+        return None
+    joint = list(problem.stage_rows)
     try:
-        joint = list[StageRows]()
         for rows, term in found:
             joint += _stage_rows(problem, rows, None if term.hard else float(np.max(term.penalty.weights)))
-        changed = replace(
-            problem,
-            state_set=problem.state_boxes,
-            control_set=problem.control_tube,
-            initial_state=problem.initial_box,
-            terminal_state=problem.terminal_box,
-            stage_rows=[*problem.stage_rows, *joint],
-        )
-    except ProblemError:  # a row on x_T that no control and no state before it can change
-        return RowForm(problem, problem, ())
-    return RowForm(problem, changed, polyhedra)
+        checked = row_families(joint, problem.state_dim, problem.control_dim, problem.horizon)
+    except ProblemError:
+        return None
+    return tuple(rows for rows, _ in found), checked
 
 
 def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
@@ -177,6 +192,46 @@ def soft_sets(problem: OptimalControlProblem) -> tuple[SoftSet, ...] | None:
     return tuple(found) if not found or priced_bounds(problem, found) is not None else None
 
 
+class SoftSets(Reduction):
+    """Soft sets become bounds at their limits, whose multipliers must not exceed the prices (``priced_bounds``).
+
+    The model of the Fourier-domain method counts the prices, too. A method that does not is right where they are high
+    enough; where they are not, the judge refuses its multipliers.
+    """
+
+    def accepts(self, problem: OptimalControlProblem) -> bool:
+        """Whether all sets are soft, and bounds can say them."""
+        return bool(soft_sets(problem))
+
+    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, SoftSetsInverse]:
+        """Return the problem with all bounds, hard and soft, as hard ones."""
+        sets, n = soft_sets(problem), problem.state_dim
+        bounds = priced_bounds(problem, sets or ())
+        assert bounds is not None  # it is accepted
+        changed = replace(
+            problem,
+            state_set=Box(bounds.lower[:, :n], bounds.upper[:, :n]),
+            control_set=Box(bounds.lower[:-1, n:], bounds.upper[:-1, n:]),
+            initial_state=problem.initial_box,
+            terminal_state=problem.terminal_box,
+        )
+        return changed, SoftSetsInverse(problem, changed, sets or ())
+
+
+@dataclass(frozen=True, eq=False)
+class SoftSetsInverse(Inverse):
+    """The way back from multipliers of bounds to those of soft sets."""
+
+    sets: tuple[SoftSet, ...]
+
+    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers of soft bounds as those of their sets."""
+        forces = np.hstack([found.mu, with_rows(found.nu, np.zeros((1, self.given.control_dim)))])
+        on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in self.sets}
+        n = self.given.state_dim
+        return replace(found, mu=forces[:, :n], nu=forces[:-1, n:], stage={**found.stage, **on_sets})
+
+
 @dataclass(frozen=True, eq=False)
 class PricedBounds:
     """Bounds lower, upper and their prices, (T+1, n+m), in the user's units; controls have none at T."""
@@ -212,20 +267,40 @@ def priced_bounds(problem: OptimalControlProblem, sets: list[SoftSet] | tuple[So
     return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(*sides, *prices)
 
 
-@dataclass(frozen=True, eq=False)
-class SoftBins:
-    """A given problem, the same with its soft bins removed from the spectra, and the terms of these bins.
+class SoftBins(Reduction):
+    """Soft stop bands become hard ones.
 
     The penalty is exact: where the price of a bin exceeds its multiplier, the bin is zero. A bound of zero with a price
     w costs w |uhat_k|, whose subgradients at uhat_k = 0 are all lambda with |lambda| <= w. With these bins removed,
     rho_k is such a subgradient if |rho_k| <= w: then nothing is gained by opening them.
     """
 
-    given: OptimalControlProblem
-    problem: OptimalControlProblem
+    def accepts(self, problem: OptimalControlProblem) -> bool:
+        """Whether it has soft bins."""
+        return any(_is_soft_band(problem, term) for term in problem.terms)
+
+    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, SoftBinsInverse]:
+        """Return the problem with its soft bins removed from the spectra."""
+        terms = tuple(term for term in problem.terms if _is_soft_band(problem, term))
+        changes: dict[str, object] = {}
+        for kind, field in FIELDS.items():
+            mine = [term for term in terms if term.kind == kind]
+            if mine:
+                replaced = {term.source[1] for term in mine if term.source is not None}
+                kept = [one for i, one in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
+                bands = [stop_band(bins=term.map.nearest_bins, component=term.map.component) for term in mine]
+                changes[field] = [*kept, *bands]
+        changed = replace(problem, **changes)
+        return changed, SoftBinsInverse(problem, changed, terms)
+
+
+@dataclass(frozen=True, eq=False)
+class SoftBinsInverse(Inverse):
+    """The way back from removed bins to soft ones, whose terms these are."""
+
     terms: tuple[Term, ...]
 
-    def multipliers(self, found: Multipliers) -> Multipliers:
+    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return multipliers of the given problem; UnsupportedError if one exceeds its price, which counts eta_C times.
 
         Bins that are removed by a band of the given problem, too, keep theirs there.
@@ -250,21 +325,7 @@ class SoftBins:
             paid = np.asarray(own if found.eta_C else np.zeros_like(own), dtype=np.complex128)
             stage[term.name] = sealed(np.stack([paid.real, paid.imag], axis=1))
         rho_u, rho_x = (sealed(forces) for forces, *_ in rho.values())
-        return Multipliers(found.eta_C, found.eta, found.mu, found.nu, rho_u, rho_x, stage)
-
-
-def soft_bins(problem: OptimalControlProblem) -> SoftBins:
-    """Return the problem with its soft bins removed; unchanged if it has none."""
-    terms = tuple(term for term in problem.terms if _is_soft_band(problem, term))
-    changes: dict[str, object] = {}
-    for kind, field in FIELDS.items():
-        mine = [term for term in terms if term.kind == kind]
-        if mine:
-            replaced = {term.source[1] for term in mine if term.source is not None}
-            kept = [one for i, one in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
-            bands = [stop_band(bins=term.map.nearest_bins, component=term.map.component) for term in mine]
-            changes[field] = [*kept, *bands]
-    return SoftBins(problem, replace(problem, **changes) if changes else problem, terms)
+        return replace(found, rho_u=rho_u, rho_x=rho_x, stage=stage)
 
 
 def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
@@ -276,3 +337,7 @@ def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
         return False
     plain = (form.window == 1).all() and (form.row[form.row != 0] == 1).all()
     return bool(plain) and not term.penalty.sizes().any()
+
+
+REDUCTIONS: tuple[Reduction, ...] = SoftBins(), RowForm(), AbsorbedCost()
+"""Of a problem, before the Fourier-domain method takes it; soft sets become priced bounds in its model."""

@@ -1,0 +1,65 @@
+"""One mode sequence of piecewise-affine dynamics, or of controls with levels, as a linear problem, and the way back.
+
+The linear problem is a restriction: its rays and its bound say nothing of other sequences, which the search tree has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from lin_freq_ocp.base.arrays import Indices
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reductions import AnyAnswer, Inverse, Reduction
+from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class FixedModes(Reduction):
+    """The modes are those of a sequence (T,), and their regions are rows; a level is a mode that fixes the control."""
+
+    sequence: Indices
+
+    def accepts(self, problem: OptimalControlProblem) -> bool:
+        """Whether the dynamics have modes, one for each number of the sequence."""
+        return len(self.sequence) == problem.horizon and max(self.sequence) < len(problem.dynamics.mode_names)
+
+    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, FixedModesInverse]:
+        """Return the linear problem; UnsupportedError if the modes are not affine."""
+        linear = problem.with_modes(self.sequence)
+        return linear, FixedModesInverse(problem, linear, self.sequence)
+
+
+@dataclass(frozen=True, eq=False)
+class FixedModesInverse(Inverse):
+    """The way back to all mode sequences."""
+
+    sequence: Indices
+
+    def trajectories(self, found: Trajectory) -> Iterator[Trajectory]:
+        """Yield a solver's trajectory, with the controls that the modes fix exactly at their levels.
+
+        First with the states that follow, then, from a free start, with the solver's: unstable dynamics magnify
+        rounding.
+        """
+        controls, start = self.given.dynamics.controls_of(self.sequence), self.given.initial_box
+        if controls is None:
+            yield found
+            return
+        yield simulate(self.given, controls, start.project(found.x[0]))
+        if not start.fixed.all():
+            yield Trajectory(found.x, controls)
+
+    def trajectory(self, found: Trajectory) -> Trajectory:
+        """Return the trajectory with exact levels."""
+        return next(self.trajectories(found))
+
+    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers with the weights of all modes that a trajectory is in."""
+        return found if at is None else weighted(self.given, at, self.sequence, found)
+
+    def recover(self, answer: AnyAnswer) -> AnyAnswer:
+        """Return the answer for the given problem; a ray, which excludes one sequence, is left out."""
+        return replace(super().recover(answer), ray=None)
