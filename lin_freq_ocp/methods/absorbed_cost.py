@@ -28,45 +28,9 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
-class AbsorbedCost(Reduction):
-    """The cost becomes convex at each time, as squares of further outputs."""
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether it is not convex at each time, of constant Q, R and S over a frequency response."""
-        return (
-            problem.dynamics.response(problem.horizon) is not None
-            and problem.quadratic.nonconvexity() is not None
-            and not any(part.ndim == 3 for part in (problem.quadratic.Q, problem.quadratic.R, problem.quadratic.S))
-        )
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, AbsorbedCostInverse]:
-        """Return the problem with further outputs."""
-        response = problem.dynamics.response(problem.horizon)
-        curvature = None if response is None else bin_curvature(problem, response)
-        assert response is not None  # it is accepted
-        assert curvature is not None
-        values, vectors = np.linalg.eigh(curvature.within)
-        root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2).conj()
-        if not response.closed:  # the samples from T on, as outputs that lead by T
-            lead = np.where(np.arange(len(root)) % 2 == 0, 1.0, -1.0)[:, None, None]
-            root = np.concatenate([root, lead * root], axis=1)
-        k = root.shape[1]
-        dynamics = FrequencyResponse(
-            np.concatenate([response.G, root], axis=1),
-            problem.sampling_time,
-            disturbance=with_columns(response.base[:-1] if response.closed else response.base, k),
-            mode="periodic" if response.closed else "zero-padded",
-            state_names=[*problem.state_names, *(f"square root of the cost {i}" for i in range(k))],
-            control_names=problem.control_names,
-        )
-        free = np.full(k, np.inf)
-        further = augment_states(problem, dynamics, Box(-free, free), -free, _cost(problem, response, k))
-        return further, AbsorbedCostInverse(problem, further, response, curvature)
-
-
 @dataclass(frozen=True, eq=False)
-class AbsorbedCostInverse(OwnStates):
-    """The way back to the given outputs and cost."""
+class AbsorbedCost(OwnStates):
+    """The problem with further outputs, and the response and the curvature of the given one."""
 
     response: Response
     curvature: BinCurvature
@@ -94,6 +58,34 @@ class AbsorbedCostInverse(OwnStates):
             missing = ((H - inside) @ spectrum[:, :, None])[:, :, 0] * ~self.curvature.passed
             rho_u -= self.response.weight[:, None] * missing / self.response.record
         return replace(found, eta=eta, rho_u=rho_u, stage={**found.stage, link: on_link})
+
+
+def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
+    """Return the problem whose cost is convex at each time; None if the given one's is, or has no response."""
+    response = problem.dynamics.response(problem.horizon)
+    curvature = None if response is None else bin_curvature(problem, response)
+    if response is None or curvature is None or problem.quadratic.nonconvexity() is None:
+        return None
+    values, vectors = np.linalg.eigh(curvature.within)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2).conj()
+    if not response.closed:  # the samples from T on, as outputs that lead by T
+        lead = np.where(np.arange(len(root)) % 2 == 0, 1.0, -1.0)[:, None, None]
+        root = np.concatenate([root, lead * root], axis=1)
+    k = root.shape[1]
+    dynamics = FrequencyResponse(
+        np.concatenate([response.G, root], axis=1),
+        problem.sampling_time,
+        disturbance=with_columns(response.base[:-1] if response.closed else response.base, k),
+        mode="periodic" if response.closed else "zero-padded",
+        state_names=[*problem.state_names, *(f"square root of the cost {i}" for i in range(k))],
+        control_names=problem.control_names,
+    )
+    free = np.full(k, np.inf)
+    further = augment_states(problem, dynamics, Box(-free, free), -free, _cost(problem, response, k))
+    return AbsorbedCost(problem, further, response, curvature)
+
+
+ABSORBED_COST = Reduction(absorbed_cost)
 
 
 def _cost(problem: OptimalControlProblem, response: Response, k: int) -> CostSum:

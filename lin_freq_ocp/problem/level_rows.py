@@ -17,7 +17,7 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Inverse, Reduction
+from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.terms.term import TermKind
@@ -107,25 +107,18 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
     return of_u + _through_states(problem, of_x)
 
 
-class FewBetweenLevels(Reduction):
-    """The same problem with duty cycles, of whose optima one with few samples between levels is taken."""
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether its controls have levels."""
-        return _set_of_levels(problem) is not None
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, FewBetweenLevelsInverse]:
-        """Return the problem itself."""
-        return problem, FewBetweenLevelsInverse(problem, problem)
-
-
-class FewBetweenLevelsInverse(Inverse):
-    """The way from any optimum to one with few samples between levels; multipliers are normals to the common face."""
+class FewBetweenLevels(Inverse):
+    """The way from any optimum to one with few samples between levels; multipliers are normals to their common face."""
 
     def trajectory(self, found: Trajectory) -> Trajectory:
         """Return an optimum of the same cost, or the one found where that has few samples between levels already."""
         u = with_few_between(self.given, found.u)
         return found if u is None else simulate(self.given, u, found.x[0])
+
+
+def few_between_levels(problem: OptimalControlProblem) -> FewBetweenLevels | None:
+    """Return the same problem with the way to few samples between levels; None if its controls have none."""
+    return None if _set_of_levels(problem) is None else FewBetweenLevels(problem, problem)
 
 
 def with_few_between(problem: OptimalControlProblem, u: Array) -> Array | None:

@@ -3,8 +3,10 @@
 As in CVXPY, a reduction says which problems it accepts, and ``apply`` returns another problem with the inverse, which
 recovers trajectory, multipliers, rays and directions of descent. A method names its reductions in a tuple: they are
 applied from left to right, each where it accepts, and recovered from right to left. The recovered answer is a claim
-about the given problem, which the judge checks there. A new reduction overrides what differs, and has its cases in the
-table of ``tests/helpers/reductions.py``.
+about the given problem, which the judge checks there.
+
+A new reduction is a subclass of ``Inverse`` that overrides what differs, and a function that makes it of a problem.
+Its cases stand in the table of ``tests/helpers/reductions.py``.
 
 References: Agrawal, Verschueren, Diamond and Boyd, Journal of Control and Decision 5, 2018 (a rewriting system for
 convex optimization problems).
@@ -12,8 +14,7 @@ convex optimization problems).
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import Field, dataclass, replace
 from typing import ClassVar, Protocol, TypeVar
 
@@ -21,33 +22,22 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
-class Answer(Protocol):
-    """A point with multipliers, a ray, or a direction of descent, as a dataclass; what is absent is None."""
+class _Answer(Protocol):
+    """A point with multipliers, a ray, or a direction (dx, du) of descent, as a dataclass; None for what is absent."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[object]]]
 
     @property
-    def trajectory(self) -> Trajectory | None:
-        """The point."""
-        ...
-
+    def trajectory(self) -> Trajectory | None: ...
     @property
-    def multipliers(self) -> Multipliers | None:
-        """The multipliers of the point."""
-        ...
-
+    def multipliers(self) -> Multipliers | None: ...
     @property
-    def ray(self) -> Multipliers | None:
-        """Multipliers with eta_C = 0 that exclude every trajectory."""
-        ...
-
+    def ray(self) -> Multipliers | None: ...
     @property
-    def descent(self) -> Trajectory | None:
-        """The change (dx, du) along which the cost decreases without limit."""
-        ...
+    def descent(self) -> Trajectory | None: ...
 
 
-AnyAnswer = TypeVar("AnyAnswer", bound=Answer)
+AnyAnswer = TypeVar("AnyAnswer", bound=_Answer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,16 +88,20 @@ class Inverse:
         )
 
 
-class Reduction(ABC):
-    """A way to state a problem as another one."""
+@dataclass(frozen=True)
+class Reduction:
+    """A way to state a problem as another one: ``inverse`` returns that and the way back, or None."""
 
-    @abstractmethod
+    inverse: Callable[[OptimalControlProblem], Inverse | None]
+
     def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether the problem has what is reduced."""
+        """Whether a problem has what is reduced."""
+        return self.inverse(problem) is not None
 
-    @abstractmethod
     def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, Inverse]:
-        """Return the reduced problem of one that is accepted, and the way back."""
+        """Return the reduced problem and the way back: the problem itself, with no change, if it is not accepted."""
+        inverse = self.inverse(problem) or Inverse(problem, problem)
+        return inverse.problem, inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +121,8 @@ def reduce_problem(problem: OptimalControlProblem, reductions: Sequence[Reductio
     """Return the problem after all reductions that accept it, one after the other, and the way back."""
     reduced, inverses = problem, list[Inverse]()
     for reduction in reductions:
-        if reduction.accepts(reduced):
-            reduced, inverse = reduction.apply(reduced)
+        inverse = reduction.inverse(reduced)
+        if inverse is not None:
+            reduced = inverse.problem
             inverses.append(inverse)
     return Chain(problem, reduced, tuple(inverses))

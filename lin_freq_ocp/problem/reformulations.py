@@ -33,7 +33,7 @@ from lin_freq_ocp.base.phrases import plural, split_unit
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.reductions import Inverse, Reduction
+from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
@@ -46,19 +46,6 @@ OF_STATES = ("state_boxes", "met_ends", "state_tube", "terms", "borders", "gap")
 # Distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
 FAR_FROM_ZERO = 10.0
 ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its terms
-
-
-class FarOrigin(Reduction):
-    """States are counted from where they move, where that is far from zero."""
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether some state moves far from zero, and its dynamics, cost and sets can be translated."""
-        return translation_of(problem).moves
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, Translation]:
-        """Return the translated problem."""
-        translation = translation_of(problem)
-        return translation.problem, translation
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,56 +291,6 @@ class OwnStates(Inverse):
 RATE_LIMIT = "rate limit"  # of the added rows
 
 
-@dataclass(frozen=True)
-class RateLimit(Reduction):
-    """|u_t - u_{t-1}| <= limit as joint rows, in the states (x, u_{t-1}); arguments as those of ``rate_limited``.
-
-    The limits keep their multipliers under their name: those of the rows for u_t - u_{t-1} itself.
-    """
-
-    limit: Bound
-    previous: ArrayLike | None = None
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether its rates are not limited."""
-        return all(rows.name != RATE_LIMIT for rows in problem.stage_rows)
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, OwnStates]:
-        """Return the problem with one more state for each limited control; ProblemError if the limit does not fit."""
-        m, limit, previous = problem.control_dim, self.limit, self.previous
-        given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
-        limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
-        if limits.shape not in ((), (m,)) or (limits < 0).any():
-            expected = f"one number, zero or above, or one for each of the {m} controls"
-            raise ProblemError("rate_limit", brief(limit), expected)
-        limits = np.broadcast_to(limits, m)
-        limited = np.flatnonzero(np.isfinite(limits))
-        if not len(limited):
-            raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
-        if not self.accepts(problem):
-            raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{RATE_LIMIT}'")
-        k, chosen = len(limited), np.eye(m)[limited]
-        before = np.full((2, k), [[-np.inf], [np.inf]])
-        if previous is not None:
-            last = one_component(real_array("previous", previous), m)
-            if last.shape != (m,):
-                raise ProblemError("previous", f"shape {last.shape}", f"one number for each of the {m} controls")
-            before = np.tile(last[limited], (2, 1))
-        labels = [split_unit(problem.control_names[j]) for j in limited]
-        names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
-        added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
-        remembering = extended(problem, added)
-        of_x = np.zeros((k, problem.state_dim))
-        rows = StageRows(
-            np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
-            np.vstack([chosen, -chosen]),
-            np.tile(limits[limited], 2),
-            name=RATE_LIMIT,
-        )
-        limited_problem = replace(remembering, stage_rows=[*remembering.stage_rows, rows])
-        return limited_problem, OwnStates(problem, limited_problem)
-
-
 def rate_limited(
     problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None
 ) -> OptimalControlProblem:
@@ -384,7 +321,45 @@ def rate_limited(
     3
     """
     require_problem(problem)
-    return RateLimit(limit, previous).apply(problem)[0]
+    return rate_limit(problem, limit, previous).problem
+
+
+def rate_limit(problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None) -> OwnStates:
+    """Return the problem of ``rate_limited``, and the way back to its own states.
+
+    The limits keep their multipliers under their name: those of the rows for u_t - u_{t-1} itself.
+    """
+    m = problem.control_dim
+    given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
+    limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
+    if limits.shape not in ((), (m,)) or (limits < 0).any():
+        expected = f"one number, zero or above, or one for each of the {m} controls"
+        raise ProblemError("rate_limit", brief(limit), expected)
+    limits = np.broadcast_to(limits, m)
+    limited = np.flatnonzero(np.isfinite(limits))
+    if not len(limited):
+        raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
+    if any(rows.name == RATE_LIMIT for rows in problem.stage_rows):
+        raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{RATE_LIMIT}'")
+    k, chosen = len(limited), np.eye(m)[limited]
+    before = np.full((2, k), [[-np.inf], [np.inf]])
+    if previous is not None:
+        last = one_component(real_array("previous", previous), m)
+        if last.shape != (m,):
+            raise ProblemError("previous", f"shape {last.shape}", f"one number for each of the {m} controls")
+        before = np.tile(last[limited], (2, 1))
+    labels = [split_unit(problem.control_names[j]) for j in limited]
+    names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
+    added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
+    remembering = extended(problem, added)
+    of_x = np.zeros((k, problem.state_dim))
+    rows = StageRows(
+        np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
+        np.vstack([chosen, -chosen]),
+        np.tile(limits[limited], 2),
+        name=RATE_LIMIT,
+    )
+    return OwnStates(problem, replace(remembering, stage_rows=[*remembering.stage_rows, rows]))
 
 
 Kind = TypeVar("Kind", bound=Continuum)
@@ -428,25 +403,12 @@ def at_frequencies(
     )
 
 
-@dataclass(frozen=True)
-class SampledMasks(Reduction):
-    """Semi-infinite constraints hold at finitely many points only, by the names of their terms (a relaxation)."""
-
-    points: Mapping[str, Array]
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether it has semi-infinite constraints."""
-        return any(term.everywhere is not None for term in problem.terms)
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, SampledMasksInverse]:
-        """Return the relaxed problem."""
-        relaxed = at_frequencies(problem, self.points, relaxed=True)
-        return relaxed, SampledMasksInverse(problem, relaxed, self.points)
-
-
 @dataclass(frozen=True, eq=False)
-class SampledMasksInverse(Inverse):
-    """The way back to constraints at every point: multipliers are zero at all points but the sampled ones."""
+class SampledMasks(Inverse):
+    """The relaxed problem whose semi-infinite constraints hold at points, by the names of their terms.
+
+    At all other points their multipliers are zero.
+    """
 
     points: Mapping[str, Array]
 
@@ -463,3 +425,8 @@ class SampledMasksInverse(Inverse):
             used = np.flatnonzero(weights.any(axis=1))
             stage[name], frequencies[name] = weights[used], points[used]
         return replace(found, stage=stage, frequencies=frequencies)
+
+
+def sampled_masks(problem: OptimalControlProblem, points: Mapping[str, Array]) -> SampledMasks:
+    """Return the problem with its semi-infinite constraints at points only, and the way back."""
+    return SampledMasks(problem, at_frequencies(problem, points, relaxed=True), points)

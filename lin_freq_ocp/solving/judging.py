@@ -13,9 +13,9 @@ from lin_freq_ocp.certificate.rays import prove_infeasible, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.problem.level_rows import FewBetweenLevels
+from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Inverse, reduce_problem
+from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -130,8 +130,9 @@ def with_few_fractional(outcome: Outcome, tolerance: float | None) -> Outcome:
     """
     if outcome.status != Status.OPTIMAL or outcome.trajectory is None:
         return outcome
-    candidate = reduce_problem(outcome.problem, (FewBetweenLevels(),)).recover(candidate_of(outcome))
-    if candidate.trajectory is outcome.trajectory:
+    inverse = few_between_levels(outcome.problem)
+    candidate = None if inverse is None else inverse.recover(candidate_of(outcome))
+    if candidate is None or candidate.trajectory is outcome.trajectory:
         return outcome
     found = judged(outcome.problem, candidate, outcome.method, outcome.backend, tolerance)
     if found.status != Status.OPTIMAL:

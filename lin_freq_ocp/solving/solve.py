@@ -25,7 +25,7 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERA
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reductions import Inverse
-from lin_freq_ocp.problem.reformulations import SampledMasks, Translation, translation_of
+from lin_freq_ocp.problem.reformulations import Translation, sampled_masks, translation_of
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -162,8 +162,8 @@ def solve_at_every_frequency(
     seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
         left = seconds_left(end)
-        relaxed, inverse = SampledMasks(frequencies).apply(problem)
-        found = method.solve(relaxed, request if left is None else replace(request, time_limit=left))
+        inverse = sampled_masks(problem, frequencies)
+        found = method.solve(inverse.problem, request if left is None else replace(request, time_limit=left))
         seconds |= {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}
         if found.trajectory is None or found.multipliers is None:
             rounds.append(_Round(inverse, found, np.inf))

@@ -18,12 +18,12 @@ import scipy.sparse as sp
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
-from lin_freq_ocp.methods.absorbed_cost import AbsorbedCost
+from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, require_convex
 from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, Solves, better_of
 from lin_freq_ocp.methods.convex.polish import polish_point, without_rounding
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Reduction, reduce_problem
+from lin_freq_ocp.problem.reductions import reduce_problem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -40,7 +40,7 @@ from lin_freq_ocp.program.units import (
     stated_scaling,
 )
 
-REDUCTIONS: tuple[Reduction, ...] = (AbsorbedCost(),)  # of a problem, before it is transcribed
+REDUCTIONS = (ABSORBED_COST,)  # of a problem, before it is transcribed
 ROUNDING_LEVELS = (1e-12, 1e-9)  # parts of the units of variables and duals that may be rounding: the judge decides
 LARGEST_ERROR = 1e-3  # relative residuals up to which versions of a point are judged
 FLAT_SLOPE = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby

@@ -1,7 +1,7 @@
 """Reductions of constraints to those that the Fourier-domain method takes.
 
 Soft stop bands are removed like hard ones, and their multipliers are compared with their prices (SoftBins). Polyhedral
-sets become joint rows (RowForm). Soft sets whose rows bound single components become bounds with prices (SoftSets),
+sets become joint rows (RowForm). Soft sets whose rows bound single components become bounds with prices (SoftBounds),
 which the model of the method holds beside the hard ones. docs/spectral.md, 12, derives soft bounds and soft bands.
 """
 
@@ -13,11 +13,11 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, sealed, with_rows
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.methods.absorbed_cost import AbsorbedCost
+from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Inverse, Reduction
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.sets.stage_rows import StageRows, row_families
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.penalty import HARD
@@ -30,36 +30,13 @@ FIELDS = {TermKind.CONTROL_SPECTRUM: "control_spectrum", TermKind.STATE_SPECTRUM
 AT_THE_END = " at the end"  # suffix of the names of rows on x_T
 
 
-class RowForm(Reduction):
-    """Polyhedral sets become joint rows: F x_t <= g for t < T is a row with D = 0.
-
-    F x_T <= g is one on the step before: F A x + F B u <= g - F d. There the adjoint of the rows' problem is eta', that
-    of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
-    """
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether all sets are polyhedra, not all of them soft ones that bounds can say, and A and B constant."""
-        return _joint_rows(problem) is not None
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, RowFormInverse]:
-        """Return the problem with joint rows in place of its polyhedral sets."""
-        found = _joint_rows(problem)
-        assert found is not None  # it is accepted
-        polyhedra, stage_rows = found
-        changed = replace(
-            problem,
-            state_set=problem.state_boxes,
-            control_set=problem.control_tube,
-            initial_state=problem.initial_box,
-            terminal_state=problem.terminal_box,
-            stage_rows=stage_rows,
-        )
-        return changed, RowFormInverse(problem, changed, polyhedra)
-
-
 @dataclass(frozen=True, eq=False)
-class RowFormInverse(Inverse):
-    """The way back from joint rows to the polyhedral sets that they state."""
+class RowForm(Inverse):
+    """The problem with its polyhedral sets as joint rows, and the sets that became rows.
+
+    F x_t <= g for t < T is a row with D = 0, and F x_T <= g is one on the step before: F A x + F B u <= g - F d. There
+    the adjoint of the rows' problem is eta', that of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
+    """
 
     polyhedra: tuple[LinearRows, ...]
 
@@ -77,26 +54,32 @@ class RowFormInverse(Inverse):
         return replace(found, eta=eta, stage=stage)
 
 
-def _joint_rows(problem: OptimalControlProblem) -> tuple[tuple[LinearRows, ...], tuple[StageRows, ...]] | None:
-    """Return the polyhedral sets, and all joint rows with theirs; None where these cannot take the place of the sets.
+def row_form(problem: OptimalControlProblem) -> RowForm | None:
+    """Return the problem with its polyhedral sets as joint rows.
 
-    That is where there are other sets too, where all are soft sets that bounds can say, and where a row on x_T is
-    one that no control and no state before it can change.
+    None if it has none, or other sets too, or if all are soft sets that bounds can say.
     """
     sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
     found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
-    if len(found) < len(sets) or soft_sets(problem) is not None:
+    recursion = problem.dynamics.response(problem.horizon) is None
+    others = len(found) < len(sets) or soft_sets(problem) is not None
+    if others or not recursion or problem.linear.time_varying:
         return None
-    if problem.dynamics.response(problem.horizon) is not None or problem.linear.time_varying:
-        return None
-    joint = list(problem.stage_rows)
     try:
+        joint = list[StageRows]()
         for rows, term in found:
             joint += _stage_rows(problem, rows, None if term.hard else float(np.max(term.penalty.weights)))
-        checked = row_families(joint, problem.state_dim, problem.control_dim, problem.horizon)
-    except ProblemError:
+        changed = replace(
+            problem,
+            state_set=problem.state_boxes,
+            control_set=problem.control_tube,
+            initial_state=problem.initial_box,
+            terminal_state=problem.terminal_box,
+            stage_rows=[*problem.stage_rows, *joint],
+        )
+    except ProblemError:  # a row on x_T that no control and no state before it can change
         return None
-    return tuple(rows for rows, _ in found), checked
+    return RowForm(problem, changed, tuple(rows for rows, _ in found))
 
 
 def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
@@ -192,35 +175,13 @@ def soft_sets(problem: OptimalControlProblem) -> tuple[SoftSet, ...] | None:
     return tuple(found) if not found or priced_bounds(problem, found) is not None else None
 
 
-class SoftSets(Reduction):
-    """Soft sets become bounds at their limits, whose multipliers must not exceed the prices (``priced_bounds``).
+@dataclass(frozen=True, eq=False)
+class SoftBounds(Inverse):
+    """The problem with soft sets as bounds at their limits, whose multipliers must not exceed the prices.
 
     The model of the Fourier-domain method counts the prices, too. A method that does not is right where they are high
     enough; where they are not, the judge refuses its multipliers.
     """
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether all sets are soft, and bounds can say them."""
-        return bool(soft_sets(problem))
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, SoftSetsInverse]:
-        """Return the problem with all bounds, hard and soft, as hard ones."""
-        sets, n = soft_sets(problem), problem.state_dim
-        bounds = priced_bounds(problem, sets or ())
-        assert bounds is not None  # it is accepted
-        changed = replace(
-            problem,
-            state_set=Box(bounds.lower[:, :n], bounds.upper[:, :n]),
-            control_set=Box(bounds.lower[:-1, n:], bounds.upper[:-1, n:]),
-            initial_state=problem.initial_box,
-            terminal_state=problem.terminal_box,
-        )
-        return changed, SoftSetsInverse(problem, changed, sets or ())
-
-
-@dataclass(frozen=True, eq=False)
-class SoftSetsInverse(Inverse):
-    """The way back from multipliers of bounds to those of soft sets."""
 
     sets: tuple[SoftSet, ...]
 
@@ -230,6 +191,22 @@ class SoftSetsInverse(Inverse):
         on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in self.sets}
         n = self.given.state_dim
         return replace(found, mu=forces[:, :n], nu=forces[:-1, n:], stage={**found.stage, **on_sets})
+
+
+def soft_bounds(problem: OptimalControlProblem) -> SoftBounds | None:
+    """Return the problem with all bounds, hard and soft, as hard ones; None unless bounds can say all its sets."""
+    sets, n = soft_sets(problem), problem.state_dim
+    bounds = priced_bounds(problem, sets) if sets else None
+    if not sets or bounds is None:
+        return None
+    changed = replace(
+        problem,
+        state_set=Box(bounds.lower[:, :n], bounds.upper[:, :n]),
+        control_set=Box(bounds.lower[:-1, n:], bounds.upper[:-1, n:]),
+        initial_state=problem.initial_box,
+        terminal_state=problem.terminal_box,
+    )
+    return SoftBounds(problem, changed, sets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,36 +244,14 @@ def priced_bounds(problem: OptimalControlProblem, sets: list[SoftSet] | tuple[So
     return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(*sides, *prices)
 
 
-class SoftBins(Reduction):
-    """Soft stop bands become hard ones.
+@dataclass(frozen=True, eq=False)
+class SoftBins(Inverse):
+    """The problem with its soft bins removed from the spectra, and the terms of these bins.
 
     The penalty is exact: where the price of a bin exceeds its multiplier, the bin is zero. A bound of zero with a price
     w costs w |uhat_k|, whose subgradients at uhat_k = 0 are all lambda with |lambda| <= w. With these bins removed,
     rho_k is such a subgradient if |rho_k| <= w: then nothing is gained by opening them.
     """
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether it has soft bins."""
-        return any(_is_soft_band(problem, term) for term in problem.terms)
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, SoftBinsInverse]:
-        """Return the problem with its soft bins removed from the spectra."""
-        terms = tuple(term for term in problem.terms if _is_soft_band(problem, term))
-        changes: dict[str, object] = {}
-        for kind, field in FIELDS.items():
-            mine = [term for term in terms if term.kind == kind]
-            if mine:
-                replaced = {term.source[1] for term in mine if term.source is not None}
-                kept = [one for i, one in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
-                bands = [stop_band(bins=term.map.nearest_bins, component=term.map.component) for term in mine]
-                changes[field] = [*kept, *bands]
-        changed = replace(problem, **changes)
-        return changed, SoftBinsInverse(problem, changed, terms)
-
-
-@dataclass(frozen=True, eq=False)
-class SoftBinsInverse(Inverse):
-    """The way back from removed bins to soft ones, whose terms these are."""
 
     terms: tuple[Term, ...]
 
@@ -328,6 +283,20 @@ class SoftBinsInverse(Inverse):
         return replace(found, rho_u=rho_u, rho_x=rho_x, stage=stage)
 
 
+def soft_bins(problem: OptimalControlProblem) -> SoftBins | None:
+    """Return the problem with its soft bins removed; None if it has none."""
+    terms = tuple(term for term in problem.terms if _is_soft_band(problem, term))
+    changes: dict[str, object] = {}
+    for kind, field in FIELDS.items():
+        mine = [term for term in terms if term.kind == kind]
+        if mine:
+            replaced = {term.source[1] for term in mine if term.source is not None}
+            kept = [one for i, one in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
+            bands = [stop_band(bins=term.map.nearest_bins, component=term.map.component) for term in mine]
+            changes[field] = [*kept, *bands]
+    return SoftBins(problem, replace(problem, **changes), terms) if terms else None
+
+
 def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
     """Whether a term is the price of plain DFT bins of a single component, bin by bin."""
     if term.kind not in FIELDS or term.hard:
@@ -339,5 +308,6 @@ def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
     return bool(plain) and not term.penalty.sizes().any()
 
 
-REDUCTIONS: tuple[Reduction, ...] = SoftBins(), RowForm(), AbsorbedCost()
+ROW_FORM = Reduction(row_form)
+REDUCTIONS = Reduction(soft_bins), ROW_FORM, ABSORBED_COST
 """Of a problem, before the Fourier-domain method takes it; soft sets become priced bounds in its model."""

@@ -35,11 +35,10 @@ from lin_freq_ocp.methods.spectral.recovery import (
     residuals,
     trajectory,
 )
-from lin_freq_ocp.methods.spectral.reductions import RowForm
+from lin_freq_ocp.methods.spectral.reductions import ROW_FORM
 from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_of, ends_model
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import reduce_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.program.program import Residuals
@@ -116,7 +115,7 @@ class SpectralSolver:
 
     def __init__(self, problem: OptimalControlProblem):
         require_convex(problem)
-        problem = reduce_problem(problem, (RowForm(),)).problem
+        problem = ROW_FORM.apply(problem)[0]
         reason = refusal(problem)
         if reason is not None:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")

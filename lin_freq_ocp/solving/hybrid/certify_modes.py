@@ -15,7 +15,7 @@ from lin_freq_ocp.methods.fitted_multipliers import abnormal_multipliers, fit_mu
 from lin_freq_ocp.methods.hybrid.search.multipliers import candidates
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solving.hybrid.fixed_modes import FixedModes
+from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
 
 MOST_FLIPS = 16  # flips that are verified, the steepest first: each takes a fit of multipliers
 
@@ -32,8 +32,8 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
     facts, descent = _verify_flips(problem, trajectory, sequence, _facts(best))
     if best.failed and best.feasible:  # abnormal multipliers may satisfy all conditions
-        linear, inverse = FixedModes(sequence).apply(problem)
-        found = abnormal_multipliers(linear, trajectory)
+        inverse = fixed_modes(problem, sequence)
+        found = abnormal_multipliers(inverse.problem, trajectory)
         if found is not None:
             abnormal = judge(problem, trajectory, inverse.multipliers(found, trajectory))
             if not abnormal.failed:

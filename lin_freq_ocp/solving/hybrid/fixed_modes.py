@@ -11,30 +11,14 @@ from dataclasses import dataclass, replace
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import AnyAnswer, Inverse, Reduction
+from lin_freq_ocp.problem.reductions import AnyAnswer, Inverse
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class FixedModes(Reduction):
-    """The modes are those of a sequence (T,), and their regions are rows; a level is a mode that fixes the control."""
-
-    sequence: Indices
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether the dynamics have modes, one for each number of the sequence."""
-        return len(self.sequence) == problem.horizon and max(self.sequence) < len(problem.dynamics.mode_names)
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, FixedModesInverse]:
-        """Return the linear problem; UnsupportedError if the modes are not affine."""
-        linear = problem.with_modes(self.sequence)
-        return linear, FixedModesInverse(problem, linear, self.sequence)
-
-
-@dataclass(frozen=True, eq=False)
-class FixedModesInverse(Inverse):
-    """The way back to all mode sequences."""
+class FixedModes(Inverse):
+    """The linear problem of a mode sequence (T,), its regions as rows; a level is a mode that fixes the control."""
 
     sequence: Indices
 
@@ -63,3 +47,8 @@ class FixedModesInverse(Inverse):
     def recover(self, answer: AnyAnswer) -> AnyAnswer:
         """Return the answer for the given problem; a ray, which excludes one sequence, is left out."""
         return replace(super().recover(answer), ray=None)
+
+
+def fixed_modes(problem: OptimalControlProblem, sequence: Indices) -> FixedModes:
+    """Return the linear problem of a mode sequence, and the way back; UnsupportedError without affine modes."""
+    return FixedModes(problem, problem.with_modes(sequence), sequence)

@@ -34,7 +34,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
-from lin_freq_ocp.solving.hybrid.fixed_modes import FixedModes
+from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
 from lin_freq_ocp.solving.kept import SearchCache
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
@@ -295,8 +295,8 @@ def _point(
 ) -> tuple[Trajectory, Multipliers, Certificate] | None:
     """Return the first answer for a mode sequence alone that the judge calls feasible, else the first of all."""
     first = None
-    linear, inverse = FixedModes(sequence).apply(problem)
-    for candidate in convex_candidates(linear, SEQUENCE_BACKEND, None, time_limit):
+    inverse = fixed_modes(problem, sequence)
+    for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, None, time_limit):
         if candidate.trajectory is None or candidate.multipliers is None:
             continue
         for trajectory in inverse.trajectories(candidate.trajectory):
