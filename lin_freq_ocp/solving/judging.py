@@ -52,30 +52,24 @@ def judged(
     ray = candidate.ray if status == Status.INFEASIBLE else _diverged_ray(candidate)
     proof = None if ray is None else prove_infeasible(problem, ray)
     seconds = {**candidate.seconds, "certify": now() - clock}
-    if proof is not None:
+    point = candidate.trajectory, candidate.multipliers, certificate
+    if proof is not None:  # then there is no point
+        status = Status.INFEASIBLE
         message = "proven by a rigorous ray" if proof.bound.kind == RIGOROUS else ONLY_PRACTICAL
-        return Outcome(
-            problem,
-            Status.INFEASIBLE,
-            method,
-            backend,
-            seconds,
-            infeasibility=proof,
-            message=message,
-            interrupted=candidate.interrupted,
-        )
-    if status == Status.INFEASIBLE:
+        point, direction = (None, None, None), None
+    elif status == Status.INFEASIBLE:
         status, message = Status.INFEASIBLE_CLAIMED, f"{message}, but its ray proves nothing"
+    elif status == Status.OPTIMAL:
+        message = ""
     return Outcome(
-        problem=problem,
-        status=status,
-        method=method,
-        backend=backend,
-        seconds=seconds,
-        trajectory=candidate.trajectory,
-        multipliers=candidate.multipliers,
-        certificate=certificate,
-        message="" if status == Status.OPTIMAL else message,
+        problem,
+        status,
+        method,
+        backend,
+        seconds,
+        *point,
+        infeasibility=proof,
+        message=message,
         interrupted=candidate.interrupted,
         direction=direction,
     )
@@ -174,11 +168,9 @@ def _diverged_ray(candidate: Candidate) -> Multipliers | None:
     if candidate.status not in ("numerical_error", "limit") or candidate.multipliers is None or candidate.interrupted:
         return None
     given = candidate.multipliers
-    parts = (given.eta, given.mu, given.nu, np.abs(given.rho_u), np.abs(given.rho_x), *given.stage.values())
-    size = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+    fields = {name: getattr(given, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x")}
+    size = max(float(np.abs(part).max(initial=0.0)) for part in (*fields.values(), *given.stage.values()))
     if size < DIVERGED:
         return None
-    stage = {name: part / size for name, part in given.stage.items()}
-    return Multipliers(
-        0.0, given.eta / size, given.mu / size, given.nu / size, given.rho_u / size, given.rho_x / size, stage
-    )
+    scaled = {name: part / size for name, part in fields.items()}
+    return Multipliers(0.0, **scaled, stage={name: part / size for name, part in given.stage.items()})

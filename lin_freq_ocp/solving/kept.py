@@ -52,6 +52,12 @@ def spectral_problem(problem: OptimalControlProblem) -> Chain:
     return reduce_problem(problem, REDUCTIONS)
 
 
+def solve_spectral(problem: OptimalControlProblem, tolerance: float | None, time_limit: float | None) -> Candidate:
+    """Solve a problem in the Fourier domain from scratch; UnsupportedError if it is outside the class of the method."""
+    reduced = spectral_problem(problem)
+    return reduced.recover(SpectralSolver(reduced.problem).solve(tolerance=tolerance, time_limit=time_limit))
+
+
 class Kept:
     """A problem, its Fourier-domain solver with the last solution, and its stages; each is made when it is needed."""
 
@@ -68,8 +74,7 @@ class Kept:
     ) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""
         if not self._takes(problem, change):
-            reduced = spectral_problem(problem)
-            return reduced.recover(SpectralSolver(reduced.problem).solve(tolerance=tolerance, time_limit=time_limit))
+            return solve_spectral(problem, tolerance, time_limit)
         reduced, solver = self._spectral_solver()
         found = solver.solve(
             change.initial_state,
