@@ -127,9 +127,9 @@ class Repeated:
         limit = np.inf if time_limit is None else time_limit
         if tree is not None:
             tree.begins(located.translation.problem if change.starts_elsewhere else None)
-        request = Request(limit, start=begin, again=again, tree=tree)
         tolerance: float | None = getattr(self.method, "tolerance", None)
-        outcome = solve_translated(self.method, translation, request, tolerance)
+        request = Request(limit, tolerance, start=begin, again=again, tree=tree)
+        outcome = solve_translated(self.method, translation, request)
         outcome = restored_outcome(translation, outcome, tolerance)
         if outcome.status.solved and outcome.trajectory is not None:
             self._moves = np.maximum(self._moves, np.ptp(outcome.trajectory.x, axis=0))

@@ -1,4 +1,4 @@
-"""What every method returns, and what every method checks first.
+"""What is asked of every method, what it returns, and what it checks first.
 
 A candidate is a point with multipliers, or a ray: measured by the method, judged elsewhere.
 """
@@ -17,6 +17,28 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Residuals
 
 SOLVED_TOLERANCE = 1e-6  # relative residuals up to which a method's "solved" is accepted, in units of the answer
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """What is asked of a method for linear dynamics, beside the problem.
+
+    Attributes
+    ----------
+    tolerance : float or None
+        Relative residuals to stop at; None for those of the method.
+    time_limit : float or None
+        Seconds from the call on.
+    compiled : bool or None
+        Whether loops are compiled; None: where that pays.
+    """
+
+    tolerance: float | None = None
+    time_limit: float | None = None
+    compiled: bool | None = None
+
+
+DEFAULTS = SolveOptions()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, known_entries
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.candidate import Candidate, require_convex
+from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.spectral.recovery import Together
 from lin_freq_ocp.methods.structured.solver import Prepared
@@ -52,10 +52,11 @@ def spectral_problem(problem: OptimalControlProblem) -> Chain:
     return reduce_problem(problem, REDUCTIONS)
 
 
-def solve_spectral(problem: OptimalControlProblem, tolerance: float | None, time_limit: float | None) -> Candidate:
+def solve_spectral(problem: OptimalControlProblem, options: SolveOptions) -> Candidate:
     """Solve a problem in the Fourier domain from scratch; UnsupportedError if it is outside the class of the method."""
     reduced = spectral_problem(problem)
-    return reduced.recover(SpectralSolver(reduced.problem).solve(tolerance=tolerance, time_limit=time_limit))
+    solver = SpectralSolver(reduced.problem)
+    return reduced.recover(solver.solve(tolerance=options.tolerance, time_limit=options.time_limit))
 
 
 class Kept:
@@ -69,12 +70,10 @@ class Kept:
         self._last: SpectralSolution | None = None
         self.prepared = Prepared()
 
-    def spectral(
-        self, problem: OptimalControlProblem, change: Change, tolerance: float | None, time_limit: float | None
-    ) -> Candidate:
+    def spectral(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""
         if not self._takes(problem, change):
-            return solve_spectral(problem, tolerance, time_limit)
+            return solve_spectral(problem, options)
         reduced, solver = self._spectral_solver()
         found = solver.solve(
             change.initial_state,
@@ -82,8 +81,8 @@ class Kept:
             change.references,
             change.bounds,
             warm_start=self._last,
-            tolerance=tolerance,
-            time_limit=time_limit,
+            tolerance=options.tolerance,
+            time_limit=options.time_limit,
         )
         if found.status == "optimal":
             self._last = found

@@ -14,7 +14,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, proof_margin, prove_infeasible, unbounded_direction
-from lin_freq_ocp.methods.candidate import Candidate, contradiction_at_ends
+from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import (
     convex_candidates,
@@ -65,9 +65,14 @@ class _Trial:
     end: float
 
     @property
-    def seconds_left(self) -> float | None:
-        """Return the seconds until the end, None without one."""
-        return seconds_left(self.end)
+    def options(self) -> SolveOptions:
+        """Return what is asked of a method that begins now."""
+        return SolveOptions(self.tolerance, seconds_left(self.end))
+
+    @property
+    def proof_options(self) -> SolveOptions:
+        """Return what is asked of a proof: the tolerance is that of the solver."""
+        return SolveOptions(time_limit=seconds_left(self.end))
 
     def judge(self, candidate: Candidate) -> Outcome:
         """Judge a candidate as it stands."""
@@ -96,7 +101,7 @@ class _Trial:
 
     def _unless_infeasible(self, candidate: Candidate) -> Candidate:
         """Return the unbounded candidate, or a proof that the problem is infeasible."""
-        feasibility = solve_convex(replace(self.problem, cost=QuadraticCost()), PROVER, None, self.seconds_left)
+        feasibility = solve_convex(replace(self.problem, cost=QuadraticCost()), PROVER, self.proof_options)
         return feasibility if feasibility.status == "infeasible" else candidate
 
     def exclusion_at_ends(self) -> Outcome | None:
@@ -113,7 +118,7 @@ class _Trial:
         problem, near = self.problem, outcome.trajectory
         if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
             return outcome
-        for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, self.seconds_left)):
+        for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, seconds_left(self.end))):
             if candidate is not None:
                 found = self.judge(candidate)
                 if found.status == Status.OPTIMAL and not _violates_more(found, outcome):
@@ -123,7 +128,7 @@ class _Trial:
     def with_proof(self, outcome: Outcome) -> Outcome:
         """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
         try:
-            diagnosis = solve_convex(self.problem, PROVER, None, self.seconds_left)
+            diagnosis = solve_convex(self.problem, PROVER, self.proof_options)
         except UnsupportedError:  # it does not fit into memory
             return outcome
         if diagnosis.status not in ("infeasible", "unbounded"):
@@ -183,10 +188,10 @@ class Convex(_Linear):
 
     def _solve(self, trial: _Trial, request: Request) -> Outcome:
         problem, backend = trial.problem, self._solver
-        candidates = convex_candidates(problem, backend, self.tolerance, trial.seconds_left)
+        candidates = convex_candidates(problem, backend, trial.options)
         first = next(candidates)
         if first.status not in ("optimal", "limit") and backend != PROVER:
-            diagnosis = solve_convex(problem, PROVER, None, trial.seconds_left)
+            diagnosis = solve_convex(problem, PROVER, trial.proof_options)
             first = diagnosis if diagnosis.status in ("infeasible", "unbounded") else first
         outcome = trial.at_no_cost(trial.judge_point(first))
         unproven = outcome.status in UNPROVEN or _only_practical(outcome)
@@ -220,9 +225,9 @@ class Spectral(_Linear):
 
     def _solve(self, trial: _Trial, request: Request) -> Outcome:
         if request.again is None:
-            return trial.judge_point(solve_spectral(trial.problem, self.tolerance, trial.seconds_left))
+            return trial.judge_point(solve_spectral(trial.problem, trial.options))
         kept, change = request.again
-        return trial.judge_point(kept.spectral(trial.problem, change, self.tolerance, trial.seconds_left))
+        return trial.judge_point(kept.spectral(trial.problem, change, trial.options))
 
 
 @dataclass(frozen=True)
@@ -248,7 +253,7 @@ class Structured(_Linear):
     def _solve(self, trial: _Trial, request: Request) -> Outcome:
         problem, first, doubtful, certified = trial.problem, None, False, 0.0
         prepared = None if request.again is None else request.again[0].prepared
-        again = None if prepared is None else solve_again(problem, prepared, self.tolerance, trial.seconds_left)
+        again = None if prepared is None else solve_again(problem, prepared, trial.options)
         if prepared is not None and again is not None:
             outcome = trial.judge(again)
             if outcome.status == Status.OPTIMAL and _final(outcome):  # what is not proven is solved from scratch
@@ -259,7 +264,7 @@ class Structured(_Linear):
             proof = prove_infeasible(problem, ray)
             return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
 
-        for candidate in solve_structured(problem, self.tolerance, trial.seconds_left, excludes, prepared=prepared):
+        for candidate in solve_structured(problem, trial.options, excludes, prepared=prepared):
             doubtful = candidate.status in ("unbounded", "numerical_error")
             outcome = trial.judge_point(candidate)
             certified += outcome.seconds["certify"]

@@ -22,11 +22,13 @@ Report = Callable[[Progress], None]
 class Request:
     """What is asked of any method: a limit in seconds, a call as a search proceeds, and where the search begins.
 
+    ``tolerance`` loosens the judge, who allows CONDITION_TOLERANCE by default: the one asked of the method, or its own.
     ``again`` holds what was kept of solves of the same problem, and how this differs from it, if there were any;
     ``tree`` the search of the step before in a control loop.
     """
 
     time_limit: float = np.inf
+    tolerance: float | None = None
     progress: Report | None = None
     start: Start | None = None
     again: tuple[Kept, Change] | None = None

@@ -59,10 +59,10 @@ def solve_judged(
     options["global_bound"] = global_bound
     found = chosen(problem, method, {"backend": None if backend == "auto" else backend, **options})
     begin = None if start is None else start_of(problem, start)
-    request = Request(np.inf if time_limit is None else time_limit, progress, begin)
     allowed = tolerance or getattr(found, "tolerance", None)
+    request = Request(np.inf if time_limit is None else time_limit, allowed, progress, begin)
     translation = translation_of(problem)
-    outcome = with_few_fractional(solve_translated(found, translation, request, allowed), tolerance)
+    outcome = with_few_fractional(solve_translated(found, translation, request), tolerance)
     outcome = restored_outcome(translation, outcome, allowed)
     saved = saved_options(problem, method, found) | ({} if begin is None else {"start": begin.saved})
     return replace(outcome, options=saved | {"time_limit": time_limit})
@@ -87,9 +87,7 @@ def require_options(
             raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
 
 
-def solve_translated(
-    method: Method, translation: Translation, request: Request, tolerance: float | None = None
-) -> Outcome:
+def solve_translated(method: Method, translation: Translation, request: Request) -> Outcome:
     """Solve the translated problem by a method.
 
     Start and progress of the request are those of the given problem; what it keeps of earlier solves is not.
@@ -105,7 +103,7 @@ def solve_translated(
         request = replace(request, progress=report)
     if all(term.everywhere is None for term in problem.terms):
         return method.solve(problem, request)
-    return solve_at_every_frequency(problem, method, request, tolerance)
+    return solve_at_every_frequency(problem, method, request)
 
 
 def restored_outcome(translation: Translation, outcome: Outcome, tolerance: float | None = None) -> Outcome:
@@ -151,9 +149,7 @@ class _Round(NamedTuple):
     violation: float
 
 
-def solve_at_every_frequency(
-    problem: OptimalControlProblem, method: Method, request: Request, tolerance: float | None = None
-) -> Outcome:
+def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, request: Request) -> Outcome:
     """Solve a problem with masks at every frequency by any method, and judge the answer."""
     request = replace(request, again=None, tree=None)
     end = now() + request.time_limit
@@ -195,4 +191,4 @@ def solve_at_every_frequency(
     if problem.dynamics.mode_names:  # the bound of the search is that of the relaxed problem, below the optimum
         return recover_outcome(best.inverse, found, CONDITION_TOLERANCE)
     candidate = best.inverse.recover(candidate_of(found))
-    return replace(judged(problem, candidate, found.method, found.backend, tolerance), reason=found.reason)
+    return replace(judged(problem, candidate, found.method, found.backend, request.tolerance), reason=found.reason)

@@ -19,7 +19,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.methods.candidate import require_convex
+from lin_freq_ocp.methods.candidate import SolveOptions, require_convex
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode
@@ -296,7 +296,7 @@ def _point(
     """Return the first answer for a mode sequence alone that the judge calls feasible, else the first of all."""
     first = None
     inverse = fixed_modes(problem, sequence)
-    for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, None, time_limit):
+    for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, SolveOptions(time_limit=time_limit)):
         if candidate.trajectory is None or candidate.multipliers is None:
             continue
         for trajectory in inverse.trajectories(candidate.trajectory):
