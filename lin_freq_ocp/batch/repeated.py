@@ -115,7 +115,7 @@ class Repeated:
         tree: SearchCache | None = None,
     ) -> Outcome:
         """Solve the changed problem, from a start and a tree if the method takes them, and judge the answer."""
-        require_options(self.name, time_limit)
+        require_options(self.name, time_limit=time_limit)
         problem = change.of(self.problem)
         located = self.located(problem)
         change = located.translated(change, problem)

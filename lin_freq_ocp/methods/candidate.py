@@ -5,7 +5,7 @@ A candidate is a point with multipliers, or a ray: measured by the method, judge
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -90,6 +90,12 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
             weights[term.name][k, row] = 1.0
             mu = np.zeros((T + 1, n))
             mu[t] = -C[row]
-            rho_u, rho_x = (np.zeros(stop.shape, dtype=complex) for stop in (problem.control_stop, problem.state_stop))
-            return Multipliers(0.0, np.zeros((T, n)), mu, np.zeros((T, m)), rho_u, rho_x, weights)
+            return replace(zero_multipliers(problem, 0.0), mu=mu, stage=weights)
     return None
+
+
+def zero_multipliers(problem: OptimalControlProblem, eta_C: float) -> Multipliers:
+    """Return multipliers of which only that of the cost may not be zero."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    rho = (np.zeros(stop.shape) for stop in (problem.control_stop, problem.state_stop))
+    return Multipliers(eta_C, np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m)), *rho)

@@ -111,41 +111,35 @@ class FewBetweenLevels(Inverse):
     """The way from any optimum to one with few samples between levels; multipliers are normals to their common face."""
 
     def trajectory(self, found: Trajectory) -> Trajectory:
-        """Return an optimum of the same cost, or the one found where that has few samples between levels already."""
-        u = with_few_between(self.given, found.u)
-        return found if u is None else simulate(self.given, u, found.x[0])
+        """Return an optimum with as few entries between levels as there are rows; the one found if it has no more."""
+        rows, given, u = level_rows(self.given), _set_of_levels(self.given), found.u
+        if rows is None or given is None:
+            return found
+        spans, (*levels, between) = _spans(given, u), _neighbours(given, u)
+        R, at, free = _of_spans(rows, spans), (u / spans).ravel(), np.flatnonzero(between)
+        nearest, lower, upper = ((part / spans).ravel() for part in levels)
+        moved = np.where(between.ravel(), at, nearest)
+        if len(free) <= _rank(R):
+            return found
+        if len(R):
+            moved[free] += np.linalg.lstsq(R[:, free], R @ (at - moved), rcond=None)[0]
+        while len(free):
+            _, sizes, directions = np.linalg.svd(R[:, free], full_matrices=True)
+            rank = int(np.count_nonzero(sizes > INDEPENDENT * sizes.max(initial=0.0)))
+            if rank == len(free):
+                break
+            z = directions[rank]  # R maps it to zero
+            room = np.where(z > 0, upper[free] - moved[free], moved[free] - lower[free]) / np.maximum(np.abs(z), 1e-300)
+            first = int(np.argmin(room))
+            moved[free] += room[first] * z
+            moved[free[first]] = upper[free[first]] if z[first] > 0 else lower[free[first]]
+            free = np.delete(free, first)
+        return simulate(self.given, moved.reshape(u.shape) * spans, found.x[0])
 
 
 def few_between_levels(problem: OptimalControlProblem) -> FewBetweenLevels | None:
     """Return the same problem with the way to few samples between levels; None if its controls have none."""
     return None if _set_of_levels(problem) is None else FewBetweenLevels(problem, problem)
-
-
-def with_few_between(problem: OptimalControlProblem, u: Array) -> Array | None:
-    """Return an optimum with as few entries between levels as there are rows, from an optimum u (T, m); or None."""
-    rows, given = level_rows(problem), _set_of_levels(problem)
-    if rows is None or given is None:
-        return None
-    spans, (*levels, between) = _spans(given, u), _neighbours(given, u)
-    R, at, free = _of_spans(rows, spans), (u / spans).ravel(), np.flatnonzero(between)
-    nearest, lower, upper = ((part / spans).ravel() for part in levels)
-    found = np.where(between.ravel(), at, nearest)
-    if len(free) <= _rank(R):
-        return None
-    if len(R):
-        found[free] += np.linalg.lstsq(R[:, free], R @ (at - found), rcond=None)[0]
-    while len(free):
-        _, sizes, directions = np.linalg.svd(R[:, free], full_matrices=True)
-        rank = int(np.count_nonzero(sizes > INDEPENDENT * sizes.max(initial=0.0)))
-        if rank == len(free):
-            break
-        z = directions[rank]  # R maps it to zero
-        room = np.where(z > 0, upper[free] - found[free], found[free] - lower[free]) / np.maximum(np.abs(z), 1e-300)
-        first = int(np.argmin(room))
-        found[free] += room[first] * z
-        found[free[first]] = upper[free[first]] if z[first] > 0 else lower[free[first]]
-        free = np.delete(free, first)
-    return found.reshape(u.shape) * spans
 
 
 def _spans(given: ConvexSet, u: Array) -> Array:

@@ -23,7 +23,7 @@ from lin_freq_ocp.methods.convex.sparse_program import (
     solve_convex,
     structured_first,
 )
-from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
+from lin_freq_ocp.methods.structured.solver import Prepared, solve_again, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
@@ -60,19 +60,14 @@ class _Trial:
 
     problem: OptimalControlProblem
     method: str
-    backend: str | None
     tolerance: float | None
     end: float
+    backend: str | None = None
 
     @property
     def options(self) -> SolveOptions:
         """Return what is asked of a method that begins now."""
         return SolveOptions(self.tolerance, seconds_left(self.end))
-
-    @property
-    def proof_options(self) -> SolveOptions:
-        """Return what is asked of a proof: the tolerance is that of the solver."""
-        return SolveOptions(time_limit=seconds_left(self.end))
 
     def judge(self, candidate: Candidate) -> Outcome:
         """Judge a candidate as it stands."""
@@ -85,7 +80,7 @@ class _Trial:
         a finite optimum it says where the solver stopped.
         """
         if candidate.status == "unbounded":
-            candidate = self._unless_infeasible(candidate)
+            candidate = self._contradiction() or candidate
         outcome = self.judge(candidate)
         if _rank(outcome) == 2 or outcome.interrupted or not (candidate.status == "unbounded" or _is_far(outcome)):
             return outcome
@@ -93,16 +88,20 @@ class _Trial:
             along = steepest_recession(self.problem)
             if along is None or unbounded_direction(self.problem, along) is None:
                 return outcome
-            claim = self._unless_infeasible(replace(candidate, status="unbounded", descent=along))
+            claim = self._contradiction() or replace(candidate, status="unbounded", descent=along)
         except UnsupportedError:  # the program does not fit into memory
             return outcome
         found = self.judge(replace(claim, trajectory=None, multipliers=None))
         return found if _rank(found) == 2 else outcome
 
-    def _unless_infeasible(self, candidate: Candidate) -> Candidate:
-        """Return the unbounded candidate, or a proof that the problem is infeasible."""
-        feasibility = solve_convex(replace(self.problem, cost=QuadraticCost()), PROVER, self.proof_options)
-        return feasibility if feasibility.status == "infeasible" else candidate
+    def diagnose(self, problem: OptimalControlProblem) -> Candidate | None:
+        """Return the claim of the prover, at its own tolerance, that a problem is infeasible or unbounded, or None."""
+        claim = solve_convex(problem, PROVER, SolveOptions(time_limit=seconds_left(self.end)))
+        return claim if claim.status in ("infeasible", "unbounded") else None
+
+    def _contradiction(self) -> Candidate | None:
+        """Return the prover's claim that the problem is infeasible, whatever its cost."""
+        return self.diagnose(replace(self.problem, cost=QuadraticCost()))
 
     def exclusion_at_ends(self) -> Outcome | None:
         """Return the outcome with the proof that an end lies outside its set, or None."""
@@ -110,7 +109,7 @@ class _Trial:
         if ray is None:
             return None
         claim = Candidate("infeasible", ray=ray, message="an end lies outside the state set")
-        outcome = judged(self.problem, claim, self.method, None, self.tolerance)
+        outcome = self.judge(claim)
         return outcome if outcome.status == Status.INFEASIBLE else None
 
     def at_no_cost(self, outcome: Outcome) -> Outcome:
@@ -128,12 +127,10 @@ class _Trial:
     def with_proof(self, outcome: Outcome) -> Outcome:
         """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
         try:
-            diagnosis = solve_convex(self.problem, PROVER, self.proof_options)
+            claim = self.diagnose(self.problem)
         except UnsupportedError:  # it does not fit into memory
             return outcome
-        if diagnosis.status not in ("infeasible", "unbounded"):
-            return outcome
-        found = self.judge(diagnosis)
+        found = outcome if claim is None else self.judge(claim)
         return found if _rank(found) == 2 else outcome
 
 
@@ -146,14 +143,9 @@ class _Linear(ABC):
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve the problem, and judge the answer."""
-        trial = _Trial(problem, self.shorthand, self._solver, self.tolerance, now() + request.time_limit)
+        trial = _Trial(problem, self.shorthand, self.tolerance, now() + request.time_limit)
         excluded = trial.exclusion_at_ends()
         return self._solve(trial, request) if excluded is None else excluded
-
-    @property
-    def _solver(self) -> str | None:
-        """Return the backend that the outcome names, None if the method needs none."""
-        return None
 
     @abstractmethod
     def _solve(self, trial: _Trial, request: Request) -> Outcome: ...
@@ -182,17 +174,13 @@ class Convex(_Linear):
 
     shorthand: ClassVar[str] = "convex"
 
-    @property
-    def _solver(self) -> str:
-        return PROVER if self.backend == "auto" else self.backend
-
     def _solve(self, trial: _Trial, request: Request) -> Outcome:
-        problem, backend = trial.problem, self._solver
-        candidates = convex_candidates(problem, backend, trial.options)
+        backend = PROVER if self.backend == "auto" else self.backend
+        trial = replace(trial, backend=backend)
+        candidates = convex_candidates(trial.problem, backend, trial.options)
         first = next(candidates)
         if first.status not in ("optimal", "limit") and backend != PROVER:
-            diagnosis = solve_convex(problem, PROVER, trial.proof_options)
-            first = diagnosis if diagnosis.status in ("infeasible", "unbounded") else first
+            first = trial.diagnose(trial.problem) or first
         outcome = trial.at_no_cost(trial.judge_point(first))
         unproven = outcome.status in UNPROVEN or _only_practical(outcome)
         if outcome.interrupted or not (unproven or (backend == PROVER and _at_odds(outcome))):
@@ -252,9 +240,9 @@ class Structured(_Linear):
 
     def _solve(self, trial: _Trial, request: Request) -> Outcome:
         problem, first, doubtful, certified = trial.problem, None, False, 0.0
-        prepared = None if request.again is None else request.again[0].prepared
-        again = None if prepared is None else solve_again(problem, prepared, trial.options)
-        if prepared is not None and again is not None:
+        prepared = Prepared() if request.again is None else request.again[0].prepared
+        again = solve_again(problem, prepared, trial.options)
+        if again is not None:
             outcome = trial.judge(again)
             if outcome.status == Status.OPTIMAL and _final(outcome):  # what is not proven is solved from scratch
                 prepared.near = outcome.trajectory
@@ -273,7 +261,7 @@ class Structured(_Linear):
             if _final(outcome):
                 break
         assert first is not None  # there is an answer
-        if prepared is not None and first.status == Status.OPTIMAL:
+        if first.status == Status.OPTIMAL:
             prepared.near = first.trajectory
         first = replace(first, seconds=first.seconds | {"certify": certified})
         if doubtful and _rank(first) < 2 and not first.interrupted:  # such as a direction that is not exactly flat
@@ -310,9 +298,8 @@ class LinearAuto:
         best: Outcome | None = None
         refusals = list[str]()
         for method in self._in_turn(problem):
-            left = seconds_left(end)
             try:
-                outcome = method.solve(problem, request if left is None else replace(request, time_limit=left))
+                outcome = method.solve(problem, request.until(end))
             except UnsupportedError as error:
                 refusals += [] if str(error) in refusals else [str(error)]
                 continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import Field, dataclass
+from dataclasses import Field, dataclass, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -33,6 +33,11 @@ class Request:
     start: Start | None = None
     again: tuple[Kept, Change] | None = None
     tree: SearchCache | None = None
+
+    def until(self, end: float) -> Request:
+        """Return the same with the time that is left until the end, by ``clock.now``."""
+        left = seconds_left(end)
+        return self if left is None else replace(self, time_limit=left)
 
 
 class Method(Protocol):

@@ -33,7 +33,7 @@ from lin_freq_ocp.program.backends.base import backend as solver_named
 from lin_freq_ocp.program.backends.base import names
 from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
 from lin_freq_ocp.solving.judging import allowed_residual, candidate_of, judged, recover_outcome, with_few_fractional
-from lin_freq_ocp.solving.method import Method, Report, Request, seconds_left
+from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
 
 COARSE = 1e-8  # rounding of a state, relative to what it moves, that may be worth as much as the allowed gap
@@ -54,9 +54,9 @@ def solve_judged(
 ) -> Outcome:
     """Solve a problem, and judge the answer; parameters and errors are those of ``lfo.solve``."""
     require_problem(problem)
-    require_options(method, time_limit, backend, tolerance, gap, node_limit)
-    options = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit, "executor": executor, "start": start}
-    options["global_bound"] = global_bound
+    limits = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit}
+    require_options(method, backend, time_limit=time_limit, **limits)
+    options = {**limits, "executor": executor, "start": start, "global_bound": global_bound}
     found = chosen(problem, method, {"backend": None if backend == "auto" else backend, **options})
     begin = None if start is None else start_of(problem, start)
     allowed = tolerance or getattr(found, "tolerance", None)
@@ -68,20 +68,15 @@ def solve_judged(
     return replace(outcome, options=saved | {"time_limit": time_limit})
 
 
-def require_options(
-    method: str | Method,
-    time_limit: float | None = None,
-    backend: str = "auto",
-    tolerance: float | None = None,
-    gap: float | None = None,
-    node_limit: int | None = None,
-) -> None:
-    """Raise UnsupportedError unless the options of solve exist, MissingExtraError if the backend is not installed."""
+def require_options(method: str | Method, backend: str = "auto", **limits: float | None) -> None:
+    """Raise UnsupportedError unless the options of solve exist, MissingExtraError if the backend is not installed.
+
+    ``limits`` are numbers above zero, such as time_limit, tolerance, gap and node_limit; None: not given.
+    """
     if isinstance(method, str):
         require_shorthand(method)
     if backend not in ("auto", *names(binaries=True)):
         solver_named(backend)
-    limits = {"time_limit": time_limit, "tolerance": tolerance, "gap": gap, "node_limit": node_limit}
     for name, value in limits.items():
         if value is not None and not value > 0:
             raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
@@ -157,9 +152,8 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     frequencies = {term.name: term.map.places for term, _ in masks}
     seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
-        left = seconds_left(end)
         inverse = sampled_masks(problem, frequencies)
-        found = method.solve(inverse.problem, request if left is None else replace(request, time_limit=left))
+        found = method.solve(inverse.problem, request.until(end))
         seconds |= {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}
         if found.trajectory is None or found.multipliers is None:
             rounds.append(_Round(inverse, found, np.inf))

@@ -13,7 +13,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
-from lin_freq_ocp.methods.spectral.reductions import ROW_FORM, soft_bins, soft_bounds
+from lin_freq_ocp.methods.spectral.reductions import row_form, soft_bins, soft_bounds
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.reductions import Reduction
 from lin_freq_ocp.problem.reformulations import RATE_LIMIT, rate_limit, sampled_masks, translated_by, translation_of
@@ -145,7 +145,7 @@ REDUCTIONS = {
         },
     ),
     "joint rows": Entry(
-        ROW_FORM,
+        Reduction(row_form),
         {
             **random_kinds(state_set=Polyhedron([[-0.3, -1.0], [0.0, -1.0]], [0.12, 0.25]), initial_state=[0.3, -0.2]),
             **{

@@ -308,6 +308,5 @@ def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
     return bool(plain) and not term.penalty.sizes().any()
 
 
-ROW_FORM = Reduction(row_form)
-REDUCTIONS = Reduction(soft_bins), ROW_FORM, ABSORBED_COST
+REDUCTIONS = Reduction(soft_bins), Reduction(row_form), ABSORBED_COST
 """Of a problem, before the Fourier-domain method takes it; soft sets become priced bounds in its model."""

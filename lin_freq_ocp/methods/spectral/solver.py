@@ -35,7 +35,7 @@ from lin_freq_ocp.methods.spectral.recovery import (
     residuals,
     trajectory,
 )
-from lin_freq_ocp.methods.spectral.reductions import ROW_FORM
+from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_of, ends_model
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -115,7 +115,8 @@ class SpectralSolver:
 
     def __init__(self, problem: OptimalControlProblem):
         require_convex(problem)
-        problem = ROW_FORM.apply(problem)[0]
+        rows = row_form(problem)
+        problem = problem if rows is None else rows.problem
         reason = refusal(problem)
         if reason is not None:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")
