@@ -97,5 +97,5 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
 def zero_multipliers(problem: OptimalControlProblem, eta_C: float) -> Multipliers:
     """Return multipliers of which only that of the cost may not be zero."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    rho = (np.zeros(stop.shape) for stop in (problem.control_stop, problem.state_stop))
-    return Multipliers(eta_C, np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m)), *rho)
+    rho_u, rho_x = (np.zeros(stop.shape) for stop in (problem.control_stop, problem.state_stop))
+    return Multipliers(eta_C, np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m)), rho_u, rho_x)

@@ -60,6 +60,8 @@ def row_form(problem: OptimalControlProblem) -> RowForm | None:
     None if it has none, or other sets too, or if all are soft sets that bounds can say.
     """
     sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
+    if not sets:
+        return None
     found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
     recursion = problem.dynamics.response(problem.horizon) is None
     others = len(found) < len(sets) or soft_sets(problem) is not None
