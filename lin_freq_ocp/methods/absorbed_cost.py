@@ -17,7 +17,7 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import with_columns
-from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -81,32 +81,19 @@ def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
         control_names=problem.control_names,
     )
     free = np.full(k, np.inf)
-    further = augment_states(problem, dynamics, Box(-free, free), -free, _cost(problem, response, k))
+    further = augment_states(problem, dynamics, Box(-free, free), -free, _output_cost(problem, response), weight=1.0)
     return AbsorbedCost(problem, further, response, curvature)
 
 
 ABSORBED_COST = Reduction(absorbed_cost)
 
 
-def _cost(problem: OptimalControlProblem, response: Response, k: int) -> CostSum:
-    """Return the cost in the outputs (x, w), w in R^k."""
+def _output_cost(problem: OptimalControlProblem, response: Response) -> QuadraticCost:
+    """Return the part of the cost that stays one of the given outputs and controls."""
     cost, n, m = problem.quadratic, problem.state_dim, problem.control_dim
     x_ref, u_ref = np.broadcast_to(cost.x_ref, (problem.horizon + 1, n))[:-1], cost.u_ref
     kept, moved = (np.zeros((n, n)), cost.Q) if response.closed else (cost.Q, np.zeros((n, n)))
     g = response.base[:-1]
     q = cost.q - u_ref @ cost.S.T + (g - x_ref) @ moved
     r = cost.r - u_ref @ cost.R + (g - x_ref) @ cost.S
-    Q = np.zeros((n + k, n + k))
-    Q[:n, :n], Q[n:, n:] = kept, np.eye(k)
-    P = np.zeros((n + k, n + k))
-    P[:n, :n] = cost.P
-    quadratic = QuadraticCost(
-        Q=Q,
-        R=np.zeros((m, m)),
-        q=with_columns(q, k),
-        r=r,
-        P=P,
-        p=with_columns(cost.p, k),
-        x_ref=with_columns(cost.x_ref, k),
-    )
-    return CostSum([quadratic, *(one.extended(n, k) for one in problem.cost.norms)])
+    return replace(cost, Q=kept, R=np.zeros((m, m)), S=np.zeros((n, m)), q=q, r=r, u_ref=np.zeros(m))

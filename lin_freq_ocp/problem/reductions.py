@@ -52,11 +52,6 @@ class Inverse:
         """Return the cost of the given problem less that of the reduced one, a constant."""
         return 0.0
 
-    @property
-    def shortfall(self) -> str:
-        """Return what an answer of the reduced problem may leave open in the given one; empty if nothing."""
-        return ""
-
     def trajectory(self, found: Trajectory) -> Trajectory:
         """Return a trajectory of the given problem from one of the reduced problem."""
         return found

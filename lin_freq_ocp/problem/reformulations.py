@@ -29,8 +29,8 @@ from lin_freq_ocp.base.arrays import (
     with_rows,
 )
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
-from lin_freq_ocp.base.phrases import plural, split_unit
-from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
+from lin_freq_ocp.base.phrases import split_unit
+from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reductions import Inverse
@@ -205,14 +205,22 @@ class AddedStates:
 def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
     dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
-    return augment_states(problem, dynamics, added.initial, added.lower, _augmented_cost(problem, len(added.A)))
+    return augment_states(problem, dynamics, added.initial, added.lower, problem.quadratic)
 
 
 def augment_states(
-    problem: OptimalControlProblem, dynamics: Dynamics, initial: Box, lower: Array, cost: Cost
+    problem: OptimalControlProblem,
+    dynamics: Dynamics,
+    initial: Box,
+    lower: Array,
+    quadratic: QuadraticCost,
+    weight: float = 0.0,
 ) -> OptimalControlProblem:
-    """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,)."""
-    k = len(lower)
+    """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,).
+
+    Its cost is a quadratic one of x and u, weight/2 |w_t|^2 for t < T, and the nonsmooth costs of the given problem.
+    """
+    n, k = problem.state_dim, len(lower)
     free, state_set, boxes = np.full(k, np.inf), problem.state_set, problem.state_boxes
     if isinstance(state_set, Sequence):
         augmented_set: SetOrSets = [_with_box(one, boxes.at(t), Box(lower, free)) for t, one in enumerate(state_set)]
@@ -222,27 +230,25 @@ def augment_states(
     return replace(
         problem,
         dynamics=dynamics,
-        cost=cost,
+        cost=CostSum([_augmented_cost(quadratic, k, weight), *(one.extended(n, k) for one in problem.cost.norms)]),
         state_set=augmented_set,
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
-        state_spectrum=[
-            more for one in entries_of(problem.state_spectrum) for more in one.extended(problem.state_dim, k)
-        ]
-        or None,
+        state_spectrum=[more for one in entries_of(problem.state_spectrum) for more in one.extended(n, k)] or None,
         stage_rows=[
             StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
         ],
-        output_spectrum=[one.extended(problem.state_dim, k) for one in entries_of(problem.output_spectrum)] or None,
+        output_spectrum=[one.extended(n, k) for one in entries_of(problem.output_spectrum)] or None,
     )
 
 
-def _augmented_cost(problem: OptimalControlProblem, k: int) -> CostSum:
-    cost, n = problem.quadratic, problem.state_dim
-    augmented = QuadraticCost(
-        Q=with_rows(with_columns(cost.Q, k), np.zeros((k, n + k))),
+def _augmented_cost(cost: QuadraticCost, k: int, weight: float) -> QuadraticCost:
+    """Return a cost of x, with weight/2 |w_t|^2 for w in R^k besides."""
+    n, m = cost.S.shape[-2:]
+    return QuadraticCost(
+        Q=with_rows(with_columns(cost.Q, k), weight * np.eye(k, n + k, n)),
         R=cost.R,
-        S=with_rows(cost.S, np.zeros((k, problem.control_dim))),
+        S=with_rows(cost.S, np.zeros((k, m))),
         q=with_columns(cost.q, k),
         r=cost.r,
         P=with_rows(with_columns(cost.P, k), np.zeros((k, n + k))),
@@ -250,7 +256,6 @@ def _augmented_cost(problem: OptimalControlProblem, k: int) -> CostSum:
         x_ref=with_columns(cost.x_ref, k),
         u_ref=cost.u_ref,
     )
-    return CostSum([augmented, *(one.extended(n, k) for one in problem.cost.norms)])
 
 
 def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
@@ -411,11 +416,6 @@ class SampledMasks(Inverse):
     """
 
     points: Mapping[str, Array]
-
-    @property
-    def shortfall(self) -> str:
-        """Return where an answer of the relaxed problem satisfies the constraints."""
-        return f"at the frequencies of {plural(len(self.points), 'mask')} only"
 
     def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers with the points that they stand at; those of zero are left out."""

@@ -90,11 +90,11 @@ def candidate_of(outcome: Outcome) -> Candidate:
     )
 
 
-def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float) -> Outcome:
+def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfall: str = "") -> Outcome:
     """Return an outcome of the reduced problem as one of the given problem, its point judged again there.
 
     The bound of a search over modes, and directions, hold for both problems. The status falls where more than
-    ``allowed`` is left of a condition, or the bound is no longer close enough.
+    ``allowed`` is left of a condition, or the bound is no longer close enough; ``shortfall`` is then its message.
     """
     evidence = None if outcome.evidence is None else outcome.evidence.recovered(inverse)
     outcome = replace(outcome, problem=inverse.given, evidence=evidence)
@@ -113,7 +113,7 @@ def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float) -> Outco
         gap = max(before.gap or 0.0, 0.0) + GAP_TOLERANCE
         found = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
         if found != status:
-            status, message = found, inverse.shortfall
+            status, message = found, shortfall
     return replace(outcome, certificate=after.raised(inverse.cost), status=status, message=message)
 
 

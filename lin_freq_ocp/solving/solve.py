@@ -20,6 +20,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.methods.progress import Progress
@@ -183,6 +184,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     best = min(proven, key=lambda one: one.violation) if proven else rounds[-1]
     found = replace(best.found, seconds=seconds)
     if problem.dynamics.mode_names:  # the bound of the search is that of the relaxed problem, below the optimum
-        return recover_outcome(best.inverse, found, CONDITION_TOLERANCE)
+        shortfall = f"at the frequencies of {plural(len(masks), 'mask')} only"
+        return recover_outcome(best.inverse, found, CONDITION_TOLERANCE, shortfall)
     candidate = best.inverse.recover(candidate_of(found))
     return replace(judged(problem, candidate, found.method, found.backend, request.tolerance), reason=found.reason)
