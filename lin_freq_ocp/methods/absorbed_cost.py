@@ -35,16 +35,16 @@ class AbsorbedCost(OwnStates):
     response: Response
     curvature: BinCurvature
 
-    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers of the given states; at a trajectory, with the gradients of the given cost there."""
-        found = super().multipliers(found)
+        own = super().multipliers(reduced)
         if at is None:
-            return found
+            return own
         cost, link = self.given.quadratic, self.given.links[-1].name
         absorbed = at.u @ cost.S.T
         if self.response.closed:
             absorbed = absorbed + (at.x - self.response.base)[:-1] @ cost.Q
-        eta, on_link = found.eta.copy(), found.stage[link].copy()
+        eta, on_link = own.eta.copy(), own.stage[link].copy()
         eta[:-1] -= absorbed[1:]
         if self.response.closed:
             eta[-1] -= absorbed[0]
@@ -52,12 +52,12 @@ class AbsorbedCost(OwnStates):
         else:
             on_link -= absorbed[0]
         H, inside = self.curvature.hessians, self.curvature.within
-        rho_u = found.rho_u.copy()
+        rho_u = own.rho_u.copy()
         if self.response.closed:
             spectrum = fft.rfft(at.u, axis=0)
             missing = ((H - inside) @ spectrum[:, :, None])[:, :, 0] * ~self.curvature.passed
             rho_u -= self.response.weight[:, None] * missing / self.response.record
-        return replace(found, eta=eta, rho_u=rho_u, stage={**found.stage, link: on_link})
+        return replace(own, eta=eta, rho_u=rho_u, stage={**own.stage, link: on_link})
 
 
 def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:

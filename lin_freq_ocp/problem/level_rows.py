@@ -110,17 +110,17 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
 class FewBetweenLevels(Inverse):
     """The way from any optimum to one with few samples between levels; multipliers are normals to their common face."""
 
-    def trajectory(self, found: Trajectory) -> Trajectory:
-        """Return an optimum with as few entries between levels as there are rows; the one found if it has no more."""
-        rows, given, u = level_rows(self.given), _set_of_levels(self.given), found.u
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
+        """Return an optimum with as few entries between levels as there are rows; or the given one if it has no more."""
+        rows, given, u = level_rows(self.given), _set_of_levels(self.given), reduced.u
         if rows is None or given is None:
-            return found
+            return reduced
         spans, (*levels, between) = _spans(given, u), _neighbours(given, u)
         R, at, free = _of_spans(rows, spans), (u / spans).ravel(), np.flatnonzero(between)
         nearest, lower, upper = ((part / spans).ravel() for part in levels)
         moved = np.where(between.ravel(), at, nearest)
         if len(free) <= _rank(R):
-            return found
+            return reduced
         if len(R):
             moved[free] += np.linalg.lstsq(R[:, free], R @ (at - moved), rcond=None)[0]
         while len(free):
@@ -134,7 +134,7 @@ class FewBetweenLevels(Inverse):
             moved[free] += room[first] * z
             moved[free[first]] = upper[free[first]] if z[first] > 0 else lower[free[first]]
             free = np.delete(free, first)
-        return simulate(self.given, moved.reshape(u.shape) * spans, found.x[0])
+        return simulate(self.given, moved.reshape(u.shape) * spans, reduced.x[0])
 
 
 def few_between_levels(problem: OptimalControlProblem) -> FewBetweenLevels | None:

@@ -52,20 +52,20 @@ class Inverse:
         """Return the cost of the given problem less that of the reduced one, a constant."""
         return 0.0
 
-    def trajectory(self, found: Trajectory) -> Trajectory:
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return a trajectory of the given problem from one of the reduced problem."""
-        return found
+        return reduced
 
-    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return multipliers at a recovered trajectory; those of a ray or of a bound have none.
 
         UnsupportedError if the answer of the reduced problem is none of the given one.
         """
-        return found
+        return reduced
 
-    def direction(self, found: Trajectory) -> Trajectory:
+    def direction(self, reduced: Trajectory) -> Trajectory:
         """Return a direction of descent (dx, du) of the given problem."""
-        return found
+        return reduced
 
     def judged_at(self, trajectory: Trajectory) -> tuple[OptimalControlProblem, Trajectory]:
         """Return the problem, and the trajectory in it, at which a recovered trajectory is judged."""

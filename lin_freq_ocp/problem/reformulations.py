@@ -74,9 +74,9 @@ class Translation(Inverse):
         """Return a trajectory of the given problem as one of the translated problem."""
         return Trajectory(trajectory.x - self.origin, trajectory.u) if self.moves else trajectory
 
-    def trajectory(self, found: Trajectory) -> Trajectory:
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return a trajectory of the translated problem as one of the given problem, rounded to its digits."""
-        return Trajectory(found.x + self.origin, found.u) if self.moves else found
+        return Trajectory(reduced.x + self.origin, reduced.u) if self.moves else reduced
 
     def judged_at(self, trajectory: Trajectory) -> tuple[OptimalControlProblem, Trajectory]:
         """Return the translated problem with the rounded trajectory: residuals there are not those of large numbers."""
@@ -270,17 +270,17 @@ def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
 class OwnStates(Inverse):
     """The way back from a problem in the states (x, w) to the one in x, where w has no cost at a trajectory."""
 
-    def trajectory(self, found: Trajectory) -> Trajectory:
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return the trajectory without w."""
-        return Trajectory(found.x[:, : self.given.state_dim], found.u)
+        return Trajectory(reduced.x[:, : self.given.state_dim], reduced.u)
 
-    def direction(self, found: Trajectory) -> Trajectory:
+    def direction(self, reduced: Trajectory) -> Trajectory:
         """Return the direction without w."""
-        return self.trajectory(found)
+        return self.trajectory(reduced)
 
-    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers without those of w; what limits x and w together keeps them under its name."""
-        n, stage = self.given.state_dim, dict(found.stage)
+        n, stage = self.given.state_dim, dict(reduced.stage)
         sizes = {term.name: term.shape[1] for term in self.given.terms}
         for term in self.problem.terms:
             if term.name in stage and stage[term.name].shape[1] > sizes.get(term.name, np.inf):
@@ -290,7 +290,7 @@ class OwnStates(Inverse):
                     matrix = form[0][0]
                     own = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
                 stage[term.name] = stage[term.name][:, own]
-        return replace(found, eta=found.eta[:, :n], mu=found.mu[:, :n], rho_x=found.rho_x[:, :n], stage=stage)
+        return replace(reduced, eta=reduced.eta[:, :n], mu=reduced.mu[:, :n], rho_x=reduced.rho_x[:, :n], stage=stage)
 
 
 RATE_LIMIT = "rate limit"  # of the added rows
@@ -417,14 +417,14 @@ class SampledMasks(Inverse):
 
     points: Mapping[str, Array]
 
-    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers with the points that they stand at; those of zero are left out."""
-        stage, frequencies = dict(found.stage), dict[str, Array]()
+        stage, frequencies = dict(reduced.stage), dict[str, Array]()
         for name, points in self.points.items():
-            weights = found.stage.get(name, np.zeros((len(points), 2)))
+            weights = reduced.stage.get(name, np.zeros((len(points), 2)))
             used = np.flatnonzero(weights.any(axis=1))
             stage[name], frequencies[name] = weights[used], points[used]
-        return replace(found, stage=stage, frequencies=frequencies)
+        return replace(reduced, stage=stage, frequencies=frequencies)
 
 
 def sampled_masks(problem: OptimalControlProblem, points: Mapping[str, Array]) -> SampledMasks:

@@ -95,9 +95,9 @@ def test_a_chain_applies_from_left_to_right_and_recovers_from_right_to_left():
             super().__init__(problem, replace(problem, name=problem.name + str(number)))
             object.__setattr__(self, "number", number)
 
-        def trajectory(self, found):
+        def trajectory(self, reduced):
             calls.append(self.number)
-            return lfo.Trajectory(10 * found.x + self.number, found.u)
+            return lfo.Trajectory(10 * reduced.x + self.number, reduced.u)
 
     def step(number):
         return Reduction(lambda problem: Step(problem, number))

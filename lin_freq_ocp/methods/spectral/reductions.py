@@ -40,9 +40,9 @@ class RowForm(Inverse):
 
     polyhedra: tuple[LinearRows, ...]
 
-    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers of the rows as those of the sets, and the adjoint without the rows on x_T."""
-        eta, stage, T = found.eta.copy(), dict(found.stage), self.given.horizon
+        eta, stage, T = reduced.eta.copy(), dict(reduced.stage), self.given.horizon
         for rows in self.polyhedra:
             weights, before = np.zeros(rows.e.shape), rows.times < T
             if before.any():
@@ -51,7 +51,7 @@ class RowForm(Inverse):
                 weights[~before] = stage.pop(rows.name + AT_THE_END)[-1:]
                 eta[-1] -= rows.C[0, :, : eta.shape[1]].T @ weights[~before][0]
             stage[rows.name] = weights
-        return replace(found, eta=eta, stage=stage)
+        return replace(reduced, eta=eta, stage=stage)
 
 
 def row_form(problem: OptimalControlProblem) -> RowForm | None:
@@ -187,12 +187,12 @@ class SoftBounds(Inverse):
 
     sets: tuple[SoftSet, ...]
 
-    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers of soft bounds as those of their sets."""
-        forces = np.hstack([found.mu, with_rows(found.nu, np.zeros((1, self.given.control_dim)))])
-        on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in self.sets}
+        forces = np.hstack([reduced.mu, with_rows(reduced.nu, np.zeros((1, self.given.control_dim)))])
+        on_sets = {one.name: one.multipliers(forces, reduced.eta_C) for one in self.sets}
         n = self.given.state_dim
-        return replace(found, mu=forces[:, :n], nu=forces[:-1, n:], stage={**found.stage, **on_sets})
+        return replace(reduced, mu=forces[:, :n], nu=forces[:-1, n:], stage={**reduced.stage, **on_sets})
 
 
 def soft_bounds(problem: OptimalControlProblem) -> SoftBounds | None:
@@ -257,32 +257,32 @@ class SoftBins(Inverse):
 
     terms: tuple[Term, ...]
 
-    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return multipliers of the given problem; UnsupportedError if one exceeds its price, which counts eta_C times.
 
         Bins that are removed by a band of the given problem, too, keep theirs there.
         """
-        through_u = self.given.equations.pull_back(found.eta)[1]
+        through_u = self.given.equations.pull_back(reduced.eta)[1]
         rho = {
-            TermKind.CONTROL_SPECTRUM: (found.rho_u.copy(), self.given.control_stop, through_u),
-            TermKind.STATE_SPECTRUM: (found.rho_x.copy(), self.given.state_stop, found.eta),
+            TermKind.CONTROL_SPECTRUM: (reduced.rho_u.copy(), self.given.control_stop, through_u),
+            TermKind.STATE_SPECTRUM: (reduced.rho_x.copy(), self.given.state_stop, reduced.eta),
         }
-        stage = dict(found.stage)
+        stage = dict(reduced.stage)
         for term in self.terms:
             bins, component, (forces, stopped, others) = term.map.nearest_bins, term.map.component, rho[term.kind]
             own = np.where(stopped[bins, component], 0.0, forces[bins, component])
-            price = found.eta_C * np.broadcast_to(term.penalty.weights, (len(bins), 1))[:, 0]
-            rounding = 0.0 if found.eta_C else np.abs(others[:, component]).max()
+            price = reduced.eta_C * np.broadcast_to(term.penalty.weights, (len(bins), 1))[:, 0]
+            rounding = 0.0 if reduced.eta_C else np.abs(others[:, component]).max()
             if (np.abs(own) > price + PRICE_ROUNDING * (price + rounding)).any():
                 raise UnsupportedError(
                     f"method 'spectral': {term.name}: a soft bin is not zero at its price; the Fourier-domain method "
                     "takes soft bins whose price keeps them zero. Use method 'structured'."
                 )
             forces[bins, component] -= own
-            paid = np.asarray(own if found.eta_C else np.zeros_like(own), dtype=np.complex128)
+            paid = np.asarray(own if reduced.eta_C else np.zeros_like(own), dtype=np.complex128)
             stage[term.name] = sealed(np.stack([paid.real, paid.imag], axis=1))
         rho_u, rho_x = (sealed(forces) for forces, *_ in rho.values())
-        return replace(found, rho_u=rho_u, rho_x=rho_x, stage=stage)
+        return replace(reduced, rho_u=rho_u, rho_x=rho_x, stage=stage)
 
 
 def soft_bins(problem: OptimalControlProblem) -> SoftBins | None:

@@ -22,7 +22,7 @@ class FixedModes(Inverse):
 
     sequence: Indices
 
-    def trajectories(self, found: Trajectory) -> Iterator[Trajectory]:
+    def trajectories(self, reduced: Trajectory) -> Iterator[Trajectory]:
         """Yield a solver's trajectory, with the controls that the modes fix exactly at their levels.
 
         First with the states that follow, then, from a free start, with the solver's: unstable dynamics magnify
@@ -30,19 +30,19 @@ class FixedModes(Inverse):
         """
         controls, start = self.given.dynamics.controls_of(self.sequence), self.given.initial_box
         if controls is None:
-            yield found
+            yield reduced
             return
-        yield simulate(self.given, controls, start.project(found.x[0]))
+        yield simulate(self.given, controls, start.project(reduced.x[0]))
         if not start.fixed.all():
-            yield Trajectory(found.x, controls)
+            yield Trajectory(reduced.x, controls)
 
-    def trajectory(self, found: Trajectory) -> Trajectory:
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return the trajectory with exact levels."""
-        return next(self.trajectories(found))
+        return next(self.trajectories(reduced))
 
-    def multipliers(self, found: Multipliers, at: Trajectory | None = None) -> Multipliers:
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers with the weights of all modes that a trajectory is in."""
-        return found if at is None else weighted(self.given, at, self.sequence, found)
+        return reduced if at is None else weighted(self.given, at, self.sequence, reduced)
 
     def recover(self, answer: AnyAnswer) -> AnyAnswer:
         """Return the answer for the given problem; a ray, which excludes one sequence, is left out."""

@@ -127,7 +127,7 @@ class _Search:
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Search, and judge the best sequence's trajectory and the tree."""
         require_convex(problem)
-        limits = _limits(self.gap, self.node_limit, request)
+        limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes)
         started = now()
         found = self._search(problem, limits, request)
         seconds = {"setup": found.setup, "solve": now() - started - found.setup}
@@ -222,7 +222,7 @@ class MixedInteger:
         """Search, beginning with the solver's sequence; the message names a claim that proves wrong."""
         require_convex(problem)
         backend = "scip" if self.backend == "auto" else self.backend
-        limits = _limits(self.gap, self.node_limit, request)
+        limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes)
         end = now() + limits.seconds
         claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
         left = max(limits.seconds - sum(claim.seconds.values()), LEAST_PROOF_SECONDS)
@@ -240,10 +240,6 @@ class MixedInteger:
         if result.status == Status.OPTIMAL and not agreed:
             return replace(result, message=f"{backend} ended with {found} ('{claim.message}'), the optimum is {proven}")
         return result
-
-
-def _limits(gap: float, node_limit: int | None, request: Request) -> SearchLimits:
-    return SearchLimits(gap, request.time_limit, node_limit or SearchLimits.nodes)
 
 
 def _judge_search(

@@ -260,8 +260,8 @@ class Doubled(Inverse):
 
     cost = 1.0
 
-    def multipliers(self, found, at=None):
-        return replace(found, eta=2.0 * found.eta)
+    def multipliers(self, reduced, at=None):
+        return replace(reduced, eta=2.0 * reduced.eta)
 
 
 def test_all_multipliers_and_bounds_of_a_tree_are_recovered():
