@@ -111,7 +111,7 @@ class FewBetweenLevels(Inverse):
     """The way from any optimum to one with few samples between levels; multipliers are normals to their common face."""
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:
-        """Return an optimum with as few entries between levels as there are rows; or the given one if it has no more."""
+        """Return an optimum with as few entries between levels as there are rows, or the given one if it has."""
         rows, given, u = level_rows(self.given), _set_of_levels(self.given), reduced.u
         if rows is None or given is None:
             return reduced

@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
-from lin_freq_ocp.methods.spectral.reductions import SoftBounds, soft_sets
+from lin_freq_ocp.methods.spectral.reductions import SoftBounds, priced_bounds
 from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import Data, EndsModel, Structure, forces
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -244,8 +244,11 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUni
         found.rho_x * x,
         {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_ends,
     )
-    soft = soft_sets(problem)  # the model has their prices beside the bounds, so that no other problem was made
-    return SoftBounds(problem, problem, soft).multipliers(multipliers) if soft else multipliers
+    bounds = priced_bounds(problem) if problem.terms else None
+    if bounds is None or not bounds.sets:
+        return multipliers
+    # the model holds the prices of soft sets, so that no problem with hard bounds was made
+    return SoftBounds(problem, problem, bounds.sets).multipliers(multipliers)
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ def row_form(problem: OptimalControlProblem) -> RowForm | None:
         return None
     found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
     recursion = problem.dynamics.response(problem.horizon) is None
-    others = len(found) < len(sets) or soft_sets(problem) is not None
+    others = len(found) < len(sets) or priced_bounds(problem) is not None
     if others or not recursion or problem.linear.time_varying:
         return None
     try:
@@ -165,16 +165,50 @@ def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
     return SoftSet(term.name, times, f, sign, size, limit, weights * size, fixed, violation)
 
 
-def soft_sets(problem: OptimalControlProblem) -> tuple[SoftSet, ...] | None:
-    """Return all sets as soft sets; None if some is none, or needs the place of another bound."""
-    found = list[SoftSet]()
+@dataclass(frozen=True, eq=False)
+class PricedBounds:
+    """All sets as soft ones; all bounds lower, upper and their prices, (T+1, n+m), in the user's units; none on u_T."""
+
+    sets: tuple[SoftSet, ...]
+    lower: Array
+    upper: Array
+    of_lower: Array
+    of_upper: Array
+
+
+def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
+    """Return all bounds, hard and soft.
+
+    None if some set is no soft set of bounds, if two would need one place, or a soft one is not within the other.
+    """
+    sets = list[SoftSet]()
     for term in problem.terms:
         if term.kind not in (TermKind.STAGE_ROWS, TermKind.LINKED_ENDS):
             one = soft_set(problem, term)
             if one is None:
                 return None
-            found.append(one)
-    return tuple(found) if not found or priced_bounds(problem, found) is not None else None
+            sets.append(one)
+    tubes, m = (problem.state_tube, problem.control_tube), problem.control_dim
+    sides = [
+        np.hstack([states, np.vstack([controls, np.full((1, m), absent)])])
+        for states, controls, absent in (
+            (tubes[0].lower, tubes[1].lower, -np.inf),
+            (tubes[0].upper, tubes[1].upper, np.inf),
+        )
+    ]
+    prices = [np.full(side.shape, np.inf) for side in sides]
+    for one in sets:
+        group, row = np.nonzero(np.isfinite(one.limit) & ~one.constant)
+        t, f, limit = one.times[group], one.f[row], one.limit[group, row]
+        for above, sign in ((False, -1.0), (True, 1.0)):
+            mine = one.sign[row] == sign
+            at, side = (t[mine], f[mine]), sides[above]
+            places = at[0] * side.shape[1] + at[1]
+            if np.isfinite(side[at]).any() or len(np.unique(places)) < len(places):
+                return None
+            side[at], prices[above][at] = sign * limit[mine], one.price[group[mine], row[mine]]
+    soft = np.isfinite(prices[0]) | np.isfinite(prices[1])
+    return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(tuple(sets), *sides, *prices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +231,8 @@ class SoftBounds(Inverse):
 
 def soft_bounds(problem: OptimalControlProblem) -> SoftBounds | None:
     """Return the problem with all bounds, hard and soft, as hard ones; None unless bounds can say all its sets."""
-    sets, n = soft_sets(problem), problem.state_dim
-    bounds = priced_bounds(problem, sets) if sets else None
-    if not sets or bounds is None:
+    bounds, n = priced_bounds(problem), problem.state_dim
+    if bounds is None or not bounds.sets:
         return None
     changed = replace(
         problem,
@@ -208,42 +241,7 @@ def soft_bounds(problem: OptimalControlProblem) -> SoftBounds | None:
         initial_state=problem.initial_box,
         terminal_state=problem.terminal_box,
     )
-    return SoftBounds(problem, changed, sets)
-
-
-@dataclass(frozen=True, eq=False)
-class PricedBounds:
-    """Bounds lower, upper and their prices, (T+1, n+m), in the user's units; controls have none at T."""
-
-    lower: Array
-    upper: Array
-    of_lower: Array
-    of_upper: Array
-
-
-def priced_bounds(problem: OptimalControlProblem, sets: list[SoftSet] | tuple[SoftSet, ...]) -> PricedBounds | None:
-    """Return all bounds, hard and soft; None if two would need one place, or a soft one is not within the other."""
-    tubes, m = (problem.state_tube, problem.control_tube), problem.control_dim
-    sides = [
-        np.hstack([states, np.vstack([controls, np.full((1, m), absent)])])
-        for states, controls, absent in (
-            (tubes[0].lower, tubes[1].lower, -np.inf),
-            (tubes[0].upper, tubes[1].upper, np.inf),
-        )
-    ]
-    prices = [np.full(side.shape, np.inf) for side in sides]
-    for one in sets:
-        group, row = np.nonzero(np.isfinite(one.limit) & ~one.constant)
-        t, f, limit = one.times[group], one.f[row], one.limit[group, row]
-        for above, sign in ((False, -1.0), (True, 1.0)):
-            mine = one.sign[row] == sign
-            at, side = (t[mine], f[mine]), sides[above]
-            places = at[0] * side.shape[1] + at[1]
-            if np.isfinite(side[at]).any() or len(np.unique(places)) < len(places):
-                return None
-            side[at], prices[above][at] = sign * limit[mine], one.price[group[mine], row[mine]]
-    soft = np.isfinite(prices[0]) | np.isfinite(prices[1])
-    return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(*sides, *prices)
+    return SoftBounds(problem, changed, bounds.sets)
 
 
 @dataclass(frozen=True, eq=False)
