@@ -115,7 +115,7 @@ LEAST_PROOF_SECONDS = 0.25  # seconds for the best sequence, and for the leaves,
 
 
 @dataclass(frozen=True)
-class _SequenceSearch:
+class _Search:
     """The options of a search of our own over mode sequences, and the way from its end to an outcome."""
 
     gap: float = GAP
@@ -138,7 +138,7 @@ class _SequenceSearch:
 
 
 @dataclass(frozen=True)
-class BranchAndBound(_SequenceSearch):
+class BranchAndBound(_Search):
     """Branch and bound over mode sequences (piecewise-affine dynamics; docs/mode_search.md).
 
     Attributes
@@ -172,7 +172,7 @@ class BranchAndBound(_SequenceSearch):
 
 
 @dataclass(frozen=True)
-class Enumeration(_SequenceSearch):
+class Enumeration(_Search):
     """All mode sequences, one after the other (piecewise-affine dynamics, short horizons).
 
     Attributes
