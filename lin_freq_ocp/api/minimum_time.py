@@ -151,7 +151,7 @@ def minimum_time(
     """
     low, high = checked_horizons(horizons)
     require_source(problem)
-    require_options(method, time_limit, backend, tolerance)
+    require_options(method, backend, time_limit=time_limit, tolerance=tolerance)
     at = partial(problem_at_horizon, problem)
     failing = obstacles(at, low, high, same_data=not callable(problem))
     monotone = not failing

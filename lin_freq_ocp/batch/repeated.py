@@ -115,7 +115,7 @@ class Repeated:
         tree: SearchCache | None = None,
     ) -> Outcome:
         """Solve the changed problem, from a start and a tree if the method takes them, and judge the answer."""
-        require_options(self.name, time_limit)
+        require_options(self.name, time_limit=time_limit)
         problem = change.of(self.problem)
         located = self.located(problem)
         change = located.translated(change, problem)
@@ -127,9 +127,9 @@ class Repeated:
         limit = np.inf if time_limit is None else time_limit
         if tree is not None:
             tree.begins(located.translation.problem if change.starts_elsewhere else None)
-        request = Request(limit, start=begin, again=again, tree=tree)
         tolerance: float | None = getattr(self.method, "tolerance", None)
-        outcome = solve_translated(self.method, translation, request, tolerance)
+        request = Request(limit, tolerance, start=begin, again=again, tree=tree)
+        outcome = solve_translated(self.method, translation, request)
         outcome = restored_outcome(translation, outcome, tolerance)
         if outcome.status.solved and outcome.trajectory is not None:
             self._moves = np.maximum(self._moves, np.ptp(outcome.trajectory.x, axis=0))

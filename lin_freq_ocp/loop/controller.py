@@ -29,13 +29,13 @@ from lin_freq_ocp.loop.step_problem import (
     soften,
     with_past,
 )
+from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.hybrid.modes import KeptTree
-from lin_freq_ocp.solving.hybrid.smooth import no_multipliers
 from lin_freq_ocp.solving.judging import allowed_residual
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
@@ -205,6 +205,6 @@ def better(problem: OptimalControlProblem, one: Trajectory, other: Trajectory, t
 def rank(problem: OptimalControlProblem, trajectory: Trajectory, tolerance: float | None) -> tuple[bool, float]:
     """Return what is less for the better trajectory: whether it is infeasible, and its cost, or else its violation."""
     near = translation_of(problem)
-    none = replace(no_multipliers(near.problem), eta_C=0.0)  # so that the judge looks for no bound
+    none = zero_multipliers(near.problem, 0.0)  # so that the judge looks for no bound
     certificate = judge(near.problem, near.translated(trajectory), none, allowed_residual(tolerance))
     return (False, certificate.cost) if certificate.feasible else (True, certificate.violation)

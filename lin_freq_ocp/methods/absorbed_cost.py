@@ -17,58 +17,34 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import with_columns
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import wider
+from lin_freq_ocp.problem.reductions import Reduction
+from lin_freq_ocp.problem.reformulations import OwnStates, augment_states
 from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class AbsorbedCost:
-    """The problem with further outputs, and what the given one was."""
+class AbsorbedCost(OwnStates):
+    """The problem with further outputs, and the response and the curvature of the given one."""
 
-    problem: OptimalControlProblem
-    given: OptimalControlProblem
     response: Response
     curvature: BinCurvature
 
-    def candidate(self, found: Candidate) -> Candidate:
-        """Return the candidate for the given problem."""
-        n, trajectory, multipliers = self.given.state_dim, found.trajectory, found.multipliers
-        if trajectory is not None:
-            trajectory = Trajectory(trajectory.x[:, :n], trajectory.u)
-        if trajectory is not None and multipliers is not None:
-            multipliers = self._with_given_gradients(self._without_outputs(multipliers), trajectory)
-        ray = None if found.ray is None else self._without_outputs(found.ray)
-        descent = None if found.descent is None else Trajectory(found.descent.x[:, :n], found.descent.u)
-        return replace(found, trajectory=trajectory, multipliers=multipliers, ray=ray, descent=descent)
-
-    def _without_outputs(self, given: Multipliers) -> Multipliers:
-        """Return the multipliers without those of the further outputs."""
-        n, stage = self.given.state_dim, dict(given.stage)
-        sizes = {term.name: term.shape[1] for term in self.given.terms}
-        for term in self.problem.terms:
-            if term.name in stage and stage[term.name].shape[1] > sizes[term.name]:
-                # the values of the given signals: further outputs have their own bounds
-                form, own = term.map.stage_form(self.problem.state_dim, self.given.control_dim), slice(sizes[term.name])
-                if form is not None:
-                    matrix = form[0][0]
-                    own = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
-                stage[term.name] = stage[term.name][:, own]
-        return replace(given, eta=given.eta[:, :n], mu=given.mu[:, :n], rho_x=given.rho_x[:, :n], stage=stage)
-
-    def _with_given_gradients(self, found: Multipliers, at: Trajectory) -> Multipliers:
-        """Return multipliers whose gradients are those of the given cost at a trajectory."""
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers of the given states; at a trajectory, with the gradients of the given cost there."""
+        own = super().multipliers(reduced)
+        if at is None:
+            return own
         cost, link = self.given.quadratic, self.given.links[-1].name
         absorbed = at.u @ cost.S.T
         if self.response.closed:
             absorbed = absorbed + (at.x - self.response.base)[:-1] @ cost.Q
-        eta, on_link = found.eta.copy(), found.stage[link].copy()
+        eta, on_link = own.eta.copy(), own.stage[link].copy()
         eta[:-1] -= absorbed[1:]
         if self.response.closed:
             eta[-1] -= absorbed[0]
@@ -76,21 +52,21 @@ class AbsorbedCost:
         else:
             on_link -= absorbed[0]
         H, inside = self.curvature.hessians, self.curvature.within
-        rho_u = found.rho_u.copy()
+        rho_u = own.rho_u.copy()
         if self.response.closed:
             spectrum = fft.rfft(at.u, axis=0)
             missing = ((H - inside) @ spectrum[:, :, None])[:, :, 0] * ~self.curvature.passed
             rho_u -= self.response.weight[:, None] * missing / self.response.record
-        return replace(found, eta=eta, rho_u=rho_u, stage={**found.stage, link: on_link})
+        return replace(own, eta=eta, rho_u=rho_u, stage={**own.stage, link: on_link})
 
 
 def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
     """Return the problem whose cost is convex at each time; None if the given one's is, or has no response."""
     response = problem.dynamics.response(problem.horizon)
-    found = None if response is None else bin_curvature(problem, response)
-    if response is None or found is None or problem.quadratic.nonconvexity() is None:
+    curvature = None if response is None else bin_curvature(problem, response)
+    if response is None or curvature is None or problem.quadratic.nonconvexity() is None:
         return None
-    values, vectors = np.linalg.eigh(found.within)
+    values, vectors = np.linalg.eigh(curvature.within)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2).conj()
     if not response.closed:  # the samples from T on, as outputs that lead by T
         lead = np.where(np.arange(len(root)) % 2 == 0, 1.0, -1.0)[:, None, None]
@@ -105,29 +81,19 @@ def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
         control_names=problem.control_names,
     )
     free = np.full(k, np.inf)
-    further = wider(problem, dynamics, Box(-free, free), -free, _cost(problem, response, k))
-    return AbsorbedCost(further, problem, response, found)
+    further = augment_states(problem, dynamics, Box(-free, free), -free, _output_cost(problem, response), weight=1.0)
+    return AbsorbedCost(problem, further, response, curvature)
 
 
-def _cost(problem: OptimalControlProblem, response: Response, k: int) -> CostSum:
-    """Return the cost in the outputs (x, w), w in R^k."""
+ABSORBED_COST = Reduction(absorbed_cost)
+
+
+def _output_cost(problem: OptimalControlProblem, response: Response) -> QuadraticCost:
+    """Return the part of the cost that stays one of the given outputs and controls."""
     cost, n, m = problem.quadratic, problem.state_dim, problem.control_dim
     x_ref, u_ref = np.broadcast_to(cost.x_ref, (problem.horizon + 1, n))[:-1], cost.u_ref
     kept, moved = (np.zeros((n, n)), cost.Q) if response.closed else (cost.Q, np.zeros((n, n)))
     g = response.base[:-1]
     q = cost.q - u_ref @ cost.S.T + (g - x_ref) @ moved
     r = cost.r - u_ref @ cost.R + (g - x_ref) @ cost.S
-    Q = np.zeros((n + k, n + k))
-    Q[:n, :n], Q[n:, n:] = kept, np.eye(k)
-    P = np.zeros((n + k, n + k))
-    P[:n, :n] = cost.P
-    quadratic = QuadraticCost(
-        Q=Q,
-        R=np.zeros((m, m)),
-        q=with_columns(q, k),
-        r=r,
-        P=P,
-        p=with_columns(cost.p, k),
-        x_ref=with_columns(cost.x_ref, k),
-    )
-    return CostSum([quadratic, *(one.extended(n, k) for one in problem.cost.norms)])
+    return replace(cost, Q=kept, R=np.zeros((m, m)), S=np.zeros((n, m)), q=q, r=r, u_ref=np.zeros(m))

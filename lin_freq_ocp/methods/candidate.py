@@ -1,11 +1,11 @@
-"""What every method returns, and what every method checks first.
+"""What is asked of every method, what it returns, and what it checks first.
 
 A candidate is a point with multipliers, or a ray: measured by the method, judged elsewhere.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +17,28 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Residuals
 
 SOLVED_TOLERANCE = 1e-6  # relative residuals up to which a method's "solved" is accepted, in units of the answer
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """What is asked of a method for linear dynamics, beside the problem.
+
+    Attributes
+    ----------
+    tolerance : float or None
+        Relative residuals to stop at; None for those of the method.
+    time_limit : float or None
+        Seconds from the call on.
+    compiled : bool or None
+        Whether loops are compiled; None: where that pays.
+    """
+
+    tolerance: float | None = None
+    time_limit: float | None = None
+    compiled: bool | None = None
+
+
+DEFAULTS = SolveOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +90,12 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
             weights[term.name][k, row] = 1.0
             mu = np.zeros((T + 1, n))
             mu[t] = -C[row]
-            rho_u, rho_x = (np.zeros(stop.shape, dtype=complex) for stop in (problem.control_stop, problem.state_stop))
-            return Multipliers(0.0, np.zeros((T, n)), mu, np.zeros((T, m)), rho_u, rho_x, weights)
+            return replace(zero_multipliers(problem, 0.0), mu=mu, stage=weights)
     return None
+
+
+def zero_multipliers(problem: OptimalControlProblem, eta_C: float) -> Multipliers:
+    """Return multipliers of which only that of the cost may not be zero."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    rho_u, rho_x = (np.zeros(stop.shape) for stop in (problem.control_stop, problem.state_stop))
+    return Multipliers(eta_C, np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m)), rho_u, rho_x)

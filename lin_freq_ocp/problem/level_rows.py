@@ -17,8 +17,11 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.terms.term import TermKind
+from lin_freq_ocp.problem.trajectory import Trajectory
 
 AT_LEVEL = 1e-6  # share of a sample up to which it counts as at a level: solvers leave less, and the judge allows it
 INDEPENDENT = 1e-10  # singular value of rows of size 1, over the largest, from which they are independent: no rounding
@@ -59,8 +62,8 @@ class LevelUse:
 
 def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
     """Return how controls (T, m) use the levels of a problem; None without levels."""
-    given = problem.control_set
-    if not isinstance(given, ConvexSet) or not len(given.levels_of(u.shape[1])):
+    given = _set_of_levels(problem)
+    if given is None:
         return None
     shares = given.shares(u)
     between = sum(int(np.count_nonzero(one.max(axis=1) < 1 - AT_LEVEL)) for one in shares)
@@ -73,8 +76,7 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
 
     None, too, where the cost is not one of each sample alone, or the initial state is free.
     """
-    given = problem.control_set
-    if not isinstance(given, ConvexSet) or not len(given.shares(problem.control_tube.lower)):
+    if _set_of_levels(problem) is None:
         return None
     inner = np.isfinite([bound[1:-1] for bound in (problem.state_tube.lower, problem.state_tube.upper)])
     try:
@@ -105,31 +107,39 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
     return of_u + _through_states(problem, of_x)
 
 
-def with_few_between(problem: OptimalControlProblem, u: Array) -> Array | None:
-    """Return an optimum with as few entries between levels as there are rows, from an optimum u (T, m); or None."""
-    rows, given = level_rows(problem), problem.control_set
-    if rows is None or not isinstance(given, ConvexSet):
-        return None
-    spans, (*levels, between) = _spans(given, u), _neighbours(given, u)
-    R, at, free = _of_spans(rows, spans), (u / spans).ravel(), np.flatnonzero(between)
-    nearest, lower, upper = ((part / spans).ravel() for part in levels)
-    found = np.where(between.ravel(), at, nearest)
-    if len(free) <= _rank(R):
-        return None
-    if len(R):
-        found[free] += np.linalg.lstsq(R[:, free], R @ (at - found), rcond=None)[0]
-    while len(free):
-        _, sizes, directions = np.linalg.svd(R[:, free], full_matrices=True)
-        rank = int(np.count_nonzero(sizes > INDEPENDENT * sizes.max(initial=0.0)))
-        if rank == len(free):
-            break
-        z = directions[rank]  # R maps it to zero
-        room = np.where(z > 0, upper[free] - found[free], found[free] - lower[free]) / np.maximum(np.abs(z), 1e-300)
-        first = int(np.argmin(room))
-        found[free] += room[first] * z
-        found[free[first]] = upper[free[first]] if z[first] > 0 else lower[free[first]]
-        free = np.delete(free, first)
-    return found.reshape(u.shape) * spans
+class FewBetweenLevels(Inverse):
+    """The way from any optimum to one with few samples between levels; multipliers are normals to their common face."""
+
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
+        """Return an optimum with as few entries between levels as there are rows, or the given one if it has."""
+        rows, given, u = level_rows(self.given), _set_of_levels(self.given), reduced.u
+        if rows is None or given is None:
+            return reduced
+        spans, (*levels, between) = _spans(given, u), _neighbours(given, u)
+        R, at, free = _of_spans(rows, spans), (u / spans).ravel(), np.flatnonzero(between)
+        nearest, lower, upper = ((part / spans).ravel() for part in levels)
+        moved = np.where(between.ravel(), at, nearest)
+        if len(free) <= _rank(R):
+            return reduced
+        if len(R):
+            moved[free] += np.linalg.lstsq(R[:, free], R @ (at - moved), rcond=None)[0]
+        while len(free):
+            _, sizes, directions = np.linalg.svd(R[:, free], full_matrices=True)
+            rank = int(np.count_nonzero(sizes > INDEPENDENT * sizes.max(initial=0.0)))
+            if rank == len(free):
+                break
+            z = directions[rank]  # R maps it to zero
+            room = np.where(z > 0, upper[free] - moved[free], moved[free] - lower[free]) / np.maximum(np.abs(z), 1e-300)
+            first = int(np.argmin(room))
+            moved[free] += room[first] * z
+            moved[free[first]] = upper[free[first]] if z[first] > 0 else lower[free[first]]
+            free = np.delete(free, first)
+        return simulate(self.given, moved.reshape(u.shape) * spans, reduced.x[0])
+
+
+def few_between_levels(problem: OptimalControlProblem) -> FewBetweenLevels | None:
+    """Return the same problem with the way to few samples between levels; None if its controls have none."""
+    return None if _set_of_levels(problem) is None else FewBetweenLevels(problem, problem)
 
 
 def _spans(given: ConvexSet, u: Array) -> Array:
@@ -182,3 +192,9 @@ def _neighbours(given: ConvexSet, u: Array) -> tuple[Array, Array, Array, Array]
 
 def _rank(R: Array) -> int:
     return int(np.linalg.matrix_rank(R, rtol=INDEPENDENT)) if len(R) else 0
+
+
+def _set_of_levels(problem: OptimalControlProblem) -> ConvexSet | None:
+    """Return the control set where it is one set of levels for all times."""
+    given = problem.control_set
+    return given if isinstance(given, ConvexSet) and len(given.levels_of(problem.control_dim)) else None

@@ -1,4 +1,4 @@
-"""Problems made of a problem: its states counted from another origin, states added to its own, rates limited.
+"""Reductions of any problem: states counted from another origin, states added, rates limited, sampled frequencies.
 
 A far origin costs digits, so that states are counted from where they move. Where a constraint has a memory, the memory
 becomes a state; a limit on the change of a control is joint rows on (x_t, u_{t-1}). Semi-infinite constraints have
@@ -19,17 +19,18 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, one_component, real_array, with_columns, with_rows
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.phrases import split_unit
-from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
+from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.problem_data import changed
+from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_indices, entries_of
 from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 # Distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
 FAR_FROM_ZERO = 10.0
@@ -37,7 +38,7 @@ ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its ter
 
 
 @dataclass(frozen=True, eq=False)
-class Translation:
+class Translation(Inverse):
     """A problem, and the same problem with its states counted from an origin, (n,): x = origin + y.
 
     A, B, control sets, multipliers and costs stay; offsets, ends, state sets, references, rows, guards and regions move
@@ -45,8 +46,6 @@ class Translation:
     relative tolerance sees numbers of 5e6; counted from the start of the move, it is the same problem as anywhere else.
     """
 
-    given: OptimalControlProblem
-    problem: OptimalControlProblem
     origin: Array
 
     @property
@@ -64,9 +63,13 @@ class Translation:
         """Return a trajectory of the given problem as one of the translated problem."""
         return Trajectory(trajectory.x - self.origin, trajectory.u) if self.moves else trajectory
 
-    def restored(self, trajectory: Trajectory) -> Trajectory:
-        """Return a trajectory of the translated problem as one of the given problem."""
-        return Trajectory(trajectory.x + self.origin, trajectory.u) if self.moves else trajectory
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
+        """Return a trajectory of the translated problem as one of the given problem, rounded to its digits."""
+        return Trajectory(reduced.x + self.origin, reduced.u) if self.moves else reduced
+
+    def judged_at(self, trajectory: Trajectory) -> tuple[OptimalControlProblem, Trajectory]:
+        """Return the translated problem with the rounded trajectory: residuals there are not those of large numbers."""
+        return self.problem, self.translated(trajectory)
 
 
 def translation_of(problem: OptimalControlProblem) -> Translation:
@@ -188,44 +191,50 @@ class AddedStates:
 def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
     dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
-    return wider(problem, dynamics, added.initial, added.lower, _augmented_cost(problem, len(added.A)))
+    return augment_states(problem, dynamics, added.initial, added.lower, problem.quadratic)
 
 
-def wider(
-    problem: OptimalControlProblem, dynamics: Dynamics, initial: Box, lower: Array, cost: Cost
+def augment_states(
+    problem: OptimalControlProblem,
+    dynamics: Dynamics,
+    initial: Box,
+    lower: Array,
+    quadratic: QuadraticCost,
+    weight: float = 0.0,
 ) -> OptimalControlProblem:
-    """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,)."""
-    k = len(lower)
+    """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,).
+
+    Its cost is a quadratic one of x and u, weight/2 |w_t|^2 for t < T, and the nonsmooth costs of the given problem.
+    """
+    n, k = problem.state_dim, len(lower)
     free, state_set, boxes = np.full(k, np.inf), problem.state_set, problem.state_boxes
     if isinstance(state_set, Sequence):
-        wider_set: SetOrSets = [_with_box(one, boxes.at(t), Box(lower, free)) for t, one in enumerate(state_set)]
+        augmented_set: SetOrSets = [_with_box(one, boxes.at(t), Box(lower, free)) for t, one in enumerate(state_set)]
     else:
         shape = problem.horizon + 1, k
-        wider_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
+        augmented_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
     return replace(
         problem,
         dynamics=dynamics,
-        cost=cost,
-        state_set=wider_set,
+        cost=CostSum([_augmented_cost(quadratic, k, weight), *(one.extended(n, k) for one in problem.cost.norms)]),
+        state_set=augmented_set,
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
-        state_spectrum=[
-            more for one in entries_of(problem.state_spectrum) for more in one.extended(problem.state_dim, k)
-        ]
-        or None,
+        state_spectrum=[more for one in entries_of(problem.state_spectrum) for more in one.extended(n, k)] or None,
         stage_rows=[
             StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
         ],
-        output_spectrum=[one.extended(problem.state_dim, k) for one in entries_of(problem.output_spectrum)] or None,
+        output_spectrum=[one.extended(n, k) for one in entries_of(problem.output_spectrum)] or None,
     )
 
 
-def _augmented_cost(problem: OptimalControlProblem, k: int) -> CostSum:
-    cost, n = problem.quadratic, problem.state_dim
-    wider = QuadraticCost(
-        Q=with_rows(with_columns(cost.Q, k), np.zeros((k, n + k))),
+def _augmented_cost(cost: QuadraticCost, k: int, weight: float) -> QuadraticCost:
+    """Return a cost of x, with weight/2 |w_t|^2 for w in R^k besides."""
+    n, m = cost.S.shape[-2:]
+    return QuadraticCost(
+        Q=with_rows(with_columns(cost.Q, k), weight * np.eye(k, n + k, n)),
         R=cost.R,
-        S=with_rows(cost.S, np.zeros((k, problem.control_dim))),
+        S=with_rows(cost.S, np.zeros((k, m))),
         q=with_columns(cost.q, k),
         r=cost.r,
         P=with_rows(with_columns(cost.P, k), np.zeros((k, n + k))),
@@ -233,7 +242,6 @@ def _augmented_cost(problem: OptimalControlProblem, k: int) -> CostSum:
         x_ref=with_columns(cost.x_ref, k),
         u_ref=cost.u_ref,
     )
-    return CostSum([wider, *(one.extended(n, k) for one in problem.cost.norms)])
 
 
 def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
@@ -242,6 +250,33 @@ def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
     n, k = bounds.lower.shape[-1], added.lower.shape[-1]
     members = () if given is None else given.members
     return Intersection([box, *(one.extended(n, k) for one in members)]) if members else box
+
+
+@dataclass(frozen=True, eq=False)
+class OwnStates(Inverse):
+    """The way back from a problem in the states (x, w) to the one in x, where w has no cost at a trajectory."""
+
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
+        """Return the trajectory without w."""
+        return Trajectory(reduced.x[:, : self.given.state_dim], reduced.u)
+
+    def direction(self, reduced: Trajectory) -> Trajectory:
+        """Return the direction without w."""
+        return self.trajectory(reduced)
+
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers without those of w; what limits x and w together keeps them under its name."""
+        n, stage = self.given.state_dim, dict(reduced.stage)
+        sizes = {term.name: term.shape[1] for term in self.given.terms}
+        for term in self.problem.terms:
+            if term.name in stage and stage[term.name].shape[1] > sizes.get(term.name, np.inf):
+                # the values of x and u: w has bounds of its own
+                form, own = term.map.stage_form(self.problem.state_dim, self.given.control_dim), slice(sizes[term.name])
+                if form is not None:
+                    matrix = form[0][0]
+                    own = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
+                stage[term.name] = stage[term.name][:, own]
+        return replace(reduced, eta=reduced.eta[:, :n], mu=reduced.mu[:, :n], rho_x=reduced.rho_x[:, :n], stage=stage)
 
 
 RATE_LIMIT = "rate limit"  # of the added rows
@@ -277,6 +312,14 @@ def rate_limited(
     3
     """
     require_problem(problem)
+    return rate_limit(problem, limit, previous).problem
+
+
+def rate_limit(problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None) -> OwnStates:
+    """Return the problem of ``rate_limited``, and the way back to its own states.
+
+    The limits keep their multipliers under their name: those of the rows for u_t - u_{t-1} itself.
+    """
     m = problem.control_dim
     given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
     limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
@@ -307,7 +350,7 @@ def rate_limited(
         np.tile(limits[limited], 2),
         name=RATE_LIMIT,
     )
-    return replace(remembering, stage_rows=[*remembering.stage_rows, rows])
+    return OwnStates(problem, replace(remembering, stage_rows=[*remembering.stage_rows, rows]))
 
 
 Kind = TypeVar("Kind", bound=Continuum)
@@ -349,3 +392,27 @@ def at_frequencies(
             for one in entries_of(problem.output_spectrum)
         ],
     )
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMasks(Inverse):
+    """The relaxed problem whose semi-infinite constraints hold at points, by the names of their terms.
+
+    At all other points their multipliers are zero.
+    """
+
+    points: Mapping[str, Array]
+
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers with the points that they stand at; those of zero are left out."""
+        stage, frequencies = dict(reduced.stage), dict[str, Array]()
+        for name, points in self.points.items():
+            weights = reduced.stage.get(name, np.zeros((len(points), 2)))
+            used = np.flatnonzero(weights.any(axis=1))
+            stage[name], frequencies[name] = weights[used], points[used]
+        return replace(reduced, stage=stage, frequencies=frequencies)
+
+
+def sampled_masks(problem: OptimalControlProblem, points: Mapping[str, Array]) -> SampledMasks:
+    """Return the problem with its semi-infinite constraints at points only, and the way back."""
+    return SampledMasks(problem, at_frequencies(problem, points, relaxed=True), points)

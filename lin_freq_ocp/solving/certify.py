@@ -93,7 +93,7 @@ def certify(
         trajectory = simulate(problem, real_array("u", trajectory))
     problem.require(trajectory)
     translation = translation_of(problem)
-    problem, at = translation.problem, translation.translated(trajectory)
+    problem, at = translation.judged_at(trajectory)
     if multipliers is None:  # those that fit best
         problem = at_frequencies(problem, peak_points(problem, at.x, at.u, NEAR_LIMIT))
         certificate = entry_for(CERTIFIERS, problem.dynamics)(problem, at, allowed)

@@ -112,8 +112,8 @@ def chosen(problem: OptimalControlProblem, method: str | Method, given: Mapping[
     family, options = family_of(problem), {name: value for name, value in given.items() if value is not None}
     start = options.pop("start", None)
     if isinstance(method, str):
-        require_shorthand(method)
         if method not in family.shorthands:
+            require_shorthand(method)
             raise UnsupportedError(_for_others(method, family))
         shorthand = family.shorthands[method]
         for option, value in options.items():

@@ -10,13 +10,13 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.rays import prove_infeasible, unbounded_direction
-from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.problem.level_rows import with_few_between
+from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.problem.reductions import Inverse
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
 ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
@@ -52,48 +52,83 @@ def judged(
     ray = candidate.ray if status == Status.INFEASIBLE else _diverged_ray(candidate)
     proof = None if ray is None else prove_infeasible(problem, ray)
     seconds = {**candidate.seconds, "certify": now() - clock}
-    if proof is not None:
+    point = candidate.trajectory, candidate.multipliers, certificate
+    if proof is not None:  # then there is no point
+        status = Status.INFEASIBLE
         message = "proven by a rigorous ray" if proof.bound.kind == RIGOROUS else ONLY_PRACTICAL
-        return Outcome(
-            problem,
-            Status.INFEASIBLE,
-            method,
-            backend,
-            seconds,
-            infeasibility=proof,
-            message=message,
-            interrupted=candidate.interrupted,
-        )
-    if status == Status.INFEASIBLE:
+        point, direction = (None, None, None), None
+    elif status == Status.INFEASIBLE:
         status, message = Status.INFEASIBLE_CLAIMED, f"{message}, but its ray proves nothing"
+    elif status == Status.OPTIMAL:
+        message = ""
     return Outcome(
-        problem=problem,
-        status=status,
-        method=method,
-        backend=backend,
-        seconds=seconds,
-        trajectory=candidate.trajectory,
-        multipliers=candidate.multipliers,
-        certificate=certificate,
-        message="" if status == Status.OPTIMAL else message,
+        problem,
+        status,
+        method,
+        backend,
+        seconds,
+        *point,
+        infeasibility=proof,
+        message=message,
         interrupted=candidate.interrupted,
         direction=direction,
     )
 
 
+def candidate_of(outcome: Outcome) -> Candidate:
+    """Return the claim that a judged outcome makes: its point, ray or direction."""
+    unsolved = outcome.status in (Status.UNBOUNDED, Status.LIMIT, Status.NUMERICAL_ERROR)
+    return Candidate(
+        "infeasible" if outcome.ray is not None else str(outcome.status) if unsolved else "optimal",
+        outcome.trajectory,
+        outcome.multipliers,
+        outcome.ray,
+        message=outcome.message,
+        seconds=outcome.seconds,
+        interrupted=outcome.interrupted,
+        descent=None if outcome.direction is None else Trajectory(outcome.direction.x, outcome.direction.u),
+    )
+
+
+def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfall: str = "") -> Outcome:
+    """Return an outcome of the reduced problem as one of the given problem, its point judged again there.
+
+    The bound of a search over modes, and directions, hold for both problems. The status falls where more than
+    ``allowed`` is left of a condition, or the bound is no longer close enough; ``shortfall`` is then its message.
+    """
+    evidence = None if outcome.evidence is None else outcome.evidence.recovered(inverse)
+    outcome = replace(outcome, problem=inverse.given, evidence=evidence)
+    if outcome.trajectory is None:
+        return outcome
+    trajectory = inverse.trajectory(outcome.trajectory)
+    multipliers = outcome.multipliers and inverse.multipliers(outcome.multipliers, trajectory)
+    before, outcome = outcome.certificate, replace(outcome, trajectory=trajectory, multipliers=multipliers)
+    if before is None or multipliers is None:
+        return outcome
+    after = replace(judge(*inverse.judged_at(trajectory), multipliers, allowed), descent=before.descent)
+    if inverse.given.dynamics.mode_names:
+        after = replace(after, bound=before.bound, borders=before.borders)
+    status, message = outcome.status, outcome.message
+    if status in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
+        gap = max(before.gap or 0.0, 0.0) + GAP_TOLERANCE
+        found = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
+        if found != status:
+            status, message = found, shortfall
+    return replace(outcome, certificate=after.raised(inverse.cost), status=status, message=message)
+
+
 def with_few_fractional(outcome: Outcome, tolerance: float | None) -> Outcome:
     """Return the outcome of an optimum of the same cost with few samples between levels, or the outcome itself.
 
-    The multipliers are those of the first: normals to the optima's common face. The judge decides.
+    The judge decides.
     """
-    problem, at = outcome.problem, outcome.trajectory
-    if outcome.status != Status.OPTIMAL or at is None:
+    if outcome.status != Status.OPTIMAL or outcome.trajectory is None:
         return outcome
-    u = with_few_between(problem, at.u)
-    if u is None:
+    inverse = few_between_levels(outcome.problem)
+    candidate = None if inverse is None else inverse.recover(candidate_of(outcome))
+    if candidate is None or candidate.trajectory is outcome.trajectory:
         return outcome
-    candidate = Candidate("optimal", simulate(problem, u, at.x[0]), outcome.multipliers)
-    found = judged(problem, candidate, outcome.method, outcome.backend, tolerance)
+    found = judged(outcome.problem, candidate, outcome.method, outcome.backend, tolerance)
     if found.status != Status.OPTIMAL:
         return outcome
     seconds = {**outcome.seconds, "certify": outcome.seconds.get("certify", 0.0) + found.seconds["certify"]}
@@ -133,11 +168,9 @@ def _diverged_ray(candidate: Candidate) -> Multipliers | None:
     if candidate.status not in ("numerical_error", "limit") or candidate.multipliers is None or candidate.interrupted:
         return None
     given = candidate.multipliers
-    parts = (given.eta, given.mu, given.nu, np.abs(given.rho_u), np.abs(given.rho_x), *given.stage.values())
-    size = max(float(np.abs(part).max(initial=0.0)) for part in parts)
+    fields = {name: getattr(given, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x")}
+    size = max(float(np.abs(part).max(initial=0.0)) for part in (*fields.values(), *given.stage.values()))
     if size < DIVERGED:
         return None
-    stage = {name: part / size for name, part in given.stage.items()}
-    return Multipliers(
-        0.0, given.eta / size, given.mu / size, given.nu / size, given.rho_u / size, given.rho_x / size, stage
-    )
+    scaled = {name: part / size for name, part in fields.items()}
+    return Multipliers(0.0, **scaled, stage={name: part / size for name, part in given.stage.items()})

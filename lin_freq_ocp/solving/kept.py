@@ -11,13 +11,12 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, known_entries
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.absorbed_cost import AbsorbedCost, absorbed_cost
-from lin_freq_ocp.methods.candidate import Candidate, require_convex
-from lin_freq_ocp.methods.spectral import SpectralSolution, SpectralSolver, row_form
+from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
+from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.spectral.recovery import Together
-from lin_freq_ocp.methods.spectral.reductions import RowForm, SoftBins, soft_bins
 from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reductions import Chain, reduce_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
 
@@ -47,40 +46,17 @@ class Change:
         return problem.with_ends(self.initial_state, self.terminal_state)
 
 
-@dataclass(frozen=True, eq=False)
-class SpectralForm:
-    """A problem as the Fourier-domain method takes it: soft bins removed, polyhedral sets as joint rows."""
-
-    bins: SoftBins
-    rows: RowForm
-    absorbed: AbsorbedCost | None
-
-    @property
-    def problem(self) -> OptimalControlProblem:
-        """Return the problem that is solved."""
-        return self.rows.problem if self.absorbed is None else self.absorbed.problem
-
-    @property
-    def changed(self) -> bool:
-        """Whether that is not the given problem."""
-        return bool(self.bins.terms or self.rows.polyhedra or self.absorbed)
-
-    def given(self, candidate: Candidate) -> Candidate:
-        """Return a candidate of the problem that is solved as one of the given problem."""
-        if not self.changed:
-            return candidate
-        candidate = candidate if self.absorbed is None else self.absorbed.candidate(candidate)
-        found = {name: getattr(candidate, name) for name in ("multipliers", "ray")}
-        given = {name: one and self.bins.multipliers(self.rows.multipliers(one)) for name, one in found.items()}
-        return replace(candidate, **given)
-
-
-def spectral_form(problem: OptimalControlProblem) -> SpectralForm:
-    """Return a problem in the form that the Fourier-domain method takes."""
+def spectral_problem(problem: OptimalControlProblem) -> Chain:
+    """Return the problem that the Fourier-domain method takes in place of a given one, and the way back."""
     require_convex(problem)
-    bins = soft_bins(problem)
-    rows = row_form(bins.problem)
-    return SpectralForm(bins, rows, absorbed_cost(rows.problem))
+    return reduce_problem(problem, REDUCTIONS)
+
+
+def solve_spectral(problem: OptimalControlProblem, options: SolveOptions) -> Candidate:
+    """Solve a problem in the Fourier domain from scratch; UnsupportedError if it is outside the class of the method."""
+    reduced = spectral_problem(problem)
+    solver = SpectralSolver(reduced.problem)
+    return reduced.recover(solver.solve(tolerance=options.tolerance, time_limit=options.time_limit))
 
 
 class Kept:
@@ -88,35 +64,32 @@ class Kept:
 
     def __init__(self, problem: OptimalControlProblem):
         self.problem = problem
-        self._form: SpectralForm | None = None
+        self._reduced: Chain | None = None
         self._solver: SpectralSolver | None = None
         self._refusal: UnsupportedError | None = None
         self._last: SpectralSolution | None = None
         self.prepared = Prepared()
 
-    def spectral(
-        self, problem: OptimalControlProblem, change: Change, tolerance: float | None, time_limit: float | None
-    ) -> Candidate:
+    def spectral(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""
         if not self._takes(problem, change):
-            form = spectral_form(problem)
-            return form.given(SpectralSolver(form.problem).solve(tolerance=tolerance, time_limit=time_limit))
-        form, solver = self._spectral_solver()
+            return solve_spectral(problem, options)
+        reduced, solver = self._spectral_solver()
         found = solver.solve(
             change.initial_state,
             change.terminal_state,
             change.references,
             change.bounds,
             warm_start=self._last,
-            tolerance=tolerance,
-            time_limit=time_limit,
+            tolerance=options.tolerance,
+            time_limit=options.time_limit,
         )
         if found.status == "optimal":
             self._last = found
-        return form.given(found)
+        return reduced.recover(found)
 
     def _takes(self, problem: OptimalControlProblem, change: Change) -> bool:
-        """Whether the kept solver takes a changed problem: its new sets are boxes, and the same values are fixed."""
+        """Whether the kept solver takes a changed problem: new sets are boxes, none is rows, equal values are fixed."""
         old = self.problem
         ends = (
             (change.initial_state, problem.initial_state, old.initial_state),
@@ -129,27 +102,29 @@ class Kept:
             return False
         if not all(np.array_equal(mine.fixed, others.fixed) for mine, others in fixed):
             return False
-        return not (change.bounds and any(spectral_form(one).rows.polyhedra for one in (problem, old)))
+        if not change.bounds:
+            return True
+        return all(len(spectral_problem(one).problem.stage_rows) == len(one.stage_rows) for one in (problem, old))
 
     def together(self, initial_states: Array) -> Together | None:
         """Solve from initial states (N, n) at once, where the Fourier-domain method can."""
         try:
-            form, solver = self._spectral_solver()
+            reduced, solver = self._spectral_solver()
         except UnsupportedError:
             return None
-        return None if form.changed else solver.solve_together(initial_states)
+        return None if reduced.inverses else solver.solve_together(initial_states)
 
-    def _spectral_solver(self) -> tuple[SpectralForm, SpectralSolver]:
+    def _spectral_solver(self) -> tuple[Chain, SpectralSolver]:
         if self._refusal is not None:
             raise self._refusal
-        if self._form is None or self._solver is None:
-            self._form = spectral_form(self.problem)
+        if self._reduced is None or self._solver is None:
+            self._reduced = spectral_problem(self.problem)
             try:
-                self._solver = SpectralSolver(self._form.problem)
+                self._solver = SpectralSolver(self._reduced.problem)
             except UnsupportedError as error:
                 self._refusal = error
                 raise
-        return self._form, self._solver
+        return self._reduced, self._solver
 
 
 class SearchCache(ABC):

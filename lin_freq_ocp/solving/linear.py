@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -13,7 +14,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, proof_margin, prove_infeasible, unbounded_direction
-from lin_freq_ocp.methods.candidate import Candidate, contradiction_at_ends
+from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import (
     convex_candidates,
@@ -22,14 +23,13 @@ from lin_freq_ocp.methods.convex.sparse_program import (
     solve_convex,
     structured_first,
 )
-from lin_freq_ocp.methods.spectral import SpectralSolver
-from lin_freq_ocp.methods.structured.solver import solve_again, solve_structured
+from lin_freq_ocp.methods.structured.solver import Prepared, solve_again, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.judging import judged
-from lin_freq_ocp.solving.kept import spectral_form
+from lin_freq_ocp.solving.kept import solve_spectral
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -48,8 +48,111 @@ PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 UNPROVEN = (Status.NUMERICAL_ERROR, Status.INFEASIBLE_CLAIMED)
 
 
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """One solve of a problem by a method, with the tolerance asked for and the time when it ends: what it is judged by.
+
+    Parameters
+    ----------
+    end : float
+        By ``clock.now``; inf without a time limit.
+    """
+
+    problem: OptimalControlProblem
+    method: str
+    tolerance: float | None
+    end: float
+    backend: str | None = None
+
+    @property
+    def options(self) -> SolveOptions:
+        """Return what is asked of a method that begins now."""
+        return SolveOptions(self.tolerance, seconds_left(self.end))
+
+    def judge(self, candidate: Candidate) -> Outcome:
+        """Judge a candidate as it stands."""
+        return judged(self.problem, candidate, self.method, self.backend, self.tolerance)
+
+    def judge_point(self, candidate: Candidate) -> Outcome:
+        """Judge a candidate, and a direction of descent in its place where its trajectory is far beyond the data.
+
+        The conditions of such a point hold relative to its own size, and its bound proves nothing: of a problem without
+        a finite optimum it says where the solver stopped.
+        """
+        if candidate.status == "unbounded":
+            candidate = self._contradiction() or candidate
+        outcome = self.judge(candidate)
+        if _rank(outcome) == 2 or outcome.interrupted or not (candidate.status == "unbounded" or _is_far(outcome)):
+            return outcome
+        try:
+            along = steepest_recession(self.problem)
+            if along is None or unbounded_direction(self.problem, along) is None:
+                return outcome
+            claim = self._contradiction() or replace(candidate, status="unbounded", descent=along)
+        except UnsupportedError:  # the program does not fit into memory
+            return outcome
+        found = self.judge(replace(claim, trajectory=None, multipliers=None))
+        return found if _rank(found) == 2 else outcome
+
+    def diagnose(self, problem: OptimalControlProblem) -> Candidate | None:
+        """Return the claim of the prover, at its own tolerance, that a problem is infeasible or unbounded, or None."""
+        claim = solve_convex(problem, PROVER, SolveOptions(time_limit=seconds_left(self.end)))
+        return claim if claim.status in ("infeasible", "unbounded") else None
+
+    def _contradiction(self) -> Candidate | None:
+        """Return the prover's claim that the problem is infeasible, whatever its cost."""
+        return self.diagnose(replace(self.problem, cost=QuadraticCost()))
+
+    def exclusion_at_ends(self) -> Outcome | None:
+        """Return the outcome with the proof that an end lies outside its set, or None."""
+        ray = contradiction_at_ends(self.problem)
+        if ray is None:
+            return None
+        claim = Candidate("infeasible", ray=ray, message="an end lies outside the state set")
+        outcome = self.judge(claim)
+        return outcome if outcome.status == Status.INFEASIBLE else None
+
+    def at_no_cost(self, outcome: Outcome) -> Outcome:
+        """Return the outcome of a trajectory nearby without cost or slope, if that is optimal, else the outcome."""
+        problem, near = self.problem, outcome.trajectory
+        if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
+            return outcome
+        for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, seconds_left(self.end))):
+            if candidate is not None:
+                found = self.judge(candidate)
+                if found.status == Status.OPTIMAL and not _violates_more(found, outcome):
+                    return replace(found, seconds=outcome.seconds)
+        return outcome
+
+    def with_proof(self, outcome: Outcome) -> Outcome:
+        """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
+        try:
+            claim = self.diagnose(self.problem)
+        except UnsupportedError:  # it does not fit into memory
+            return outcome
+        found = outcome if claim is None else self.judge(claim)
+        return found if _rank(found) == 2 else outcome
+
+
+class _Linear(ABC):
+    """A method for linear dynamics: an end outside its set is found before it begins."""
+
+    tolerance: float | None
+    shorthand: ClassVar[str]
+    takes_start: ClassVar[bool] = False
+
+    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
+        """Solve the problem, and judge the answer."""
+        trial = _Trial(problem, self.shorthand, self.tolerance, now() + request.time_limit)
+        excluded = trial.exclusion_at_ends()
+        return self._solve(trial, request) if excluded is None else excluded
+
+    @abstractmethod
+    def _solve(self, trial: _Trial, request: Request) -> Outcome: ...
+
+
 @dataclass(frozen=True)
-class Convex:
+class Convex(_Linear):
     """One sparse convex program for a solver (linear dynamics).
 
     Attributes
@@ -70,29 +173,19 @@ class Convex:
     tolerance: float | None = None
 
     shorthand: ClassVar[str] = "convex"
-    takes_start: ClassVar[bool] = False
 
-    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Solve the program, and judge the answer."""
-        end = now() + request.time_limit
-        excluded = _excluded_at_ends(problem, "convex", self.tolerance)
-        if excluded is not None:
-            return excluded
+    def _solve(self, trial: _Trial, request: Request) -> Outcome:
         backend = PROVER if self.backend == "auto" else self.backend
-        candidates = convex_candidates(problem, backend, self.tolerance, seconds_left(end))
-
-        def verified(candidate: Candidate) -> Outcome:
-            return _judge_candidates(problem, candidate, "convex", backend, self.tolerance, end)
-
+        trial = replace(trial, backend=backend)
+        candidates = convex_candidates(trial.problem, backend, trial.options)
         first = next(candidates)
         if first.status not in ("optimal", "limit") and backend != PROVER:
-            diagnosis = solve_convex(problem, PROVER, None, seconds_left(end))
-            first = diagnosis if diagnosis.status in ("infeasible", "unbounded") else first
-        outcome = _at_no_cost(verified(first), self.tolerance, end)
+            first = trial.diagnose(trial.problem) or first
+        outcome = trial.at_no_cost(trial.judge_point(first))
         unproven = outcome.status in UNPROVEN or _only_practical(outcome)
         if outcome.interrupted or not (unproven or (backend == PROVER and _at_odds(outcome))):
             return outcome
-        for other in map(verified, candidates):
+        for other in map(trial.judge_point, candidates):
             accepted = other.interrupted or (_rank(other) > 0 and not _at_odds(other))
             if accepted and not _only_practical(other):
                 return other
@@ -100,7 +193,7 @@ class Convex:
 
 
 @dataclass(frozen=True)
-class Spectral:
+class Spectral(_Linear):
     """The Fourier-domain method (linear time-invariant dynamics; docs/spectral.md).
 
     Attributes
@@ -117,26 +210,16 @@ class Spectral:
     tolerance: float | None = None
 
     shorthand: ClassVar[str] = "spectral"
-    takes_start: ClassVar[bool] = False
 
-    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Solve in the Fourier domain, and judge the answer."""
-        end = now() + request.time_limit
-        excluded = _excluded_at_ends(problem, "spectral", self.tolerance)
-        if excluded is not None:
-            return excluded
+    def _solve(self, trial: _Trial, request: Request) -> Outcome:
         if request.again is None:
-            form = spectral_form(problem)
-            found = SpectralSolver(form.problem).solve(tolerance=self.tolerance, time_limit=seconds_left(end))
-            candidate = form.given(found)
-        else:
-            kept, change = request.again
-            candidate = kept.spectral(problem, change, self.tolerance, seconds_left(end))
-        return _judge_candidates(problem, candidate, "spectral", None, self.tolerance, end)
+            return trial.judge_point(solve_spectral(trial.problem, trial.options))
+        kept, change = request.again
+        return trial.judge_point(kept.spectral(trial.problem, change, trial.options))
 
 
 @dataclass(frozen=True)
-class Structured:
+class Structured(_Linear):
     """An interior-point method over stages and frequencies (linear dynamics; docs/structured.md).
 
     Attributes
@@ -154,19 +237,13 @@ class Structured:
     tolerance: float | None = None
 
     shorthand: ClassVar[str] = "structured"
-    takes_start: ClassVar[bool] = False
 
-    def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Solve over stages, and judge the answer."""
-        end = now() + request.time_limit
-        excluded = _excluded_at_ends(problem, "structured", self.tolerance)
-        if excluded is not None:
-            return excluded
-        first, doubtful, certified = None, False, 0.0
-        prepared = None if request.again is None else request.again[0].prepared
-        again = None if prepared is None else solve_again(problem, prepared, self.tolerance, seconds_left(end))
-        if prepared is not None and again is not None:
-            outcome = judged(problem, again, "structured", None, self.tolerance)
+    def _solve(self, trial: _Trial, request: Request) -> Outcome:
+        problem, first, doubtful, certified = trial.problem, None, False, 0.0
+        prepared = Prepared() if request.again is None else request.again[0].prepared
+        again = solve_again(problem, prepared, trial.options)
+        if again is not None:
+            outcome = trial.judge(again)
             if outcome.status == Status.OPTIMAL and _final(outcome):  # what is not proven is solved from scratch
                 prepared.near = outcome.trajectory
                 return outcome
@@ -175,21 +252,21 @@ class Structured:
             proof = prove_infeasible(problem, ray)
             return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
 
-        for candidate in solve_structured(problem, self.tolerance, seconds_left(end), excludes, prepared=prepared):
+        for candidate in solve_structured(problem, trial.options, excludes, prepared=prepared):
             doubtful = candidate.status in ("unbounded", "numerical_error")
-            outcome = _judge_candidates(problem, candidate, "structured", None, self.tolerance, end)
+            outcome = trial.judge_point(candidate)
             certified += outcome.seconds["certify"]
             if first is None or _rank(outcome) > _rank(first):
                 first = outcome
             if _final(outcome):
                 break
         assert first is not None  # there is an answer
-        if prepared is not None and first.status == Status.OPTIMAL:
+        if first.status == Status.OPTIMAL:
             prepared.near = first.trajectory
         first = replace(first, seconds=first.seconds | {"certify": certified})
         if doubtful and _rank(first) < 2 and not first.interrupted:  # such as a direction that is not exactly flat
-            first = _with_proof(first, self.tolerance, end)
-        return _at_no_cost(first, self.tolerance, end)
+            first = trial.with_proof(first)
+        return trial.at_no_cost(first)
 
 
 @dataclass(frozen=True)
@@ -221,9 +298,8 @@ class LinearAuto:
         best: Outcome | None = None
         refusals = list[str]()
         for method in self._in_turn(problem):
-            left = seconds_left(end)
             try:
-                outcome = method.solve(problem, request if left is None else replace(request, time_limit=left))
+                outcome = method.solve(problem, request.until(end))
             except UnsupportedError as error:
                 refusals += [] if str(error) in refusals else [str(error)]
                 continue
@@ -271,29 +347,6 @@ def _violates_more(outcome: Outcome, best: Outcome) -> bool:
     return outcome.certificate.violation > max(best.certificate.violation, REPLACED_VIOLATION)
 
 
-def _at_no_cost(outcome: Outcome, tolerance: float | None, end: float) -> Outcome:
-    """Return the outcome of a trajectory nearby without cost or without slope, if it is optimal, else the outcome."""
-    problem, near = outcome.problem, outcome.trajectory
-    if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
-        return outcome
-    for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, seconds_left(end))):
-        if candidate is not None:
-            found = judged(problem, candidate, outcome.method, outcome.backend, tolerance)
-            if found.status == Status.OPTIMAL and not _violates_more(found, outcome):
-                return replace(found, seconds=outcome.seconds)
-    return outcome
-
-
-def _excluded_at_ends(problem: OptimalControlProblem, method: str, tolerance: float | None) -> Outcome | None:
-    """Return the outcome with the proof that an end lies outside its set, or None."""
-    ray = contradiction_at_ends(problem)
-    if ray is None:
-        return None
-    claim = Candidate("infeasible", ray=ray, message="an end lies outside the state set")
-    outcome = judged(problem, claim, method, None, tolerance)
-    return outcome if outcome.status == Status.INFEASIBLE else None
-
-
 def _final(outcome: Outcome) -> bool:
     """Whether no other method is tried after this outcome: it is proven, or the time is over."""
     certificate = outcome.certificate
@@ -320,47 +373,6 @@ def _at_odds(outcome: Outcome) -> bool:
     return outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp != "satisfied"
 
 
-def _with_proof(outcome: Outcome, tolerance: float | None, end: float) -> Outcome:
-    """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
-    try:
-        diagnosis = solve_convex(outcome.problem, PROVER, None, seconds_left(end))
-    except UnsupportedError:  # it does not fit into memory
-        return outcome
-    if diagnosis.status not in ("infeasible", "unbounded"):
-        return outcome
-    found = judged(outcome.problem, diagnosis, outcome.method, None, tolerance)
-    return found if _rank(found) == 2 else outcome
-
-
-def _judge_candidates(
-    problem: OptimalControlProblem,
-    candidate: Candidate,
-    method: str,
-    backend: str | None,
-    tolerance: float | None,
-    end: float,
-) -> Outcome:
-    """Judge a candidate, and a direction of descent in its place where its trajectory is far beyond the data.
-
-    The conditions of such a point hold relative to its own size, and its bound proves nothing: of a problem without a
-    finite optimum it says where the solver stopped.
-    """
-    if candidate.status == "unbounded":
-        candidate = _if_feasible(problem, candidate, seconds_left(end))
-    outcome = judged(problem, candidate, method, backend, tolerance)
-    if _rank(outcome) == 2 or outcome.interrupted or not (candidate.status == "unbounded" or _is_far(outcome)):
-        return outcome
-    try:
-        along = steepest_recession(problem)
-        if along is None or unbounded_direction(problem, along) is None:
-            return outcome
-        claim = _if_feasible(problem, replace(candidate, status="unbounded", descent=along), seconds_left(end))
-    except UnsupportedError:  # the program does not fit into memory
-        return outcome
-    found = judged(problem, replace(claim, trajectory=None, multipliers=None), method, backend, tolerance)
-    return found if _rank(found) == 2 else outcome
-
-
 def _is_far(outcome: Outcome) -> bool:
     """Whether a trajectory is so large that, as a direction, it is as near to all constraints as one must be.
 
@@ -371,9 +383,3 @@ def _is_far(outcome: Outcome) -> bool:
         return outcome.status == Status.NUMERICAL_ERROR
     sizes = zip((at.x, at.u), stated_sizes(outcome.problem), strict=True)
     return max(float((np.abs(signal).max(0) / size).max()) for signal, size in sizes) > 1 / DIRECTION_TOLERANCE
-
-
-def _if_feasible(problem: OptimalControlProblem, candidate: Candidate, time_limit: float | None) -> Candidate:
-    """Return the unbounded candidate, or a proof that the problem is infeasible."""
-    feasibility = solve_convex(replace(problem, cost=QuadraticCost()), PROVER, None, time_limit)
-    return feasibility if feasibility.status == "infeasible" else candidate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import Field, dataclass
+from dataclasses import Field, dataclass, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -22,15 +22,22 @@ Report = Callable[[Progress], None]
 class Request:
     """What is asked of any method: a limit in seconds, a call as a search proceeds, and where the search begins.
 
+    ``tolerance`` loosens the judge, who allows CONDITION_TOLERANCE by default: the one asked of the method, or its own.
     ``again`` holds what was kept of solves of the same problem, and how this differs from it, if there were any;
     ``tree`` the search of the step before in a control loop.
     """
 
     time_limit: float = np.inf
+    tolerance: float | None = None
     progress: Report | None = None
     start: Start | None = None
     again: tuple[Kept, Change] | None = None
     tree: SearchCache | None = None
+
+    def until(self, end: float) -> Request:
+        """Return the same with the time that is left until the end, by ``clock.now``."""
+        left = seconds_left(end)
+        return self if left is None else replace(self, time_limit=left)
 
 
 class Method(Protocol):

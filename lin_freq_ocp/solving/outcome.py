@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +14,7 @@ from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProo
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.problem.level_rows import LevelUse, level_use
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
@@ -90,12 +90,8 @@ class Evidence(ABC):
         """Check the evidence once more, and return the bound that it proves."""
 
     @abstractmethod
-    def raised(self, constant: float) -> Evidence:
-        """Return the evidence for a cost that is higher by a constant."""
-
-    @abstractmethod
-    def with_multipliers(self, restated: Callable[[Multipliers], Multipliers]) -> Evidence:
-        """Return the evidence with all its multipliers restated."""
+    def recovered(self, inverse: Inverse) -> Evidence:
+        """Return the evidence of a reduced problem as evidence for the given one: its multipliers, and its bounds."""
 
     @abstractmethod
     def __str__(self) -> str: ...

@@ -12,7 +12,8 @@ References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programmin
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,20 +22,19 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE, PEAK_TOLERANCE
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.reformulations import Translation, at_frequencies, translation_of
+from lin_freq_ocp.problem.reductions import Inverse
+from lin_freq_ocp.problem.reformulations import Translation, sampled_masks, translation_of
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import backend as solver_named
 from lin_freq_ocp.program.backends.base import names
 from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
-from lin_freq_ocp.solving.judging import allowed_residual, judged, with_few_fractional
-from lin_freq_ocp.solving.method import Method, Report, Request, seconds_left
+from lin_freq_ocp.solving.judging import allowed_residual, candidate_of, judged, recover_outcome, with_few_fractional
+from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
 
 COARSE = 1e-8  # rounding of a state, relative to what it moves, that may be worth as much as the allowed gap
@@ -55,42 +55,35 @@ def solve_judged(
 ) -> Outcome:
     """Solve a problem, and judge the answer; parameters and errors are those of ``lfo.solve``."""
     require_problem(problem)
-    require_options(method, time_limit, backend, tolerance, gap, node_limit)
-    options = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit, "executor": executor, "start": start}
-    options["global_bound"] = global_bound
+    limits = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit}
+    require_options(method, backend, time_limit=time_limit, **limits)
+    options = {**limits, "executor": executor, "start": start, "global_bound": global_bound}
     found = chosen(problem, method, {"backend": None if backend == "auto" else backend, **options})
     begin = None if start is None else start_of(problem, start)
-    request = Request(np.inf if time_limit is None else time_limit, progress, begin)
     allowed = tolerance or getattr(found, "tolerance", None)
+    request = Request(np.inf if time_limit is None else time_limit, allowed, progress, begin)
     translation = translation_of(problem)
-    outcome = with_few_fractional(solve_translated(found, translation, request, allowed), tolerance)
+    outcome = with_few_fractional(solve_translated(found, translation, request), tolerance)
     outcome = restored_outcome(translation, outcome, allowed)
     saved = saved_options(problem, method, found) | ({} if begin is None else {"start": begin.saved})
     return replace(outcome, options=saved | {"time_limit": time_limit})
 
 
-def require_options(
-    method: str | Method,
-    time_limit: float | None = None,
-    backend: str = "auto",
-    tolerance: float | None = None,
-    gap: float | None = None,
-    node_limit: int | None = None,
-) -> None:
-    """Raise UnsupportedError unless the options of solve exist, MissingExtraError if the backend is not installed."""
+def require_options(method: str | Method, backend: str = "auto", **limits: float | None) -> None:
+    """Raise UnsupportedError unless the options of solve exist, MissingExtraError if the backend is not installed.
+
+    ``limits`` are numbers above zero, such as time_limit, tolerance, gap and node_limit; None: not given.
+    """
     if isinstance(method, str):
         require_shorthand(method)
     if backend not in ("auto", *names(binaries=True)):
         solver_named(backend)
-    limits = {"time_limit": time_limit, "tolerance": tolerance, "gap": gap, "node_limit": node_limit}
     for name, value in limits.items():
         if value is not None and not value > 0:
             raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
 
 
-def solve_translated(
-    method: Method, translation: Translation, request: Request, tolerance: float | None = None
-) -> Outcome:
+def solve_translated(method: Method, translation: Translation, request: Request) -> Outcome:
     """Solve the translated problem by a method.
 
     Start and progress of the request are those of the given problem; what it keeps of earlier solves is not.
@@ -106,7 +99,7 @@ def solve_translated(
         request = replace(request, progress=report)
     if all(term.everywhere is None for term in problem.terms):
         return method.solve(problem, request)
-    return solve_at_every_frequency(problem, method, request, tolerance)
+    return solve_at_every_frequency(problem, method, request)
 
 
 def restored_outcome(translation: Translation, outcome: Outcome, tolerance: float | None = None) -> Outcome:
@@ -117,30 +110,11 @@ def restored_outcome(translation: Translation, outcome: Outcome, tolerance: floa
     """
     if not translation.moves:
         return outcome
-    evidence = None if outcome.evidence is None else outcome.evidence.raised(translation.cost)
-    outcome = replace(outcome, problem=translation.given, evidence=evidence)
-    if outcome.trajectory is None:
+    outcome = recover_outcome(translation, outcome, allowed_residual(tolerance))
+    at, unproven = outcome.trajectory, outcome.status in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR)
+    if outcome.certificate is None or at is None or not unproven:
         return outcome
-    trajectory = translation.restored(outcome.trajectory)
-    if outcome.certificate is None or outcome.multipliers is None:
-        return replace(outcome, trajectory=trajectory)
-    # bounds and directions of a search do not depend on the rounding
-    before, at = outcome.certificate, translation.translated(trajectory)
-    after = judge(translation.problem, at, outcome.multipliers, allowed_residual(tolerance))
-    after = replace(after, descent=before.descent)
-    if translation.given.dynamics.mode_names:
-        after = replace(after, bound=before.bound, borders=before.borders)
-    status, message = outcome.status, outcome.message
-    if status in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
-        gap = max(before.gap or 0.0, 0.0) + GAP_TOLERANCE
-        found = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
-        if found != status:
-            status, message = found, ""
-    if status in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR):
-        message = "; ".join(filter(None, [message, _rounding_message(translation, trajectory)]))
-    return replace(
-        outcome, trajectory=trajectory, certificate=after.raised(translation.cost), status=status, message=message
-    )
+    return replace(outcome, message="; ".join(filter(None, [outcome.message, _rounding_message(translation, at)])))
 
 
 def _rounding_message(translation: Translation, trajectory: Trajectory) -> str:
@@ -153,47 +127,52 @@ def _rounding_message(translation: Translation, trajectory: Trajectory) -> str:
     return f"{name} lies so far from zero that double precision rounds it by {size[i]:.1e}: count it from nearer"
 
 
-EXCESS = 1e-9  # of |V| over its limit, relative: what interior points leave on the frequencies that they know
-ROUNDS = 30  # five or six reach EXCESS: convergence is quadratic
+LEFT_VIOLATION = 1e-9  # of |V| over its limit, relative: what interior points leave on the frequencies that they know
+ROUNDS = 30  # five or six reach LEFT_VIOLATION: convergence is quadratic
 IDLE = 1e-6  # part of the largest multiplier below which a frequency is dropped: without it the cost is the same
 APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
-LEAST_PROGRESS = 0.5  # part of the excess of a round that a round must leave at most, once it is below SMALL
-SMALL = 2e-7  # below the excess that the judge allows
+LEAST_PROGRESS = 0.5  # part of the violation of a round that a round must leave at most, once it is below SMALL
+SMALL = 2e-7  # below the violation that the judge allows
 
 Frequencies = dict[str, Array]
 
 
-def solve_at_every_frequency(
-    problem: OptimalControlProblem, method: Method, request: Request, tolerance: float | None = None
-) -> Outcome:
+class _Round(NamedTuple):
+    """The outcome of a relaxed problem, the way back, and the violation |V|/l - 1 at other frequencies."""
+
+    inverse: Inverse
+    found: Outcome
+    violation: float
+
+
+def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, request: Request) -> Outcome:
     """Solve a problem with masks at every frequency by any method, and judge the answer."""
     request = replace(request, again=None, tree=None)
     end = now() + request.time_limit
     masks = [(term, term.everywhere) for term in problem.terms if term.everywhere is not None]
     frequencies = {term.name: term.map.places for term, _ in masks}
-    seconds, excess, rounds = dict[str, float](), np.inf, list[_Round]()
+    seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
-        left = seconds_left(end)
-        relaxed = at_frequencies(problem, frequencies, relaxed=True)
-        found = method.solve(relaxed, request if left is None else replace(request, time_limit=left))
+        inverse = sampled_masks(problem, frequencies)
+        found = method.solve(inverse.problem, request.until(end))
         seconds |= {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}
         if found.trajectory is None or found.multipliers is None:
-            rounds.append(_Round(found, frequencies, np.inf))
+            rounds.append(_Round(inverse, found, np.inf))
             break
-        # the frequencies of peaks above their limit, and the largest excess
+        # the frequencies of peaks above their limit, and the largest violation
         x, u, added, largest = found.trajectory.x, found.trajectory.u, Frequencies(), 0.0
         for term, mask in masks:
             known, raised = frequencies[term.name], 1.0
             if not term.hard:  # by how much a soft mask is paid to be exceeded at its frequencies
                 size = np.linalg.norm(mask.map.placed(known).values(x, u), axis=1)
                 raised = float((size / mask.limit_at(known)).max(initial=1.0))
-            added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + EXCESS / 2))
+            added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + LEFT_VIOLATION / 2))
             largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
-        rounds.append(_Round(found, frequencies, largest))
-        converged = largest <= EXCESS or (largest < SMALL and largest > LEAST_PROGRESS * excess)
+        rounds.append(_Round(inverse, found, largest))
+        converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
         if converged or found.status == Status.LIMIT or found.interrupted:
             break
-        excess, before, frequencies = largest, frequencies, Frequencies()
+        violation, before, frequencies = largest, frequencies, Frequencies()
         for term, mask in masks:
             known, new = before[term.name], added[term.name]
             weight = np.linalg.norm(found.multipliers.stage[term.name], axis=1)
@@ -201,62 +180,11 @@ def solve_at_every_frequency(
             nearest = mask.distances(known, new).min(axis=1, initial=np.inf)
             joined = np.unique(np.concatenate([known[kept & (nearest > APART)], new]), axis=0)
             frequencies[term.name] = joined if len(joined) else known
-    proven = [one for one in rounds if one.found.status == Status.OPTIMAL and one.excess < PEAK_TOLERANCE]
-    best = min(proven, key=lambda one: one.excess) if proven else rounds[-1]
-    return best.restated(problem, seconds, tolerance)
-
-
-@dataclass(frozen=True, eq=False)
-class _Round:
-    """The outcome of a relaxed problem with masks at these frequencies."""
-
-    found: Outcome
-    frequencies: Frequencies
-    excess: float  # of |V| at other frequencies, relative to the limit
-
-    def restated(self, problem: OptimalControlProblem, seconds: dict[str, float], tolerance: float | None) -> Outcome:
-        """Return the outcome for the problem itself, judged at every frequency."""
-        found = self.found
-        if problem.dynamics.mode_names:
-            return self._of_modes(problem, seconds)
-        unsolved = found.status in (Status.UNBOUNDED, Status.LIMIT, Status.NUMERICAL_ERROR)
-        candidate = Candidate(
-            "infeasible" if found.ray is not None else str(found.status) if unsolved else "optimal",
-            found.trajectory,
-            found.multipliers and self._with_frequencies(found.multipliers),
-            found.ray and self._with_frequencies(found.ray),
-            message=found.message,
-            seconds=seconds,
-            interrupted=found.interrupted,
-            descent=None if found.direction is None else Trajectory(found.direction.x, found.direction.u),
-        )
-        outcome = judged(problem, candidate, found.method, found.backend, tolerance)
-        return replace(outcome, reason=found.reason)
-
-    def _of_modes(self, problem: OptimalControlProblem, seconds: dict[str, float]) -> Outcome:
-        """Return the outcome of a search over modes: its bound is that of the relaxed problem, below the optimum."""
-        found, multipliers = self.found, self.found.multipliers and self._with_frequencies(self.found.multipliers)
-        evidence = None if found.evidence is None else found.evidence.with_multipliers(self._with_frequencies)
-        outcome = replace(found, problem=problem, multipliers=multipliers, seconds=seconds, evidence=evidence)
-        if found.certificate is None or found.trajectory is None or multipliers is None:
-            return outcome
-        certificate = judge(problem, found.trajectory, multipliers)
-        old = found.certificate
-        certificate = replace(certificate, bound=old.bound, borders=old.borders, descent=old.descent)
-        if found.status not in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
-            return replace(outcome, certificate=certificate)
-        proven = max(old.gap or 0.0, 0.0) + GAP_TOLERANCE if found.status == Status.OPTIMAL else -np.inf
-        status = certificate.status_within(proven)
-        if status != found.status:
-            message = f"at the frequencies of {plural(len(self.frequencies), 'mask')} only"
-            return replace(outcome, certificate=certificate, status=status, message=message)
-        return replace(outcome, certificate=certificate)
-
-    def _with_frequencies(self, multipliers: Multipliers) -> Multipliers:
-        """Return multipliers with the frequencies that they stand at; those of zero are left out."""
-        stage, frequencies = dict(multipliers.stage), Frequencies()
-        for name, w in self.frequencies.items():
-            weights = multipliers.stage.get(name, np.zeros((len(w), 2)))
-            used = np.flatnonzero(weights.any(axis=1))
-            stage[name], frequencies[name] = weights[used], w[used]
-        return replace(multipliers, stage=stage, frequencies=frequencies)
+    proven = [one for one in rounds if one.found.status == Status.OPTIMAL and one.violation < PEAK_TOLERANCE]
+    best = min(proven, key=lambda one: one.violation) if proven else rounds[-1]
+    found = replace(best.found, seconds=seconds)
+    if problem.dynamics.mode_names:  # the bound of the search is that of the relaxed problem, below the optimum
+        shortfall = f"at the frequencies of {plural(len(masks), 'mask')} only"
+        return recover_outcome(best.inverse, found, CONDITION_TOLERANCE, shortfall)
+    candidate = best.inverse.recover(candidate_of(found))
+    return replace(judged(problem, candidate, found.method, found.backend, request.tolerance), reason=found.reason)

@@ -175,7 +175,7 @@ class TestEachConditionFails:
         honest = real_rows.real_rows
         monkeypatch.setattr(real_rows, "real_rows", lambda N, stopped: honest(N, np.roll(stopped, -1)))
         monkeypatch.setattr(real_rows, "bin_multipliers", lambda N, stopped, rho: np.zeros(len(stopped), complex))
-        candidate = solve_convex(problem, "clarabel", None, None)
+        candidate = solve_convex(problem, "clarabel")
         certificate = judge(problem, candidate.trajectory, candidate.multipliers)
         assert failures(certificate, "C-vii")[0].time == problem.horizon // 2
 
@@ -342,7 +342,7 @@ def test_a_nonconvex_cost_has_no_bound_but_is_judged():
 @pytest.mark.parametrize("bound", [1.0, 2.0, 3.0])
 def test_an_infeasible_problem_has_a_verified_ray(bound):
     problem = lfo.library.pendulum(control_bound=bound)
-    ray = solve_convex(problem, "clarabel", None, None).ray
+    ray = solve_convex(problem, "clarabel").ray
     proof = prove_infeasible(problem, ray)
     assert proof.bound.value > 0
     assert proof.bound.kind == "rigorous"

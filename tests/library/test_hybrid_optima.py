@@ -42,7 +42,7 @@ def begins(problem: lfo.OptimalControlProblem, horizon: int, prefix: tuple[int, 
         for field, box in (("control_set", problem.control_tube), ("state_set", problem.state_boxes))
     }
     short = replace(problem, horizon=horizon, cost=lfo.QuadraticCost(R=1.0), control_spectrum=None, **boxes)
-    return solve_convex(short.with_modes(np.array(prefix)), "clarabel", None, None).status != "infeasible"
+    return solve_convex(short.with_modes(np.array(prefix)), "clarabel").status != "infeasible"
 
 
 FROM_NEAR = {"initial_state": (1, 1), "terminal_cost": False, "horizon": 5}

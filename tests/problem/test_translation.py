@@ -64,7 +64,7 @@ def test_costs_terms_and_residuals_are_the_same():
         np.testing.assert_allclose(ours, others, atol=1e-12)
     successors = problem.linear.successors(moved.x, moved.u), given.linear.successors(trajectory.x, trajectory.u)
     np.testing.assert_allclose(successors[0] + ORIGIN, successors[1], atol=1e-12)
-    restored = translation.restored(moved)
+    restored = translation.trajectory(moved)
     np.testing.assert_allclose(restored.x, trajectory.x, atol=1e-15 * 8)
 
 

@@ -221,7 +221,7 @@ def test_an_unbounded_control_problem_is_never_optimal(name):
         QuadraticCost(p=[1.0, 0.0]),
         initial_state=[0.0, 0.0],
     )
-    candidate = solve_convex(problem, name, None, None)
+    candidate = solve_convex(problem, name)
     assert candidate.status in (("unbounded",) if name in OWN else ("unbounded", "numerical_error"))
 
 
@@ -236,7 +236,7 @@ def test_a_control_problem_by_every_solver(name):
         initial_state=[1.0],
         terminal_state=[0.0],
     )
-    candidate = solve_convex(problem, name, None, None)
+    candidate = solve_convex(problem, name)
     if candidate.status != "optimal":
         assert name not in EXACT
         return

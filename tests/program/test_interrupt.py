@@ -76,7 +76,7 @@ def test_ctrl_c_is_remembered_in_whichever_solve_it_came(solve, monkeypatch):
     monkeypatch.setattr(convex, "backend", lambda name: interrupted_later)
     monkeypatch.setattr(convex, "ACCURATE_ANSWER", -1.0)
     monkeypatch.setattr(convex, "revised_scaling", lambda transcription, scaling, z: scaling)
-    candidate = solve_convex(problem, "clarabel", None, None)
+    candidate = solve_convex(problem, "clarabel")
     assert calls[-1] is Claim.INTERRUPTED
     assert candidate.interrupted
     assert candidate.trajectory is not None

@@ -115,7 +115,7 @@ _SOLVED: dict[str, Candidate] = {}
 def solved_once(name: str) -> Candidate:
     """Return the answer in the units of the table above."""
     if name not in _SOLVED:
-        _SOLVED[name] = solve_convex(UNIT_PROBLEMS[name], "clarabel", None, None)
+        _SOLVED[name] = solve_convex(UNIT_PROBLEMS[name], "clarabel")
     return _SOLVED[name]
 
 
@@ -125,7 +125,7 @@ def test_units_change_nothing_but_the_units(name, units):
     """The same optimum and multipliers, relative to the size of each, in units of a million or a millionth."""
     states, controls, cost = np.array(units[:2]), np.array(units[2:3]), units[3]
     before, problem = solved_once(name), UNIT_PROBLEMS[name]
-    after = solve_convex(change_units(problem, states, controls, cost), "clarabel", None, None)
+    after = solve_convex(change_units(problem, states, controls, cost), "clarabel")
     assert before.status == "optimal"
     assert after.status == "optimal"
     old, new = before.multipliers, after.multipliers
@@ -161,8 +161,8 @@ def test_models_with_hidden_states_in_random_units(name, seed):
     rng = np.random.default_rng(seed)
     states, controls = 10 ** rng.uniform(-6, 6, problem.state_dim), 10 ** rng.uniform(-6, 6, problem.control_dim)
     cost = float(10 ** rng.uniform(-6, 6))
-    before = solve_convex(problem, "clarabel", None, None)
-    after = solve_convex(change_units(problem, states, controls, cost), "clarabel", None, None)
+    before = solve_convex(problem, "clarabel")
+    after = solve_convex(change_units(problem, states, controls, cost), "clarabel")
     assert before.status == "optimal"
     assert after.status == "optimal"
     x, u = after.trajectory.x / states, after.trajectory.u / controls

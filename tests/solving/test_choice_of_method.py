@@ -174,9 +174,9 @@ class TestChoiceOfMethod:
             clock.seconds += 50.0
             return ended_with("numerical_error")(off_the_dynamics(answer))
 
-        def noting(problem, backend, tolerance, time_limit):
-            given.append(time_limit)
-            return convex.convex_candidates(problem, backend, tolerance, time_limit)
+        def noting(problem, backend, options):
+            given.append(options.time_limit)
+            return convex.convex_candidates(problem, backend, options)
 
         monkeypatch.setattr(SpectralSolver, "solve", claiming(slow))
         monkeypatch.setattr(import_module("lin_freq_ocp.solving.linear"), "convex_candidates", noting)

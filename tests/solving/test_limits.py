@@ -16,6 +16,7 @@ from helpers.clocks import Clock
 from lin_freq_ocp.base import resources
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
+from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
 from lin_freq_ocp.methods.hybrid.search.common import SearchLimits
@@ -74,14 +75,14 @@ def test_the_deadline_and_not_the_limit_reaches_the_solver(monkeypatch: pytest.M
         return clarabel_solve(program, tolerance, time_limit)
 
     monkeypatch.setattr("lin_freq_ocp.methods.convex.sparse_program.backend", lambda name: recorded)
-    solve_convex(balls(60), "clarabel", None, 1000.0)
+    solve_convex(balls(60), "clarabel", SolveOptions(time_limit=1000.0))
     assert limits
     assert all(limit is not None and 0 < limit < 1000.0 for limit in limits)
 
 
 def test_a_program_whose_set_up_takes_longer_is_not_begun() -> None:
     problem = balls(4000)
-    candidate = solve_convex(problem, "clarabel", None, 1.0)
+    candidate = solve_convex(problem, "clarabel", SolveOptions(time_limit=1.0))
     assert candidate.status == "limit"
     assert candidate.trajectory is None
     assert f"{dense_rows(problem).count} dense rows" in candidate.message

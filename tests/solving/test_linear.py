@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.checks import linear
 from helpers.checks.units import solved
 from helpers.random.linear import random_linear
+from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.convex.polish import polish_point, without_rounding
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
 from lin_freq_ocp.program.transcription import LinearTranscription
@@ -65,13 +66,13 @@ def test_rounding_becomes_zero_in_its_units():
 
 
 def test_further_answers_end_with_the_time_limit():
-    candidates = convex_candidates(BRAKING, "clarabel", None, 1e-6)
+    candidates = convex_candidates(BRAKING, "clarabel", SolveOptions(time_limit=1e-6))
     assert next(candidates).status == "limit"
     assert list(candidates) == []
 
 
 def test_further_answers_to_a_solved_problem_are_the_same_optimum():
-    first, *others = convex_candidates(BRAKING, "clarabel", None, None)
+    first, *others = convex_candidates(BRAKING, "clarabel")
     assert first.status == "optimal"
     assert others
     for one in others:
@@ -80,7 +81,7 @@ def test_further_answers_to_a_solved_problem_are_the_same_optimum():
 
 def test_the_first_answer_that_is_proven_counts_and_no_more_are_asked_for(monkeypatch):
     """One that is off the dynamics is not; a result of Ctrl-C says so."""
-    exact = solve_convex(BRAKING, "clarabel", None, None)
+    exact = solve_convex(BRAKING, "clarabel")
     wrong = replace(exact, trajectory=lfo.Trajectory(exact.trajectory.x + 1.0, exact.trajectory.u))
     asked = []
 
@@ -189,7 +190,7 @@ def test_a_free_start_whose_best_place_is_far_away():
         control_set=lfo.Box(-1, 1),
         terminal_state=lfo.Box(-0.9, -0.7),
     )
-    candidate = solve_convex(problem, "clarabel", None, None)
+    candidate = solve_convex(problem, "clarabel")
     assert candidate.status == "optimal"
     assert problem.value(candidate.trajectory.x, candidate.trajectory.u) == pytest.approx(-0.9, rel=1e-7)
     assert candidate.trajectory.x[0, 0] == pytest.approx(-0.9 * 2**31, rel=1e-3)
@@ -199,7 +200,7 @@ def test_a_rough_point_is_polished_to_rounding():
     """The box is active: the rows that hold it with force are found from a point that is wrong by 1e-4."""
     problem = replace(BRAKING, control_spectrum=None, control_set=lfo.Box(-0.2, 0.2))
     program = LinearTranscription(problem).program
-    exact = solve_convex(problem, "clarabel", 1e-12, None)
+    exact = solve_convex(problem, "clarabel", SolveOptions(tolerance=1e-12))
     z = LinearTranscription(problem).point(exact.trajectory)
     multipliers = exact.multipliers
     y = np.concatenate([multipliers.eta.ravel(), multipliers.mu[[0, -1]].ravel(), multipliers.nu.ravel()])

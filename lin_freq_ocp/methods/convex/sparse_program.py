@@ -18,11 +18,12 @@ import scipy.sparse as sp
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
-from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
-from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, require_convex
+from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
+from lin_freq_ocp.methods.candidate import DEFAULTS, SOLVED_TOLERANCE, Candidate, SolveOptions, require_convex
 from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, Solves, better_of
 from lin_freq_ocp.methods.convex.polish import polish_point, without_rounding
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reductions import reduce_problem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -39,6 +40,7 @@ from lin_freq_ocp.program.units import (
     stated_scaling,
 )
 
+REDUCTIONS = (ABSORBED_COST,)  # of a problem, before it is transcribed
 ROUNDING_LEVELS = (1e-12, 1e-9)  # parts of the units of variables and duals that may be rounding: the judge decides
 LARGEST_ERROR = 1e-3  # relative residuals up to which versions of a point are judged
 FLAT_SLOPE = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
@@ -51,30 +53,28 @@ PLAIN_ENTRIES = 1.2e5  # the same without compiled loops
 VARIABLES = 9e3  # of a program without dense rows, from which it is, by a little; compiled only
 
 
-def solve_convex(
-    problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
-) -> Candidate:
+def solve_convex(problem: OptimalControlProblem, backend_name: str, options: SolveOptions = DEFAULTS) -> Candidate:
     """Solve a problem with linear dynamics and a convex quadratic cost, in units in which it should be of order 1.
 
     Where the answer shows other sizes, or is inaccurate, it is solved again in other units; the smallest residuals
     count. UnsupportedError if the cost is not convex, the backend is unknown, or the program does not fit into memory.
     """
-    return next(convex_candidates(problem, backend_name, tolerance, time_limit))
+    return next(convex_candidates(problem, backend_name, options))
 
 
 def convex_candidates(
-    problem: OptimalControlProblem, backend_name: str, tolerance: float | None, time_limit: float | None
+    problem: OptimalControlProblem, backend_name: str, options: SolveOptions = DEFAULTS
 ) -> Iterator[Candidate]:
     """Yield what ``solve_convex`` returns, then other answers, until the time limit, for where the first is not proven.
 
     After Ctrl-C the last is the first again, interrupted. Raises what ``solve_convex`` raises.
     """
     require_convex(problem)
-    absorbed = absorbed_cost(problem)
-    if absorbed is not None:
-        found = convex_candidates(absorbed.problem, backend_name, tolerance, time_limit)
-        yield from map(absorbed.candidate, found)
+    reduced = reduce_problem(problem, REDUCTIONS)
+    if reduced.inverses:
+        yield from map(reduced.recover, convex_candidates(reduced.problem, backend_name, options))
         return
+    tolerance, time_limit = options.tolerance, options.time_limit
     solver = backend(backend_name)
     started = now()
     rows = dense_rows(problem)

@@ -14,7 +14,7 @@ In reading order:
 ``solver``      SpectralSolver, which puts these together; ``tolerances`` are those of all files
 """
 
-from lin_freq_ocp.methods.spectral.reductions import row_form
+from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
 from lin_freq_ocp.methods.spectral.solver import SpectralSolution, SpectralSolver
 
-__all__ = ["SpectralSolution", "SpectralSolver", "row_form"]
+__all__ = ["REDUCTIONS", "SpectralSolution", "SpectralSolver"]

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set, soft_sets
+from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
@@ -152,12 +152,13 @@ def refusal(problem: OptimalControlProblem) -> str | None:
     if response is not None and not closes_on_the_circle(problem):
         return "only a periodic frequency response, without terminal cost, fixed ends and soft sets"
     taken = TermKind.STAGE_ROWS, TermKind.LINKED_ENDS
-    others = [term for term in problem.terms if term.kind not in taken and soft_set(problem, term) is None]
+    sets = [term for term in problem.terms if term.kind not in taken]
+    others = [term for term in sets if soft_set(problem, term) is None]
     if others:
         return f"{others[0].name}: only boxes, joint rows, stop bands and quadratic costs"
     if any(term.kind == TermKind.LINKED_ENDS for term in problem.terms) and not closes_on_the_circle(problem):
         return "the ends are linked otherwise than by x_T = x_0 alone, without terminal cost, fixed ends and soft sets"
-    if soft_sets(problem) is None:
+    if sets and priced_bounds(problem) is None:
         return "two bounds on the same side of a component, of which one is soft"
     if response is None and problem.linear.time_varying:
         return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
@@ -341,8 +342,7 @@ def _soft_bounds(
 ) -> tuple[tuple[Array, Array, Array, Array], Bounds]:
     """Return the bounds with those of soft sets in their places, and all prices; rows are soft on their upper side."""
     n, T, y = problem.state_dim, problem.horizon, np.concatenate([units.x, units.u])
-    given = soft_sets(problem)
-    everything = None if given is None else priced_bounds(problem, given)
+    everything = priced_bounds(problem)
     if everything is None:
         raise UnsupportedError(
             "method 'spectral': a soft set that bounds of components cannot say. Use method 'convex'."

@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
-from lin_freq_ocp.methods.spectral.reductions import soft_sets
+from lin_freq_ocp.methods.spectral.reductions import SoftBounds, priced_bounds
 from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import Data, EndsModel, Structure, forces
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -225,7 +225,6 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUni
     n, m = problem.state_dim, problem.control_dim
     x, u = units.cost / units.x, units.cost / units.u
     forces = found.on_rows[: n + m].T * np.concatenate([x, u])
-    on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in soft_sets(problem) or ()}
     on_ends: dict[str, Array] = {}
     if structure.kkt.lti.periodic:  # the multiplier of x_T - x_0 = 0; mu_0 moves to mu_T where x_T has the bound
         tube, mu = problem.state_tube, forces[:, :n]
@@ -236,15 +235,20 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUni
     weights = found.on_rows[n + m :, :-1] * (units.cost / units.rows)[:, None]
     splits = np.cumsum([rows.e.shape[-1] for rows in problem.stage_rows])[:-1]
     on_stage_rows = np.split(weights, splits) if problem.stage_rows else []
-    return Multipliers(
+    multipliers = Multipliers(
         found.eta_C,
         sealed(found.eta.T * x),
         sealed(forces[:, :n]),
         sealed(forces[:-1, n:]),
         (found.band * (structure.spaces.weight / problem.horizon)).T * u,
         found.rho_x * x,
-        {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_sets | on_ends,
+        {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_ends,
     )
+    bounds = priced_bounds(problem) if problem.terms else None
+    if bounds is None or not bounds.sets:
+        return multipliers
+    # the model holds the prices of soft sets, so that no problem with hard bounds was made
+    return SoftBounds(problem, problem, bounds.sets).multipliers(multipliers)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,8 @@
-"""Reductions of constraints to those that the Fourier-domain method takes, and their multipliers.
+"""Reductions of constraints to those that the Fourier-domain method takes.
 
-Polyhedral sets become joint rows (RowForm). Soft sets whose rows bound single components become soft bounds (SoftSet).
-Soft stop bands are removed like hard ones, and their multipliers are compared with their prices (SoftBins).
-docs/spectral.md, 12, derives soft bounds and soft bands.
+Soft stop bands are removed like hard ones, and their multipliers are compared with their prices (SoftBins). Polyhedral
+sets become joint rows (RowForm). Soft sets whose rows bound single components become bounds with prices (SoftBounds),
+which the model of the method holds beside the hard ones. docs/spectral.md, 12, derives soft bounds and soft bands.
 """
 
 from __future__ import annotations
@@ -11,15 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, sealed
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, sealed, with_rows
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reductions import Inverse, Reduction
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
-from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 SETS = (TermKind.STATE_SET, TermKind.CONTROL_SET)
 PRICE_ROUNDING = 1e-9  # part of a price, and of other forces on the component in a ray, that may be rounding
@@ -28,22 +31,18 @@ AT_THE_END = " at the end"  # suffix of the names of rows on x_T
 
 
 @dataclass(frozen=True, eq=False)
-class RowForm:
-    """A given problem, the problem with its polyhedral sets as joint rows, and the sets that became rows.
+class RowForm(Inverse):
+    """The problem with its polyhedral sets as joint rows, and the sets that became rows.
 
     F x_t <= g for t < T is a row with D = 0, and F x_T <= g is one on the step before: F A x + F B u <= g - F d. There
     the adjoint of the rows' problem is eta', that of the given one eta_{T-1} = eta'_{T-1} - F'lambda.
     """
 
-    given: OptimalControlProblem
-    problem: OptimalControlProblem
     polyhedra: tuple[LinearRows, ...]
 
-    def multipliers(self, found: Multipliers) -> Multipliers:
-        """Return multipliers of the given problem from those of the problem in rows."""
-        if not self.polyhedra:
-            return found
-        eta, stage, T = found.eta.copy(), dict(found.stage), self.given.horizon
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers of the rows as those of the sets, and the adjoint without the rows on x_T."""
+        eta, stage, T = reduced.eta.copy(), dict(reduced.stage), self.given.horizon
         for rows in self.polyhedra:
             weights, before = np.zeros(rows.e.shape), rows.times < T
             if before.any():
@@ -52,21 +51,22 @@ class RowForm:
                 weights[~before] = stage.pop(rows.name + AT_THE_END)[-1:]
                 eta[-1] -= rows.C[0, :, : eta.shape[1]].T @ weights[~before][0]
             stage[rows.name] = weights
-        return Multipliers(found.eta_C, eta, found.mu, found.nu, found.rho_u, found.rho_x, stage)
+        return replace(reduced, eta=eta, stage=stage)
 
 
-def row_form(problem: OptimalControlProblem) -> RowForm:
+def row_form(problem: OptimalControlProblem) -> RowForm | None:
     """Return the problem with its polyhedral sets as joint rows.
 
-    Unchanged if it has none, or other sets too, or if all are soft sets that bounds can say.
+    None if it has none, or other sets too, or if all are soft sets that bounds can say.
     """
     sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
+    if not sets:
+        return None
     found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
     recursion = problem.dynamics.response(problem.horizon) is None
-    others = len(found) < len(sets) or soft_sets(problem) is not None
+    others = len(found) < len(sets) or priced_bounds(problem) is not None
     if others or not recursion or problem.linear.time_varying:
-        return RowForm(problem, problem, ())
-    polyhedra = tuple(rows for rows, _ in found)
+        return None
     try:
         joint = list[StageRows]()
         for rows, term in found:
@@ -80,8 +80,8 @@ def row_form(problem: OptimalControlProblem) -> RowForm:
             stage_rows=[*problem.stage_rows, *joint],
         )
     except ProblemError:  # a row on x_T that no control and no state before it can change
-        return RowForm(problem, problem, ())
-    return RowForm(problem, changed, polyhedra)
+        return None
+    return RowForm(problem, changed, tuple(rows for rows, _ in found))
 
 
 def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
@@ -165,30 +165,29 @@ def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
     return SoftSet(term.name, times, f, sign, size, limit, weights * size, fixed, violation)
 
 
-def soft_sets(problem: OptimalControlProblem) -> tuple[SoftSet, ...] | None:
-    """Return all sets as soft sets; None if some is none, or needs the place of another bound."""
-    found = list[SoftSet]()
-    for term in problem.terms:
-        if term.kind not in (TermKind.STAGE_ROWS, TermKind.LINKED_ENDS):
-            one = soft_set(problem, term)
-            if one is None:
-                return None
-            found.append(one)
-    return tuple(found) if not found or priced_bounds(problem, found) is not None else None
-
-
 @dataclass(frozen=True, eq=False)
 class PricedBounds:
-    """Bounds lower, upper and their prices, (T+1, n+m), in the user's units; controls have none at T."""
+    """All sets as soft ones; all bounds lower, upper and their prices, (T+1, n+m), in the user's units; none on u_T."""
 
+    sets: tuple[SoftSet, ...]
     lower: Array
     upper: Array
     of_lower: Array
     of_upper: Array
 
 
-def priced_bounds(problem: OptimalControlProblem, sets: list[SoftSet] | tuple[SoftSet, ...]) -> PricedBounds | None:
-    """Return all bounds, hard and soft; None if two would need one place, or a soft one is not within the other."""
+def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
+    """Return all bounds, hard and soft.
+
+    None if some set is no soft set of bounds, if two would need one place, or a soft one is not within the other.
+    """
+    sets = list[SoftSet]()
+    for term in problem.terms:
+        if term.kind not in (TermKind.STAGE_ROWS, TermKind.LINKED_ENDS):
+            one = soft_set(problem, term)
+            if one is None:
+                return None
+            sets.append(one)
     tubes, m = (problem.state_tube, problem.control_tube), problem.control_dim
     sides = [
         np.hstack([states, np.vstack([controls, np.full((1, m), absent)])])
@@ -209,52 +208,83 @@ def priced_bounds(problem: OptimalControlProblem, sets: list[SoftSet] | tuple[So
                 return None
             side[at], prices[above][at] = sign * limit[mine], one.price[group[mine], row[mine]]
     soft = np.isfinite(prices[0]) | np.isfinite(prices[1])
-    return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(*sides, *prices)
+    return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(tuple(sets), *sides, *prices)
 
 
 @dataclass(frozen=True, eq=False)
-class SoftBins:
-    """A given problem, the same with its soft bins removed from the spectra, and the terms of these bins.
+class SoftBounds(Inverse):
+    """The problem with soft sets as bounds at their limits, whose multipliers must not exceed the prices.
+
+    The model of the Fourier-domain method counts the prices, too. A method that does not is right where they are high
+    enough; where they are not, the judge refuses its multipliers.
+    """
+
+    sets: tuple[SoftSet, ...]
+
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers of soft bounds as those of their sets."""
+        forces = np.hstack([reduced.mu, with_rows(reduced.nu, np.zeros((1, self.given.control_dim)))])
+        on_sets = {one.name: one.multipliers(forces, reduced.eta_C) for one in self.sets}
+        n = self.given.state_dim
+        return replace(reduced, mu=forces[:, :n], nu=forces[:-1, n:], stage={**reduced.stage, **on_sets})
+
+
+def soft_bounds(problem: OptimalControlProblem) -> SoftBounds | None:
+    """Return the problem with all bounds, hard and soft, as hard ones; None unless bounds can say all its sets."""
+    bounds, n = priced_bounds(problem), problem.state_dim
+    if bounds is None or not bounds.sets:
+        return None
+    changed = replace(
+        problem,
+        state_set=Box(bounds.lower[:, :n], bounds.upper[:, :n]),
+        control_set=Box(bounds.lower[:-1, n:], bounds.upper[:-1, n:]),
+        initial_state=problem.initial_box,
+        terminal_state=problem.terminal_box,
+    )
+    return SoftBounds(problem, changed, bounds.sets)
+
+
+@dataclass(frozen=True, eq=False)
+class SoftBins(Inverse):
+    """The problem with its soft bins removed from the spectra, and the terms of these bins.
 
     The penalty is exact: where the price of a bin exceeds its multiplier, the bin is zero. A bound of zero with a price
     w costs w |uhat_k|, whose subgradients at uhat_k = 0 are all lambda with |lambda| <= w. With these bins removed,
     rho_k is such a subgradient if |rho_k| <= w: then nothing is gained by opening them.
     """
 
-    given: OptimalControlProblem
-    problem: OptimalControlProblem
     terms: tuple[Term, ...]
 
-    def multipliers(self, found: Multipliers) -> Multipliers:
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return multipliers of the given problem; UnsupportedError if one exceeds its price, which counts eta_C times.
 
         Bins that are removed by a band of the given problem, too, keep theirs there.
         """
-        through_u = self.given.equations.pull_back(found.eta)[1]
+        through_u = self.given.equations.pull_back(reduced.eta)[1]
         rho = {
-            TermKind.CONTROL_SPECTRUM: (found.rho_u.copy(), self.given.control_stop, through_u),
-            TermKind.STATE_SPECTRUM: (found.rho_x.copy(), self.given.state_stop, found.eta),
+            TermKind.CONTROL_SPECTRUM: (reduced.rho_u.copy(), self.given.control_stop, through_u),
+            TermKind.STATE_SPECTRUM: (reduced.rho_x.copy(), self.given.state_stop, reduced.eta),
         }
-        stage = dict(found.stage)
+        stage = dict(reduced.stage)
         for term in self.terms:
             bins, component, (forces, stopped, others) = term.map.nearest_bins, term.map.component, rho[term.kind]
             own = np.where(stopped[bins, component], 0.0, forces[bins, component])
-            price = found.eta_C * np.broadcast_to(term.penalty.weights, (len(bins), 1))[:, 0]
-            rounding = 0.0 if found.eta_C else np.abs(others[:, component]).max()
+            price = reduced.eta_C * np.broadcast_to(term.penalty.weights, (len(bins), 1))[:, 0]
+            rounding = 0.0 if reduced.eta_C else np.abs(others[:, component]).max()
             if (np.abs(own) > price + PRICE_ROUNDING * (price + rounding)).any():
                 raise UnsupportedError(
                     f"method 'spectral': {term.name}: a soft bin is not zero at its price; the Fourier-domain method "
                     "takes soft bins whose price keeps them zero. Use method 'structured'."
                 )
             forces[bins, component] -= own
-            paid = np.asarray(own if found.eta_C else np.zeros_like(own), dtype=np.complex128)
+            paid = np.asarray(own if reduced.eta_C else np.zeros_like(own), dtype=np.complex128)
             stage[term.name] = sealed(np.stack([paid.real, paid.imag], axis=1))
         rho_u, rho_x = (sealed(forces) for forces, *_ in rho.values())
-        return Multipliers(found.eta_C, found.eta, found.mu, found.nu, rho_u, rho_x, stage)
+        return replace(reduced, rho_u=rho_u, rho_x=rho_x, stage=stage)
 
 
-def soft_bins(problem: OptimalControlProblem) -> SoftBins:
-    """Return the problem with its soft bins removed; unchanged if it has none."""
+def soft_bins(problem: OptimalControlProblem) -> SoftBins | None:
+    """Return the problem with its soft bins removed; None if it has none."""
     terms = tuple(term for term in problem.terms if _is_soft_band(problem, term))
     changes: dict[str, object] = {}
     for kind, field in FIELDS.items():
@@ -264,7 +294,7 @@ def soft_bins(problem: OptimalControlProblem) -> SoftBins:
             kept = [one for i, one in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
             bands = [stop_band(bins=term.map.nearest_bins, component=term.map.component) for term in mine]
             changes[field] = [*kept, *bands]
-    return SoftBins(problem, replace(problem, **changes) if changes else problem, terms)
+    return SoftBins(problem, replace(problem, **changes), terms) if terms else None
 
 
 def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
@@ -276,3 +306,7 @@ def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
         return False
     plain = (form.window == 1).all() and (form.row[form.row != 0] == 1).all()
     return bool(plain) and not term.penalty.sizes().any()
+
+
+REDUCTIONS = Reduction(soft_bins), Reduction(row_form), ABSORBED_COST
+"""Of a problem, before the Fourier-domain method takes it; soft sets become priced bounds in its model."""

@@ -115,7 +115,8 @@ class SpectralSolver:
 
     def __init__(self, problem: OptimalControlProblem):
         require_convex(problem)
-        problem = row_form(problem).problem
+        rows = row_form(problem)
+        problem = problem if rows is None else rows.problem
         reason = refusal(problem)
         if reason is not None:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")

@@ -11,7 +11,7 @@ import numpy as np
 
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.resources import require_memory
-from lin_freq_ocp.methods.candidate import Candidate, require_convex
+from lin_freq_ocp.methods.candidate import DEFAULTS, Candidate, SolveOptions, require_convex
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
 from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds
@@ -29,27 +29,26 @@ RESIDUAL, GAP = 1e-10, 1e-9  # relative, unless a tolerance is asked for
 
 def solve_structured(
     problem: OptimalControlProblem,
-    tolerance: float | None = None,
-    time_limit: float | None = None,
+    options: SolveOptions = DEFAULTS,
     excludes: Callable[[Multipliers], bool] = lambda ray: False,
-    compiled: bool | None = None,
     prepared: Prepared | None = None,
 ) -> Iterator[Candidate]:
     """Solve a problem with linear dynamics and a convex cost; yield the answer, then those in units of the answer.
 
-    ``excludes`` says of a ray that is still rough whether it proves infeasibility; ``compiled`` whether loops are
-    compiled (see ``loops``); ``prepared`` is the solver cache of like problems. UnsupportedError if the cost is not
-    convex, or the problem has a term that does not fit, or too many rows that couple times.
+    ``excludes`` says of a ray that is still rough whether it proves infeasibility; ``prepared`` is the solver cache of
+    like problems. UnsupportedError if the cost is not convex, or the problem has a term that does not fit, or too many
+    rows that couple times.
     """
     require_convex(problem)
+    time_limit = options.time_limit
     entries = problem.state_dim + problem.control_dim
     size = 8.0 * problem.horizon * entries * (MATRICES * entries + VECTORS)
     what = f"method 'structured' with horizon = {problem.horizon}"
     require_memory(what, size, "Choose a shorter horizon or a longer sampling time.")
     started = now()
-    targets = _targets(tolerance, time_limit)
+    targets = _targets(options)
     end, assembly = targets.end, (prepared or Prepared()).assembly(problem)
-    recursions = loops(compiled, patient=time_limit is None)
+    recursions = loops(options.compiled, patient=time_limit is None)
     setup = now() - started
     needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)
     if time_limit is not None and now() + needed > end:
@@ -70,7 +69,7 @@ def solve_structured(
 
 
 def solve_again(
-    problem: OptimalControlProblem, prepared: Prepared, tolerance: float | None = None, time_limit: float | None = None
+    problem: OptimalControlProblem, prepared: Prepared, options: SolveOptions = DEFAULTS
 ) -> Candidate | None:
     """Return the answer from the active rows of a trajectory near it; None without one, or where rows are in cones.
 
@@ -80,8 +79,9 @@ def solve_again(
     if not known:
         return None
     require_convex(problem)
-    started, targets = now(), _targets(tolerance, time_limit)
-    assembly, recursions = prepared.assembly(problem), loops(patient=time_limit is None)
+    time_limit = options.time_limit
+    started, targets = now(), _targets(options)
+    assembly, recursions = prepared.assembly(problem), loops(options.compiled, patient=time_limit is None)
     stages, near = assembly.stages, prepared.near
     if near is None or stages.cones or stages.coupling.balls:
         return None
@@ -118,9 +118,9 @@ class Prepared:
         return self._rows[2]
 
 
-def _targets(tolerance: float | None, time_limit: float | None) -> Targets:
+def _targets(options: SolveOptions) -> Targets:
     """Return the targets of a solve that begins now."""
-    end = np.inf if time_limit is None else now() + time_limit
+    tolerance, end = options.tolerance, np.inf if options.time_limit is None else now() + options.time_limit
     return Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
 
 

@@ -12,9 +12,10 @@ from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_w
 from lin_freq_ocp.certificate.rays import Direction, descent_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.fitted_multipliers import abnormal_multipliers, fit_multipliers
-from lin_freq_ocp.methods.hybrid.search.multipliers import candidates, weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import candidates
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
 
 MOST_FLIPS = 16  # flips that are verified, the steepest first: each takes a fit of multipliers
 
@@ -31,9 +32,10 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
     facts, descent = _verify_flips(problem, trajectory, sequence, _facts(best))
     if best.failed and best.feasible:  # abnormal multipliers may satisfy all conditions
-        found = abnormal_multipliers(problem.with_modes(sequence), trajectory)
+        inverse = fixed_modes(problem, sequence)
+        found = abnormal_multipliers(inverse.problem, trajectory)
         if found is not None:
-            abnormal = judge(problem, trajectory, weighted(problem, trajectory, sequence, found))
+            abnormal = judge(problem, trajectory, inverse.multipliers(found, trajectory))
             if not abnormal.failed:
                 return replace(abnormal, descent=descent)
     return replace(best, borders=facts, descent=descent)

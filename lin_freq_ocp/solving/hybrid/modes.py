@@ -6,7 +6,7 @@ to that of the next step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -19,22 +19,22 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.methods.candidate import require_convex
+from lin_freq_ocp.methods.candidate import SolveOptions, require_convex
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode
 from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refined
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
 from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp
-from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
+from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
 from lin_freq_ocp.solving.kept import SearchCache
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
@@ -56,19 +56,15 @@ class TreeEvidence(Evidence):
         """Check all nodes once more."""
         return tree_bound(problem, self.tree).bound_for(problem)
 
-    def raised(self, constant: float) -> TreeEvidence:
-        """Return the same tree with bounds higher by a constant."""
-        bound = self.bound
-        return replace(self, bound=replace(bound, value=bound.value + constant, bounds=bound.bounds + constant))
-
-    def with_multipliers(self, restated: Callable[[Multipliers], Multipliers]) -> TreeEvidence:
-        """Return the tree with the multipliers of all proofs restated."""
-        nodes = list(self.tree.nodes)
+    def recovered(self, inverse: Inverse) -> TreeEvidence:
+        """Return the tree with the multipliers of all proofs, and the bounds, of the given problem."""
+        nodes, bound, cost = list(self.tree.nodes), self.bound, inverse.cost
         for index, node in enumerate(nodes):
             if node.proof is not None:
-                multipliers = restated(node.proof.multipliers)
+                multipliers = inverse.multipliers(node.proof.multipliers)
                 nodes[index] = replace(node, proof=replace(node.proof, multipliers=multipliers))
-        return replace(self, tree=replace(self.tree, nodes=tuple(nodes)))
+        bound = replace(bound, value=bound.value + cost, bounds=bound.bounds + cost)
+        return TreeEvidence(replace(self.tree, nodes=tuple(nodes)), bound)
 
     def __str__(self) -> str:
         return f"tree      {len(self.tree.nodes)} nodes, {self.bound.leaves} leaves, each checked"
@@ -131,7 +127,7 @@ class _Search:
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Search, and judge the best sequence's trajectory and the tree."""
         require_convex(problem)
-        limits = _limits(self.gap, self.node_limit, request)
+        limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes)
         started = now()
         found = self._search(problem, limits, request)
         seconds = {"setup": found.setup, "solve": now() - started - found.setup}
@@ -226,7 +222,7 @@ class MixedInteger:
         """Search, beginning with the solver's sequence; the message names a claim that proves wrong."""
         require_convex(problem)
         backend = "scip" if self.backend == "auto" else self.backend
-        limits = _limits(self.gap, self.node_limit, request)
+        limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes)
         end = now() + limits.seconds
         claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
         left = max(limits.seconds - sum(claim.seconds.values()), LEAST_PROOF_SECONDS)
@@ -244,10 +240,6 @@ class MixedInteger:
         if result.status == Status.OPTIMAL and not agreed:
             return replace(result, message=f"{backend} ended with {found} ('{claim.message}'), the optimum is {proven}")
         return result
-
-
-def _limits(gap: float, node_limit: int | None, request: Request) -> SearchLimits:
-    return SearchLimits(gap, request.time_limit, node_limit or SearchLimits.nodes)
 
 
 def _judge_search(
@@ -299,31 +291,18 @@ def _point(
 ) -> tuple[Trajectory, Multipliers, Certificate] | None:
     """Return the first answer for a mode sequence alone that the judge calls feasible, else the first of all."""
     first = None
-    for candidate in convex_candidates(problem.with_modes(sequence), SEQUENCE_BACKEND, None, time_limit):
+    inverse = fixed_modes(problem, sequence)
+    for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, SolveOptions(time_limit=time_limit)):
         if candidate.trajectory is None or candidate.multipliers is None:
             continue
-        for trajectory in _at_levels(problem, sequence, candidate.trajectory):
-            weights = weighted(problem, trajectory, sequence, candidate.multipliers)
+        for trajectory in inverse.trajectories(candidate.trajectory):
+            weights = inverse.multipliers(candidate.multipliers, trajectory)
             certificate, multipliers = best_multipliers(problem, trajectory, weights)
             found = trajectory, multipliers, certificate
             if certificate.feasible:
                 return found
             first = first or found
     return first
-
-
-def _at_levels(problem: OptimalControlProblem, sequence: Indices, found: Trajectory) -> Iterator[Trajectory]:
-    """Yield a solver's trajectory, with the controls that the modes fix exactly at their levels.
-
-    First with the states that follow, then, from a free start, with the solver's: unstable dynamics magnify rounding.
-    """
-    controls = problem.dynamics.controls_of(sequence)
-    if controls is None:
-        yield found
-        return
-    yield simulate(problem, controls, problem.initial_box.project(found.x[0]))
-    if not problem.initial_box.fixed.all():
-        yield Trajectory(found.x, controls)
 
 
 def _status(

@@ -16,11 +16,12 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound
+from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.solving.hybrid.smooth import judged_outcome, no_multipliers, polished
+from lin_freq_ocp.solving.hybrid.smooth import judged_outcome, polished
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -94,7 +95,7 @@ class Angles:
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Halve boxes until the bound is that of the best local optimum found near them, and judge it."""
-        search = _Search(problem, self.gap, now(), request)
+        search = _TrainSearch(problem, self.gap, now(), request)
         message, interrupted = "", False
         try:
             message = search.run()
@@ -103,7 +104,7 @@ class Angles:
         return search.outcome(message, interrupted)
 
 
-class _Search:
+class _TrainSearch:
     """One search: the boxes, and the best train found."""
 
     def __init__(self, problem: OptimalControlProblem, gap: float, started: float, request: Request):
@@ -147,7 +148,7 @@ class _Search:
         first[CURRENT] = -(steps * (QUARTER - angles)).sum()
         u = np.column_stack([dwell, np.sign(every) / 2])
         trajectory, sequence = simulate(self._problem, u, first), (every < 0).astype(np.intp)
-        return LocalOptimum(sequence, trajectory, no_multipliers(self._problem), self._cost, 0.0)
+        return LocalOptimum(sequence, trajectory, zero_multipliers(self._problem, 1.0), self._cost, 0.0)
 
     def outcome(self, message: str, interrupted: bool) -> Outcome:
         """Return the refined answer with its bound, or why there is none."""

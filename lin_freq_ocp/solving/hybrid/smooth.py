@@ -15,7 +15,7 @@ from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.methods.candidate import require_convex
+from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
@@ -147,19 +147,12 @@ def _not_above(problem: OptimalControlProblem, start: Start, found: Judged | Non
     """Return the answer, or the start itself where that is a trajectory of less cost."""
     if start.trajectory is None:
         return found
-    certificate = judge(problem, start.trajectory, no_multipliers(problem))
+    certificate = judge(problem, start.trajectory, zero_multipliers(problem, 1.0))
     saved = found[2].cost - certificate.cost if found is not None and found[2].feasible else np.inf
     if not certificate.feasible or saved <= SAVED_BY_TOLERANCE * abs(certificate.cost):
         return found
-    certificate, multipliers = best_multipliers(problem, start.trajectory, no_multipliers(problem))
+    certificate, multipliers = best_multipliers(problem, start.trajectory, zero_multipliers(problem, 1.0))
     return start.trajectory, multipliers, certificate
-
-
-def no_multipliers(problem: OptimalControlProblem) -> Multipliers:
-    """Return multipliers of which only that of the cost is not zero."""
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    eta, mu, nu = np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m))
-    return Multipliers(1.0, eta, mu, nu, np.zeros((T // 2 + 1, m)), np.zeros(((T + 1) // 2 + 1, n)))
 
 
 @dataclass
@@ -243,7 +236,7 @@ def _is_excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     try:
         deadline = now() + seconds
         levels = value_bounds(
-            problem, no_multipliers(problem), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS
+            problem, zero_multipliers(problem, 1.0), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS
         )
         return any(level.value == np.inf for level in levels)
     except (UnsupportedError, OutOfTimeError):

@@ -25,7 +25,7 @@ class Resolved:
 def resolved(problem: OptimalControlProblem, claim: SolverClaim, backend: str = "clarabel") -> Resolved:
     """Solve the convex program of the claimed sequence, and say in words what the claim got wrong."""
     assert claim.sequence is not None
-    candidate = solve_convex(problem.with_modes(claim.sequence), backend, None, None)
+    candidate = solve_convex(problem.with_modes(claim.sequence), backend)
     if candidate.status != "optimal" or candidate.trajectory is None:
         message = f"the program of the claimed sequence ended as {candidate.status} ({candidate.message})"
         return Resolved(candidate, None, message)

@@ -22,7 +22,7 @@ from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.measures import one_step_residual
 from lin_freq_ocp.problem.sizes import stated_sizes
@@ -167,7 +167,7 @@ def reference_answer(problem: lfo.OptimalControlProblem, witness: lfo.Trajectory
         known = np.inf if witness is None else problem.value(witness.x, witness.u)
         return cost_of(problem, point) <= known + AGREEMENT * max(1.0, abs(known))
 
-    first = solve_convex(problem, "clarabel", REFERENCE_TOLERANCE, SOLVER_SECONDS)
+    first = solve_convex(problem, "clarabel", SolveOptions(tolerance=REFERENCE_TOLERANCE, time_limit=SOLVER_SECONDS))
     message = f"Clarabel {first.message}"
     if solved(first):
         return Reference("solved", message, first)
@@ -176,7 +176,7 @@ def reference_answer(problem: lfo.OptimalControlProblem, witness: lfo.Trajectory
         return Reference("infeasible", message)
     try:
         with alarm(SOLVER_SECONDS):  # PIQP takes no time limit
-            second = solve_convex(problem, "qpsolvers:piqp", REFERENCE_TOLERANCE, None)
+            second = solve_convex(problem, "qpsolvers:piqp", SolveOptions(tolerance=REFERENCE_TOLERANCE))
     except TimeoutError:
         return Reference("unsure", f"{message}, PIQP not finished")
     message += f", PIQP {second.message}"

@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.oscillator import oscillator
+from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces
@@ -53,7 +54,7 @@ def masses(horizon: int) -> lfo.OptimalControlProblem:
 def test_oscillators_are_solved_like_by_the_sparse_program(damping: float) -> None:
     problem = oscillator(400, damping)
     result = lfo.solve(problem, method="spectral")
-    reference = solve_convex(problem, "clarabel", 1e-11, None)
+    reference = solve_convex(problem, "clarabel", SolveOptions(tolerance=1e-11))
     assert reference.trajectory is not None
     assert result.certificate is not None
     assert result.certificate.pmp == "satisfied"

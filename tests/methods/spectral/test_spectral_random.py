@@ -10,7 +10,10 @@ import lin_freq_ocp as lfo
 from helpers.checks import spectral
 from helpers.checks.spectral import Reference, Verdict
 from helpers.random.lti import with_witness
+from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+
+ACCURATE = SolveOptions(tolerance=1e-11)
 
 BOUNDED = 4
 """A problem with active bounds, a stop band and a witness."""
@@ -41,7 +44,7 @@ def test_a_tiny_reference_is_no_measure_of_a_control():
 def both():
     """A problem, its witness, our result and the reference's."""
     problem, witness = with_witness(BOUNDED)
-    return problem, witness, lfo.solve(problem, method="spectral"), solve_convex(problem, "clarabel", 1e-11, None)
+    return problem, witness, lfo.solve(problem, method="spectral"), solve_convex(problem, "clarabel", ACCURATE)
 
 
 def test_a_feasible_point_that_is_not_optimal_is_not_explained(both):
@@ -61,7 +64,7 @@ def test_a_reference_that_breaks_the_dynamics_is_explained_by_its_residuals(both
     problem, _, result, reference = both
     dynamics = problem.dynamics
     moved = replace(dynamics, offset=dynamics.offset + 1e-3)
-    cheating = solve_convex(replace(problem, dynamics=moved), "clarabel", 1e-11, None)
+    cheating = solve_convex(replace(problem, dynamics=moved), "clarabel", ACCURATE)
     verdict, why, difference = spectral.compare_costs(problem, result, cheating)
     assert verdict is Verdict.PROVEN
     assert "its dynamics residual" in why
@@ -94,8 +97,8 @@ def test_statuses_are_compared(ours, reference, feasible, verdict):
 def test_a_witness_is_not_contradicted_by_the_reference(monkeypatch):
     problem, witness = with_witness(BOUNDED)
     answers = {
-        "clarabel": replace(solve_convex(problem, "clarabel", 1e-11, None), message="PrimalInfeasible"),
-        "qpsolvers:piqp": solve_convex(problem, "qpsolvers:piqp", 1e-11, None),
+        "clarabel": replace(solve_convex(problem, "clarabel", ACCURATE), message="PrimalInfeasible"),
+        "qpsolvers:piqp": solve_convex(problem, "qpsolvers:piqp", ACCURATE),
     }
     monkeypatch.setattr(spectral, "solve_convex", lambda problem, name, *_: answers[name])
     reference = spectral.reference_answer(problem, witness)

@@ -9,6 +9,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, infeasible
 from lin_freq_ocp.certificate.rays import prove_infeasible
+from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.structured.solver import solve_structured
 
 
@@ -22,7 +23,7 @@ def compiled(request):
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_solved(kind, compiled):
     problem = KINDS[kind]()
-    found = next(solve_structured(problem, compiled=compiled))
+    found = next(solve_structured(problem, SolveOptions(compiled=compiled)))
     assert found.status == "optimal"
     assert lfo.certify(problem, found.trajectory, found.multipliers).globally_optimal
     known = lfo.solve(problem, method="convex").cost
@@ -34,7 +35,7 @@ def test_every_kind_is_solved(kind, compiled):
 )
 def test_every_kind_of_ray_proves(kind, compiled):
     problem = infeasible(kind)
-    found = next(solve_structured(problem, compiled=compiled))
+    found = next(solve_structured(problem, SolveOptions(compiled=compiled)))
     assert found.status == "infeasible"
     assert prove_infeasible(problem, found.ray) is not None
 
@@ -47,5 +48,5 @@ def test_an_end_that_is_just_out_of_reach_is_no_fault(further, compiled):
         lfo.library.double_integrator(cutoff_hz=0.3),
         terminal_state=lfo.Box([reached[0] + further, reached[1]], [2 - reached[0], -reached[1]]),
     )
-    found = next(solve_structured(problem, excludes=lambda ray: False, compiled=compiled))
+    found = next(solve_structured(problem, SolveOptions(compiled=compiled), lambda ray: False))
     assert found.status in ("infeasible", "numerical_error")

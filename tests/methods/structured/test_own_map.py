@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import COST, PLANT, T
+from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.structured.solver import solve_structured
 from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
 from lin_freq_ocp.problem.terms.maps import MatrixMap
@@ -81,7 +82,7 @@ def test_it_is_solved_and_certified(order):
     problem = lfo.OptimalControlProblem(
         PLANT, T, COST + Variation(order), initial_state=[1.0, -0.5], control_set=lfo.Box(-0.5, 0.5)
     )
-    (found,) = solve_structured(problem, compiled=False)
+    (found,) = solve_structured(problem, SolveOptions(compiled=False))
     assert found.status == "optimal"
     assert found.trajectory is not None
     assert lfo.certify(problem, found.trajectory, found.multipliers).globally_optimal

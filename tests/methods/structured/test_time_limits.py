@@ -9,6 +9,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.linear_kinds import KINDS
 from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.structured import solver
 from lin_freq_ocp.methods.structured.assembly import stages_of
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds
@@ -33,7 +34,7 @@ def test_no_step_is_begun_that_would_end_late(limit):
 
 def test_the_best_point_is_returned_with_what_it_reached():
     with use_clock(Clock(1.0)):
-        (candidate,) = solver.solve_structured(KINDS["mask"](), compiled=False, time_limit=12.0)
+        (candidate,) = solver.solve_structured(KINDS["mask"](), SolveOptions(time_limit=12.0, compiled=False))
     assert candidate.status == "limit"
     assert candidate.message.startswith("time limit after 4 steps: relative residuals of ")
     assert np.isfinite(candidate.trajectory.x).all()
@@ -45,7 +46,7 @@ def test_what_needs_longer_than_the_limit_is_not_begun(monkeypatch):
 
     monkeypatch.setattr(solver, "Embedding", never)
     monkeypatch.setattr(solver, "step_seconds", lambda *given: 4.0)
-    (candidate,) = solver.solve_structured(KINDS["boxes"](), time_limit=7.9)
+    (candidate,) = solver.solve_structured(KINDS["boxes"](), SolveOptions(time_limit=7.9))
     assert candidate.status == "limit"
     assert candidate.trajectory is None
     assert "time limit of 7.9 s; one step may need 8 s" in candidate.message

@@ -23,6 +23,7 @@ from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.report.tables import certificate_rows
 from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
+from lin_freq_ocp.problem.reductions import Inverse
 
 
 def best(problem):
@@ -254,10 +255,21 @@ def test_multipliers_of_any_place_are_judged_without_an_error():
         assert not certificate.feasible
 
 
-def test_all_multipliers_of_a_tree_are_restated():
-    evidence = lfo.solve(lfo.library.pendulum_with_wall(horizon=4)).evidence
-    restated = evidence.with_multipliers(lambda multipliers: replace(multipliers, eta=2.0 * multipliers.eta))
-    pairs = [(a.proof, b.proof) for a, b in zip(evidence.tree.nodes, restated.tree.nodes, strict=True) if a.proof]
+class Doubled(Inverse):
+    """The way back from a problem whose multipliers are half as large, and whose cost is lower by 1."""
+
+    cost = 1.0
+
+    def multipliers(self, reduced, at=None):
+        return replace(reduced, eta=2.0 * reduced.eta)
+
+
+def test_all_multipliers_and_bounds_of_a_tree_are_recovered():
+    result = lfo.solve(lfo.library.pendulum_with_wall(horizon=4))
+    evidence = result.evidence
+    recovered = evidence.recovered(Doubled(result.problem, result.problem))
+    pairs = [(a.proof, b.proof) for a, b in zip(evidence.tree.nodes, recovered.tree.nodes, strict=True) if a.proof]
     assert pairs
     for before, after in pairs:
         np.testing.assert_array_equal(after.multipliers.eta, 2.0 * before.multipliers.eta)
+    assert recovered.lower_bound == evidence.lower_bound + 1.0

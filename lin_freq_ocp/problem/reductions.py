@@ -1,0 +1,123 @@
+"""Reductions: a problem is solved as another one, and its inverse leads from answers of that one back.
+
+As in CVXPY, a reduction says which problems it accepts, and ``apply`` returns another problem with the inverse, which
+recovers trajectory, multipliers, rays and directions of descent. A method names its reductions in a tuple: they are
+applied from left to right, each where it accepts, and recovered from right to left. The recovered answer is a claim
+about the given problem, which the judge checks there.
+
+A new reduction is a subclass of ``Inverse`` that overrides what differs, and a function that makes it of a problem.
+Its cases stand in the table of ``tests/helpers/reductions.py``.
+
+References: Agrawal, Verschueren, Diamond and Boyd, Journal of Control and Decision 5, 2018 (a rewriting system for
+convex optimization problems).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import Field, dataclass, replace
+from typing import ClassVar, Protocol, TypeVar
+
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+
+class _Answer(Protocol):
+    """A point with multipliers, a ray, or a direction (dx, du) of descent, as a dataclass; None for what is absent."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
+
+    @property
+    def trajectory(self) -> Trajectory | None: ...
+    @property
+    def multipliers(self) -> Multipliers | None: ...
+    @property
+    def ray(self) -> Multipliers | None: ...
+    @property
+    def descent(self) -> Trajectory | None: ...
+
+
+AnyAnswer = TypeVar("AnyAnswer", bound=_Answer)
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """The way from answers of the reduced ``problem`` to answers of the ``given`` one; by default they are the same."""
+
+    given: OptimalControlProblem
+    problem: OptimalControlProblem
+
+    @property
+    def cost(self) -> float:
+        """Return the cost of the given problem less that of the reduced one, a constant."""
+        return 0.0
+
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
+        """Return a trajectory of the given problem from one of the reduced problem."""
+        return reduced
+
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return multipliers at a recovered trajectory; those of a ray or of a bound have none.
+
+        UnsupportedError if the answer of the reduced problem is none of the given one.
+        """
+        return reduced
+
+    def direction(self, reduced: Trajectory) -> Trajectory:
+        """Return a direction of descent (dx, du) of the given problem."""
+        return reduced
+
+    def judged_at(self, trajectory: Trajectory) -> tuple[OptimalControlProblem, Trajectory]:
+        """Return the problem, and the trajectory in it, at which a recovered trajectory is judged."""
+        return self.given, trajectory
+
+    def recover(self, answer: AnyAnswer) -> AnyAnswer:
+        """Return an answer of the reduced problem as one of the given problem."""
+        at = answer.trajectory and self.trajectory(answer.trajectory)
+        return replace(
+            answer,
+            trajectory=at,
+            multipliers=answer.multipliers and self.multipliers(answer.multipliers, at),
+            ray=answer.ray and self.multipliers(answer.ray),
+            descent=answer.descent and self.direction(answer.descent),
+        )
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """A way to state a problem as another one: ``inverse`` returns that and the way back, or None."""
+
+    inverse: Callable[[OptimalControlProblem], Inverse | None]
+
+    def accepts(self, problem: OptimalControlProblem) -> bool:
+        """Whether a problem has what is reduced."""
+        return self.inverse(problem) is not None
+
+    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, Inverse]:
+        """Return the reduced problem and the way back: the problem itself, with no change, if it is not accepted."""
+        inverse = self.inverse(problem) or Inverse(problem, problem)
+        return inverse.problem, inverse
+
+
+@dataclass(frozen=True, eq=False)
+class Chain(Inverse):
+    """The inverses of several reductions, in the order in which these were applied."""
+
+    inverses: tuple[Inverse, ...]
+
+    def recover(self, answer: AnyAnswer) -> AnyAnswer:
+        """Return an answer of the reduced problem as one of the given problem."""
+        for inverse in reversed(self.inverses):
+            answer = inverse.recover(answer)
+        return answer
+
+
+def reduce_problem(problem: OptimalControlProblem, reductions: Sequence[Reduction]) -> Chain:
+    """Return the problem after all reductions that accept it, one after the other, and the way back."""
+    reduced, inverses = problem, list[Inverse]()
+    for reduction in reductions:
+        inverse = reduction.inverse(reduced)
+        if inverse is not None:
+            reduced = inverse.problem
+            inverses.append(inverse)
+    return Chain(problem, reduced, tuple(inverses))

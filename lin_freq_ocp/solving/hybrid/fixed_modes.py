@@ -1,0 +1,54 @@
+"""One mode sequence of piecewise-affine dynamics, or of controls with levels, as a linear problem, and the way back.
+
+The linear problem is a restriction: its rays and its bound say nothing of other sequences, which the search tree has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from lin_freq_ocp.base.arrays import Indices
+from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reductions import AnyAnswer, Inverse
+from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class FixedModes(Inverse):
+    """The linear problem of a mode sequence (T,), its regions as rows; a level is a mode that fixes the control."""
+
+    sequence: Indices
+
+    def trajectories(self, reduced: Trajectory) -> Iterator[Trajectory]:
+        """Yield a solver's trajectory, with the controls that the modes fix exactly at their levels.
+
+        First with the states that follow, then, from a free start, with the solver's: unstable dynamics magnify
+        rounding.
+        """
+        controls, start = self.given.dynamics.controls_of(self.sequence), self.given.initial_box
+        if controls is None:
+            yield reduced
+            return
+        yield simulate(self.given, controls, start.project(reduced.x[0]))
+        if not start.fixed.all():
+            yield Trajectory(reduced.x, controls)
+
+    def trajectory(self, reduced: Trajectory) -> Trajectory:
+        """Return the trajectory with exact levels."""
+        return next(self.trajectories(reduced))
+
+    def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
+        """Return the multipliers with the weights of all modes that a trajectory is in."""
+        return reduced if at is None else weighted(self.given, at, self.sequence, reduced)
+
+    def recover(self, answer: AnyAnswer) -> AnyAnswer:
+        """Return the answer for the given problem; a ray, which excludes one sequence, is left out."""
+        return replace(super().recover(answer), ray=None)
+
+
+def fixed_modes(problem: OptimalControlProblem, sequence: Indices) -> FixedModes:
+    """Return the linear problem of a mode sequence, and the way back; UnsupportedError without affine modes."""
+    return FixedModes(problem, problem.with_modes(sequence), sequence)

@@ -1,0 +1,111 @@
+"""Answers of a reduced problem, recovered, are judged on the given one: one test for all reductions."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp
+import lin_freq_ocp as lfo
+from helpers.reductions import INFEASIBLE, REDUCTIONS, UNBOUNDED, Entry, random_problem
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.problem.reductions import Chain, Inverse, Reduction, reduce_problem
+from lin_freq_ocp.solving.judging import candidate_of, judged
+from lin_freq_ocp.solving.solve import solve_judged
+
+CASES = [(name, case) for name, entry in REDUCTIONS.items() for case in entry.problems]
+
+
+def recovered(entry: Entry, inverse: Inverse) -> lfo.results.Outcome:
+    """Solve the reduced problem, and judge what is recovered on the given one."""
+    given = entry.stated(inverse.given)
+    candidate = inverse.recover(candidate_of(solve_judged(inverse.problem)))
+    if candidate.trajectory is not None and given is inverse.given:
+        given, at = inverse.judged_at(candidate.trajectory)
+        candidate = replace(candidate, trajectory=at)
+
+    def shaped(found):
+        """Return multipliers in the shapes of the terms that state them."""
+        terms = [term for term in given.terms if term.name in found.stage and term.everywhere is None]
+        return replace(
+            found, stage={**found.stage, **{one.name: found.stage[one.name].reshape(one.shape) for one in terms}}
+        )
+
+    ray, multipliers = candidate.ray and shaped(candidate.ray), candidate.multipliers and shaped(candidate.multipliers)
+    return judged(given, replace(candidate, ray=ray, multipliers=multipliers), "", None, None)
+
+
+@pytest.mark.parametrize(("name", "case"), CASES, ids=[", ".join(case) for case in CASES])
+def test_recovered_answers_satisfy_the_judge_on_the_given_problem(name, case):
+    entry = REDUCTIONS[name]
+    given = entry.problems[case]()
+    assert entry.reduction.accepts(given)
+    problem, inverse = entry.reduction.apply(given)
+    assert inverse.problem is problem
+    assert inverse.given is given
+    outcome = recovered(entry, inverse)
+    if INFEASIBLE in case:
+        assert outcome.status == "infeasible"
+        assert outcome.ray is not None
+    elif UNBOUNDED in case:
+        assert outcome.status == "unbounded"
+        assert outcome.direction is not None
+    else:
+        assert not outcome.certificate.failed
+        assert outcome.cost == pytest.approx(lfo.solve(entry.stated(given)).cost, rel=1e-7, abs=1e-9)
+        if not given.dynamics.mode_names:  # whose bound is that of a search
+            assert outcome.status == "optimal"
+            assert outcome.certificate.pmp == "satisfied"
+            assert outcome.certificate.globally_optimal
+
+
+def test_every_way_back_of_the_package_has_its_cases():
+    for module in pkgutil.walk_packages(lin_freq_ocp.__path__, "lin_freq_ocp."):
+        if module.name.startswith(("lin_freq_ocp.problem", "lin_freq_ocp.methods", "lin_freq_ocp.solving")):
+            importlib.import_module(module.name)
+    known, pending = set(), [Inverse]
+    while pending:
+        found = pending.pop().__subclasses__()
+        known |= {one for one in found if one.__module__.startswith("lin_freq_ocp.")}
+        pending += found
+    assert all(entry.problems for entry in REDUCTIONS.values())
+    tested = {type(entry.reduction.apply(next(iter(entry.problems.values()))())[1]) for entry in REDUCTIONS.values()}
+    assert tested == known - {Chain}
+
+
+def test_a_problem_without_what_is_reduced_stays_as_it_is():
+    given, candidate = random_problem(0), Candidate("optimal")
+    for name in ("soft bins", "joint rows", "soft sets", "absorbed cost", "far origin", "few samples between levels"):
+        reduction = REDUCTIONS[name].reduction
+        assert not reduction.accepts(given)
+        problem, inverse = reduction.apply(given)
+        assert problem is given
+        assert inverse.recover(candidate) == candidate or name
+
+
+def test_a_chain_applies_from_left_to_right_and_recovers_from_right_to_left():
+    calls = []
+
+    class Step(Inverse):
+        def __init__(self, problem, number):
+            super().__init__(problem, replace(problem, name=problem.name + str(number)))
+            object.__setattr__(self, "number", number)
+
+        def trajectory(self, reduced):
+            calls.append(self.number)
+            return lfo.Trajectory(10 * reduced.x + self.number, reduced.u)
+
+    def step(number):
+        return Reduction(lambda problem: Step(problem, number))
+
+    none = Reduction(lambda problem: None)
+    chain = reduce_problem(random_problem(0), (step(1), none, step(2)))
+    assert chain.problem.name.endswith("12")
+    assert len(chain.inverses) == 2
+    point = lfo.Trajectory(np.zeros((17, 2)), np.zeros((16, 1)))
+    assert chain.recover(Candidate("optimal", point)).trajectory.x[0, 0] == 21
+    assert calls == [2, 1]
