@@ -13,10 +13,10 @@ from pathlib import Path
 from lin_freq_ocp import library
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
-from lin_freq_ocp.batch.grid import CUTOFFS
 from lin_freq_ocp.files.problem_file import read_problem
 from lin_freq_ocp.files.problem_tables import PROBLEM
 from lin_freq_ocp.files.reading import FileTable, FileValue, naming_file
+from lin_freq_ocp.problem.limits import CUTOFFS
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
