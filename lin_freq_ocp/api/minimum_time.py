@@ -161,17 +161,17 @@ def minimum_time(
     """
     low, high = checked_horizons(horizons)
     require_source(problem)
-    options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    require_options(**options)
+    require_options(method, time_limit, backend, tolerance)
     at = partial(problem_at_horizon, problem)
     failing = obstacles(at, low, high, same_data=not callable(problem))
     monotone = not failing
 
     require_executor(executor, problem, {"method": [method]})
-    named = options | {"method": method if isinstance(method, str) else repr(method)}
-    head = sweep_head(problem, {"horizon": range(low, high + 1)}, named) if path is not None else {}
+    name = method if isinstance(method, str) else repr(method)
+    options = {"method": name, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    head = sweep_head(problem, {"horizon": range(low, high + 1)}, options) if path is not None else {}
     with report_progress(progress, lambda horizon, verdict: f"horizon {horizon}: {verdict}") as report:
-        solve_at = partial(solve_horizon, problem, options)
+        solve_at = partial(solve_horizon, problem, method, backend, time_limit, tolerance)
         record = None if path is None else SweepFile(path, head)
         search = search_horizons(low, high, monotone, solve_at, report, executor, record)
     horizon, proven = search.horizon, search.proven

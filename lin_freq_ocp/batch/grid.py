@@ -48,7 +48,7 @@ def grid_points(values: Mapping[str, Sequence[object]]) -> dict[str, Parameters]
     return {point_key(plain_parameters(point)): point for point in points}
 
 
-def problem_at(source: Source, parameters: Mapping[str, object]) -> OptimalControlProblem:
+def problem_at(source: Source, parameters: Mapping[str, Any]) -> OptimalControlProblem:
     """Return the problem at one point: of a problem, with other fields, and with numbers of its limits by their keys.
 
     ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes of its controls.
@@ -57,12 +57,14 @@ def problem_at(source: Source, parameters: Mapping[str, object]) -> OptimalContr
         problem = source(**parameters)
         require_problem(problem)
         return problem
-    own, changes, moved = _field_names(source), dict[str, Any](), dict[str, Any]()
+    own, changes, moved = _field_names(source), dict[str, object](), dict[str, float]()
     for name, value in parameters.items():
         if name in CUTOFFS:
             changes["control_spectrum"] = cutoff_band(name, value)
+        elif name in own:
+            changes[name] = value
         else:
-            (changes if name in own else moved)[name] = value
+            moved[name] = value
     problem = replace(source, **changes)
     return replace(problem, **changed_fields(problem, moved)) if moved else problem
 

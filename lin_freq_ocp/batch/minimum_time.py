@@ -14,7 +14,6 @@ from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -30,6 +29,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 
@@ -101,9 +101,8 @@ class Search:
             self.rays[horizon], self.bounds[horizon] = outcome.ray, outcome.bound
         return verdict
 
-    def recall(self, row: Row) -> None:
+    def recall(self, horizon: int, row: Row) -> None:
         """Keep what was recorded of a horizon: an answer without its evidence."""
-        horizon: Any = row["parameters"]["horizon"]
         if row["cost"] is not None:
             self.verdicts[horizon] = Verdict.FEASIBLE
         elif row["status"] == Status.INFEASIBLE:
@@ -157,8 +156,8 @@ def search_horizons(
     work = Work(partial(_solve_task, solve), _lost_horizon, _undecided_by_interrupt)
 
     def solve_missing(recorded: Mapping[str, Row]) -> Generator[Mapping[str, Row]]:
-        for row in recorded.values():
-            search.recall(row)
+        for key, row in recorded.items():
+            search.recall(keys[key], row)
         while horizons := _next_horizons(search, monotone, 1 if executor is None else AT_ONCE):
             points = {point_key({"horizon": T}): T for T in horizons}
             with closing(finish_tasks(work, points, executor)) as parts:
@@ -174,8 +173,8 @@ def search_horizons(
         if progress is not None and told:
             progress(*told[-1])
 
-    keys = [] if record is None else [point_key({"horizon": T}) for T in range(low, high + 1)]
-    _, search.interrupted = finish_run(keys, solve_missing, record or nullcontext(), tell)
+    keys = {} if record is None else {point_key({"horizon": T}): T for T in range(low, high + 1)}
+    _, search.interrupted = finish_run(list(keys), solve_missing, record or nullcontext(), tell)
     return search
 
 
@@ -223,9 +222,12 @@ def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
         raise ProblemError(error.field, error.got, error.expected, advice) from None
 
 
-def solve_horizon(source: Source, options: Mapping[str, Any], horizon: int) -> Outcome:
+def solve_horizon(
+    source: Source, method: str | Method, backend: str, time_limit: float | None, tolerance: float | None, horizon: int
+) -> Outcome:
     """Return the answer at a horizon."""
-    return solve_judged(problem_at_horizon(source, horizon), **options)
+    problem = problem_at_horizon(source, horizon)
+    return solve_judged(problem, method, time_limit, backend=backend, tolerance=tolerance)
 
 
 def require_source(source: Source) -> None:

@@ -114,7 +114,8 @@ class BoundLimit(Limit):
 
     @property
     def constrains(self) -> bool:
-        return any(np.isfinite(side[:, list(self.sizes)]).any() for side in (self.tube.lower, self.tube.upper))
+        tube, components = self.tube, list(self.sizes)
+        return any(np.isfinite(side[:, components]).any() for side in (tube.lower, tube.upper))
 
     @property
     def sizes(self) -> Mapping[int, float]:
@@ -131,9 +132,9 @@ class BoundLimit(Limit):
         return float(stated_sizes(self.problem)[self.field == "control_set"][self.index])
 
     def relaxed(self, problem: OptimalControlProblem, amount: float) -> OptimalControlProblem:
-        box: Box = getattr(problem, BOXES[self.field])
+        box, sizes = getattr(problem, BOXES[self.field]), self.sizes
         by = np.zeros(box.lower.shape[-1])
-        by[list(self.sizes)] = amount * np.array(list(self.sizes.values()))
+        by[list(sizes)] = amount * np.array(list(sizes.values()))
         moved = replace_bounds(getattr(problem, self.field), Box(box.lower - by, box.upper + by))
         return replace(problem, **{self.field: moved})
 
@@ -219,12 +220,12 @@ class EndLimit(BoundLimit):
 
     def numbers(self) -> Iterator[Number]:
         """Yield the fixed components of an end that is a box, within the bounds of the states."""
-        problem, box, states = self.problem, self.box, self.problem.state_boxes
+        problem, box, states, sizes = self.problem, self.box, self.problem.state_boxes, self.sizes
         if getattr(problem, self.field).members:
             return
         for i in map(int, np.flatnonzero(box.fixed)):
             (label, unit), value = split_unit(problem.state_names[i]), float(box.lower[i])
-            reach = max(2 * abs(value), self.sizes[i])
+            reach = max(2 * abs(value), sizes[i])
             low, high = (float(side[self.index, i]) for side in (states.lower, states.upper))
             low, high = (low if isfinite(low) else -reach), (high if isfinite(high) else reach)
             if low <= value <= high and low < high:
