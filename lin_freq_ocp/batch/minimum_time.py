@@ -84,9 +84,11 @@ class Search:
         """Return the horizons that decide the search of which a file had the verdict, and no trajectory or ray."""
         least = self.horizon
         if least is None:
-            return [] if self.last is not None or not self.verdicts else [max(self.verdicts)]
+            longest, shown = max(self.verdicts, default=None), self.last
+            return [] if longest is None or (shown is not None and shown.problem.horizon == longest) else [longest]
         found = [] if self.best is not None and self.best.problem.horizon == least else [least]
-        return [*found, *([least - 1] if least - 1 in self.bounds and least - 1 not in self.rays else [])]
+        no_ray = self.verdicts.get(least - 1) == Verdict.INFEASIBLE and least - 1 not in self.rays
+        return [*found, least - 1] if no_ray else found
 
     def keep(self, horizon: int, outcome: Outcome | None) -> Verdict:
         """Keep what a solve says about a horizon; of a solve that was lost, nothing."""
@@ -106,7 +108,9 @@ class Search:
         if row["cost"] is not None:
             self.verdicts[horizon] = Verdict.FEASIBLE
         elif row["status"] == Status.INFEASIBLE:
-            self.verdicts[horizon], self.bounds[horizon] = Verdict.INFEASIBLE, row["bound"]
+            self.verdicts[horizon] = Verdict.INFEASIBLE
+            if row["bound"] is not None:  # earlier versions recorded none
+                self.bounds[horizon] = row["bound"]
         else:
             self.verdicts[horizon] = Verdict.UNDECIDED
 
@@ -163,9 +167,9 @@ def search_horizons(
             with closing(finish_tasks(work, points, executor)) as parts:
                 for key, solved in parts:
                     told.append((points[key], search.keep(points[key], solved.outcome)))
-                    yield {key: solved.row}
-                    if solved.outcome is not None and solved.outcome.interrupted:
+                    if solved.outcome is not None and solved.outcome.interrupted:  # decided, and not recorded
                         raise KeyboardInterrupt
+                    yield {key: solved.row}
         for horizon in search.without_evidence:
             search.keep(horizon, solve(horizon))
 

@@ -379,3 +379,21 @@ def test_a_lost_horizon_is_undecided():
         found = lfo.minimum_time(integrator, horizons=(3, 9), executor=executor)
     assert (found.horizon, found.proven) == (4, False)
     assert found.verdicts[3] == "undecided"
+
+
+def test_a_recorded_range_without_a_feasible_horizon_has_its_ray_again(tmp_path):
+    path = tmp_path / "horizons.jsonl"
+    first = lfo.minimum_time(integrator, horizons=(1, 3), path=path, throw=False)
+    again = lfo.minimum_time(integrator, horizons=(1, 3), path=path, throw=False)
+    assert (again.horizon, again.proven, again.proof) == (None, True, first.proof)
+    assert again.result.problem.horizon == 3
+    assert again.ray is not None
+
+
+def test_a_search_goes_on_from_the_file_of_a_sweep(tmp_path):
+    path = tmp_path / "sweep.jsonl"
+    lfo.sweep(integrator, {"horizon": [3, 5]}, path=path)
+    found = lfo.minimum_time(integrator, horizons=(1, 9), path=path)
+    assert (found.horizon, found.proven) == (4, True)
+    assert found.verdicts[5] == "feasible"
+    assert {row["parameters"]["horizon"] for row in lfo.load_sweep(path).rows} >= {3, 4, 5}
