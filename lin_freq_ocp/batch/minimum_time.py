@@ -4,6 +4,8 @@ Feasibility is monotone, if zeros can be appended: after any feasible trajectory
 x_{T+1} = x_T, and that is feasible for T + 1 steps. ``obstacles`` checks what this needs, one condition after another;
 costs, and constraints that may be violated at a price, play no part. The conditions are sufficient: where one fails,
 nothing is said.
+
+A search is a run of tasks, as a sweep over the horizon is, that chooses its points: its file is that of a sweep.
 """
 
 from __future__ import annotations
