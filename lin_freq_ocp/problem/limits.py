@@ -21,7 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.base.phrases import AT_LEAST, AT_MOST, split_unit
 from lin_freq_ocp.problem.numbers import NOTCHES, Axis, Number
@@ -40,6 +40,8 @@ BOXES = {  # the fields that hold sets, and where a problem has their bounds
     "terminal_state": "terminal_box",
     "control_set": "control_tube",
 }
+# First words of the keys of numbers, but for those of ends, which are fields of a problem
+NUMBER_WORDS = ("bound", "lower", "upper", "state_bound", "state_lower", "state_upper", "rows", "level", "edge")
 CUTOFFS = "cutoff", "cutoff_hz"  # of low passes in place of a control_spectrum; in rad/sample, and in Hz
 
 LEAST_PART, LARGEST_PART = 0.1, 3.0  # of bounds and limits, to which they are moved
@@ -470,6 +472,8 @@ def changed_fields(problem: OptimalControlProblem, values: Mapping[str, float]) 
     for key, value in values.items():
         if key not in known:
             raise ProblemError(key, "no number of that name", f"one of {', '.join(known)}", suggestion(key, known))
+        if not isinstance(value, (int, float, np.number)) or isinstance(value, bool):
+            raise ProblemError(key, brief(value), "a number")
         field = known[key].field
         fields[field] = known[key].put(fields.get(field, getattr(problem, field)), value)
     return fields
