@@ -30,7 +30,7 @@ from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets, box_of
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.spectrum.bands import Band, bands_of, low_pass
+from lin_freq_ocp.problem.spectrum.bands import Band, bands_of, kept_stopped, low_pass
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_words, entries_of
 
 SPECTRA = "state_spectrum", "control_spectrum", "output_spectrum"
@@ -524,16 +524,6 @@ def replace_bounds(given: SetOrSets, bounds: Box) -> SetOrSets:
 def intersection(bounds: Box, members: Sequence[ConvexSet]) -> ConvexSet:
     """Return the set of bounds and of sets beyond these."""
     return Intersection([bounds, *members]) if members else bounds
-
-
-def kept_stopped(stopped: Mask, bins: float) -> Mask:
-    """Return which stopped bins lie farther than ``bins`` from every passed one; bin 0 counts as one if none is."""
-    if not np.isfinite(bins):
-        return np.zeros_like(stopped)
-    k, passed = np.arange(len(stopped)), np.flatnonzero(~stopped)
-    if not len(passed):
-        return stopped & (k >= bins)
-    return stopped & (np.abs(k[:, None] - passed).min(1) > bins)
 
 
 def _move_bounds(dimension: int, index: int, signs: tuple[int, int], given: ConvexSet, value: float) -> SetOrSets:

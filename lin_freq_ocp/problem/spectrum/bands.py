@@ -419,6 +419,16 @@ def bands_of(stop: Mask) -> list[Band]:
     return [stop_band(bins=np.flatnonzero(stop[:, i]).tolist(), component=int(i)) for i in components]
 
 
+def kept_stopped(stopped: Mask, bins: float) -> Mask:
+    """Return which stopped bins lie farther than ``bins`` from every passed one; bin 0 counts as one if none is."""
+    if not np.isfinite(bins):
+        return np.zeros_like(stopped)
+    k, passed = np.arange(len(stopped)), np.flatnonzero(~stopped)
+    if not len(passed):
+        return stopped & (k >= bins)
+    return stopped & (np.abs(k[:, None] - passed).min(1) > bins)
+
+
 def time_signal(rho: ComplexArray, length: int) -> Array:
     """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (N//2 + 1, components)."""
     if not rho.any():
