@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +26,7 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.problem.limits import constraints, numbers
 from lin_freq_ocp.problem.reformulations import RATE_LIMIT
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Term, TermKind
@@ -259,7 +260,8 @@ def check_terms(problem: lfo.OptimalControlProblem, seed: int = 0) -> list[str]:
 
     Of every term h(L(x, u)) rows and adjoint of L are compared with its values, slopes of h with differences, its conic
     form with its cost, the Fenchel-Young gap with what other points gain, and all of them with those of the problem
-    ``rate_limited``. The optimum must be proven.
+    ``rate_limited``. No limit is violated more after it is relaxed, and its numbers at their own values change nothing.
+    The optimum must be proven.
 
     Parameters
     ----------
@@ -289,7 +291,7 @@ def check_terms(problem: lfo.OptimalControlProblem, seed: int = 0) -> list[str]:
         for term in problem.terms:
             for fault in (*_map_faults(term, (x, u), rng), *_penalty_faults(term, (x, u), best, rng)):
                 faults[f"{term.name}: {fault}"] = None
-        faults |= dict.fromkeys(_rate_limit_faults(problem, x, u))
+        faults |= dict.fromkeys((*_rate_limit_faults(problem, x, u), *_limit_faults(problem, x, u)))
     return list(faults)
 
 
@@ -353,6 +355,24 @@ def _rate_limit_faults(problem: lfo.OptimalControlProblem, x: Array, u: Array) -
         ]
         if not np.allclose(*totals, rtol=ROUNDING, atol=0.0):
             yield f"{kind}: it is another one in rate_limited"
+
+
+def _limit_faults(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> Iterator[str]:
+    """Yield the limits that are violated more after they are relaxed, and the numbers that are not those they say."""
+    before = _total_violation(problem, x, u)
+    for limit in constraints(problem):
+        relaxed = limit.relaxed(problem, 1.0 if limit.whole else limit.size)
+        if _total_violation(relaxed, x, u) > (1 + ROUNDING) * before:
+            yield f"{limit.name}: it is violated more after it is relaxed"
+    for number in numbers(problem).values():
+        same = replace(problem, **{number.field: number.put(getattr(problem, number.field), number.value)})
+        if not np.isclose(_total_violation(same, x, u), before, rtol=ROUNDING, atol=0.0):
+            yield f"{number.key}: it is another one at its own value"
+
+
+def _total_violation(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> float:
+    bounds = problem.state_tube.violation(x).sum() + problem.control_tube.violation(u).sum()
+    return float(bounds + sum(term.violation(x, u).sum() for term in problem.terms))
 
 
 def _of_kind(problem: lfo.OptimalControlProblem, kind: TermKind) -> list[Term]:

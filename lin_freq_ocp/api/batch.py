@@ -242,8 +242,10 @@ def sweep(
         A function that builds one from keywords, such as ``lfo.library.pendulum`` or a ``functools.partial`` of it, is
         quicker to send to other machines than a large problem.
     grid : mapping of str to sequence
-        Values of each parameter. Of a function: its keywords. Of a problem: its fields, and "cutoff" (rad/sample) or
-        "cutoff_hz" for a low pass in place of its ``control_spectrum``; a cut-off of None is no frequency constraint.
+        Values of each parameter. Of a function: its keywords. Of a problem: its fields, "cutoff" (rad/sample) or
+        "cutoff_hz" for a low pass in place of its ``control_spectrum`` (a cut-off of None is no frequency constraint),
+        and the numbers that its live page moves, by their keys: "bound.0" for the symmetric bound of the first control,
+        "rows.0" for the limit of the first joint rows, "level.control_spectrum.0" for decibels of a mask.
     executor : concurrent.futures.Executor, optional
         Where to solve: a ``ProcessPoolExecutor``, or ``distributed.Client(...).get_executor()`` for a Dask cluster.
         Default: one after another, in this process. It is not shut down. Points lost with a worker are repeated.

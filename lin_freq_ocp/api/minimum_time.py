@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
+from os import PathLike
 from typing import final
 
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.api.solve import raise_for, report_progress
 from lin_freq_ocp.base.errors import InfeasibleError
 from lin_freq_ocp.base.phrases import plural
-from lin_freq_ocp.batch.grid import Source
+from lin_freq_ocp.batch.grid import Source, require_executor
 from lin_freq_ocp.batch.minimum_time import (
     Search,
     checked_horizons,
@@ -19,11 +21,13 @@ from lin_freq_ocp.batch.minimum_time import (
     problem_at_horizon,
     require_source,
     search_horizons,
+    solve_horizon,
 )
+from lin_freq_ocp.batch.sweep import sweep_head
+from lin_freq_ocp.files.batch_files import SweepFile
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solve import require_options, solve_judged
+from lin_freq_ocp.solving.solve import require_options
 
 MONOTONE = "zeros can be appended to every feasible control, and the trajectory stays feasible"
 
@@ -56,7 +60,7 @@ class MinimumTime:
     verdicts : dict
         Of each horizon that was solved: "feasible", "infeasible" (by a verified ray) or "undecided".
     rays : dict
-        The ray of each horizon that is "infeasible".
+        The ray of each horizon that is "infeasible", but for those of an earlier run, whose file has no rays.
     interrupted : bool
         Whether Ctrl-C ended the search; what was found until then is here.
 
@@ -100,6 +104,8 @@ def minimum_time(
     tolerance: float | None = None,
     throw: bool = True,
     progress: Callable[[int, str], None] | None = None,
+    executor: Executor | None = None,
+    path: str | PathLike[str] | None = None,
 ) -> MinimumTime:
     """Find the least horizon at which a problem is feasible, its optimum there, and a proof that one step less is not.
 
@@ -120,6 +126,9 @@ def minimum_time(
         Whether to raise if no horizon is feasible, or none is known to be.
     progress : callable, optional
         Called with each solved horizon and its verdict. Default: a line in a notebook.
+    executor, path
+        As for ``sweep``: where to solve, several horizons at once; and a file that gets a line for each horizon. It is
+        that of a sweep over the horizon, which ``load_sweep`` reads.
 
     Returns
     -------
@@ -129,7 +138,8 @@ def minimum_time(
     Raises
     ------
     ProblemError
-        If the range is none, or the problem cannot be stated at another horizon, saying by which field.
+        If the range is none, or the problem cannot be stated at another horizon, saying by which field; or as for
+        ``sweep``, of an executor and a path.
     InfeasibleError
         With ``throw``, if all horizons are proven infeasible; ``.result`` is that of the largest, with its ray.
     LimitError, NumericalError
@@ -156,11 +166,14 @@ def minimum_time(
     failing = obstacles(at, low, high, same_data=not callable(problem))
     monotone = not failing
 
-    def solve_at(horizon: int) -> Outcome:
-        return solve_judged(at(horizon), method, time_limit, backend=backend, tolerance=tolerance)
-
+    require_executor(executor, problem, {"method": [method]})
+    name = method if isinstance(method, str) else repr(method)
+    options = {"method": name, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    head = sweep_head(problem, {"horizon": range(low, high + 1)}, options) if path is not None else {}
     with report_progress(progress, lambda horizon, verdict: f"horizon {horizon}: {verdict}") as report:
-        search = search_horizons(low, high, monotone, solve_at, report)
+        solve_at = partial(solve_horizon, problem, method, backend, time_limit, tolerance)
+        record = None if path is None else SweepFile(path, head)
+        search = search_horizons(low, high, monotone, solve_at, report, executor, record)
     horizon, proven = search.horizon, search.proven
     outcome, before = (search.last, high) if horizon is None else (search.best, horizon - 1)
     # A ray at one horizon is a proof for all shorter ones, where feasibility is monotone
@@ -189,7 +202,7 @@ def minimum_time(
 
 
 def _proof(search: Search, unproven: list[int], monotone: bool) -> str:
-    proven = search.proven
+    proven = [T for T in search.proven if search.horizon is None or T < search.horizon]  # an executor solves more
     found = [] if search.horizon is None else [f"{search.horizon} is feasible"]
     if search.horizon == search.low:
         found.append("shorter horizons were not asked for")
@@ -199,7 +212,7 @@ def _proof(search: Search, unproven: list[int], monotone: bool) -> str:
         each = f"{proven[0]} is" if len(proven) == 1 else f"each of {_ranges(proven)} is"
         found.append(f"{each} proven infeasible by a ray of its own")
     if search.practical:
-        each = _ranges(sorted(search.practical))
+        each = _ranges(search.practical)
         found.append(f"a numerical ray excludes every trajectory of practical size at {each}")
     if unproven:
         found.append(f"nothing {'more ' if search.practical else ''}is proven of {_ranges(unproven)}")

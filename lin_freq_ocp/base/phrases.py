@@ -14,7 +14,7 @@ from lin_freq_ocp.base.arrays import NO_BOUND, Array
 NAME_WITH_UNIT = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 SMALL, LARGE = 1e-3, 1e6  # numbers outside this range are written with a power of ten
 NOTHING = "\N{EN DASH}"  # in place of a missing number
-AT_MOST = "\N{LESS-THAN OR EQUAL TO}"
+AT_MOST, AT_LEAST = "\N{LESS-THAN OR EQUAL TO}", "\N{GREATER-THAN OR EQUAL TO}"
 MOST_ENTRIES, MOST_ROWS, MOST_TEXT = 6, 3, 150  # a longer vector, more rows or a longer text is described by its size
 
 

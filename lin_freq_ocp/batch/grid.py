@@ -19,14 +19,12 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.problem.limits import CUTOFFS, changed_fields, cutoff_band, numbers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.spectrum.bands import low_pass
 
 # What a sweep varies: a problem, whose fields are replaced, or a function that builds one from keywords.
 Source = OptimalControlProblem | Callable[..., OptimalControlProblem]
 Parameters = dict[str, object]  # the value of every swept parameter at one point
-# Parameters of a problem: low passes that replace its ``control_spectrum``; in rad/sample, and in Hz.
-CUTOFFS = ("cutoff", "cutoff_hz")
 LARGEST_GRID = 10**6  # points of one grid: more are likely a mistake, and would not fit into memory
 FINGERPRINT_LENGTH = 16  # hexadecimal digits: 64 bits, so that collisions are not expected
 
@@ -50,18 +48,29 @@ def grid_points(values: Mapping[str, Sequence[object]]) -> dict[str, Parameters]
     return {point_key(plain_parameters(point)): point for point in points}
 
 
-def problem_at(source: Source, parameters: Mapping[str, object]) -> OptimalControlProblem:
-    """Return the problem at one point; ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes of its controls."""
+def problem_at(source: Source, parameters: Mapping[str, Any]) -> OptimalControlProblem:
+    """Return the problem at one point: of a problem, with other fields, and with numbers of its limits by their keys.
+
+    ``cutoff`` (rad/sample) and ``cutoff_hz`` are low passes of its controls.
+    """
     if callable(source):
         problem = source(**parameters)
         require_problem(problem)
         return problem
-    changes: dict[str, Any] = dict(parameters)
-    for name in CUTOFFS:
-        if name in changes:
-            cutoff = changes.pop(name)
-            changes["control_spectrum"] = None if cutoff is None else low_pass(**{name: cutoff})
-    return replace(source, **changes)
+    own, changes, moved = _field_names(source), dict[str, object](), dict[str, float]()
+    for name, value in parameters.items():
+        if name in CUTOFFS:
+            changes["control_spectrum"] = cutoff_band(name, value)
+        elif name in own:
+            changes[name] = value
+        else:
+            moved[name] = value
+    problem = replace(source, **changes)
+    return replace(problem, **changed_fields(problem, moved)) if moved else problem
+
+
+def _field_names(problem: OptimalControlProblem) -> list[str]:
+    return [one.name for one in fields(problem)]
 
 
 def plain_parameters(parameters: Mapping[str, object]) -> Parameters:
@@ -110,7 +119,7 @@ def require_parameters(source: Source, names: Sequence[str], field: str) -> None
     if callable(source):
         known = _keywords(source)
     else:
-        known = [*(one.name for one in fields(source)), *CUTOFFS]
+        known = list(dict.fromkeys((*_field_names(source), *CUTOFFS, *numbers(source))))
         same = [name for name in names if name in ("control_spectrum", *CUTOFFS)]
         if len(same) > 1:
             raise ProblemError(f"{field}.{same[1]}", f"a grid with {same[0]}, too", "one of them", "Both set the same.")

@@ -123,7 +123,8 @@ def run_many(
     good = {key: change for key, change in zip(keys, changes, strict=True) if isinstance(change, Change)}
     options = {"method": method if isinstance(method, str) else repr(method), "time_limit": time_limit}
 
-    def solve_missing(missing: Sequence[str]) -> Generator[Mapping[str, Item]]:
+    def solve_missing(recorded: Mapping[str, Item]) -> Generator[Mapping[str, Item]]:
+        missing = [key for key in good if key not in recorded]
         if missing and good[missing[0]].initial_state is not None:
             order: list[int] = tour(np.array([good[key].initial_state for key in missing], dtype=np.float64)).tolist()
             missing = [missing[i] for i in order]

@@ -4,28 +4,38 @@ Feasibility is monotone, if zeros can be appended: after any feasible trajectory
 x_{T+1} = x_T, and that is feasible for T + 1 steps. ``obstacles`` checks what this needs, one condition after another;
 costs, and constraints that may be violated at a price, play no part. The conditions are sufficient: where one fails,
 nothing is said.
+
+A search is a run of tasks, as a sweep over the horizon is, that chooses its points: its file is that of a sweep.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.grid import Source, fingerprint, problem_at, require_parameters
+from lin_freq_ocp.batch.grid import Source, fingerprint, point_key, problem_at, require_parameters
+from lin_freq_ocp.batch.sweep import Row, failed_point, row_of
+from lin_freq_ocp.batch.tasks import Record, Work, finish_run, finish_tasks
 from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solve import solve_judged
 
+AT_ONCE = 4  # horizons that an executor gets
 ROUNDING = 1e-13  # relative, of A x + d: the drift over 10^4 steps stays far below what the judge allows
 
 At = Callable[[int], OptimalControlProblem]
@@ -47,15 +57,15 @@ class Search:
     high: int
     verdicts: dict[int, Verdict] = field(default_factory=dict)
     rays: dict[int, Multipliers] = field(default_factory=dict)
+    bounds: dict[int, str | None] = field(default_factory=dict)  # of rays, recorded ones too: rigorous or numerical
     best: Outcome | None = None  # at the least horizon that is feasible
-    practical: set[int] = field(default_factory=set)  # of those in ``rays``, where the ray is numerical: no proof
     last: Outcome | None = None  # at the largest horizon that is solved, and not feasible
     interrupted: bool = False
 
     @property
     def horizon(self) -> int | None:
         """Return the least horizon that is feasible, or None."""
-        return None if self.best is None else self.best.problem.horizon
+        return min(self.of(Verdict.FEASIBLE), default=None)
 
     def of(self, verdict: Verdict) -> list[int]:
         """Return the horizons with a verdict, in increasing order."""
@@ -64,26 +74,78 @@ class Search:
     @property
     def proven(self) -> list[int]:
         """Return the horizons that are infeasible by a rigorous ray, in increasing order."""
-        return sorted(self.rays.keys() - self.practical)
+        return sorted(T for T, bound in self.bounds.items() if bound != NUMERICAL)
 
-    def keep(self, horizon: int, outcome: Outcome) -> Verdict:
-        """Keep what a solve says about a horizon."""
-        verdict, self.interrupted = Verdict.UNDECIDED, outcome.interrupted
-        if outcome.primal:  # whatever its cost
-            verdict = Verdict.FEASIBLE
-        elif outcome.status == Status.INFEASIBLE:
-            verdict = Verdict.INFEASIBLE
-        if self.interrupted and verdict == Verdict.UNDECIDED:
+    @property
+    def practical(self) -> list[int]:
+        """Return the horizons that are infeasible by a numerical ray, which is no proof, in increasing order."""
+        return sorted(T for T, bound in self.bounds.items() if bound == NUMERICAL)
+
+    @property
+    def without_evidence(self) -> list[int]:
+        """Return the horizons that decide the search of which a file had the verdict, and no trajectory or ray."""
+        least = self.horizon
+        if least is None:
+            longest, shown = max(self.verdicts, default=None), self.last
+            return [] if longest is None or (shown is not None and shown.problem.horizon == longest) else [longest]
+        found = [] if self.best is not None and self.best.problem.horizon == least else [least]
+        no_ray = self.verdicts.get(least - 1) == Verdict.INFEASIBLE and least - 1 not in self.rays
+        return [*found, least - 1] if no_ray else found
+
+    def keep(self, horizon: int, outcome: Outcome | None) -> Verdict:
+        """Keep what a solve says about a horizon; of a solve that was lost, nothing."""
+        verdict = self.verdicts[horizon] = verdict_of(outcome)
+        if outcome is None:
             return verdict
-        self.verdicts[horizon] = verdict
         if verdict == Verdict.FEASIBLE:
-            self.best = outcome if self.horizon is None or horizon < self.horizon else self.best
-        elif self.last is None or horizon > self.last.problem.horizon:
+            self.best = outcome if self.best is None or horizon <= self.best.problem.horizon else self.best
+        elif self.last is None or horizon >= self.last.problem.horizon:
             self.last = outcome
         if outcome.ray is not None and verdict == Verdict.INFEASIBLE:
-            self.rays[horizon] = outcome.ray
-            self.practical |= {horizon} if outcome.bound == NUMERICAL else set()
+            self.rays[horizon], self.bounds[horizon] = outcome.ray, outcome.bound
         return verdict
+
+    def recall(self, horizon: int, row: Row) -> None:
+        """Keep what was recorded of a horizon: an answer without its evidence."""
+        if row["cost"] is not None:
+            self.verdicts[horizon] = Verdict.FEASIBLE
+        elif row["status"] == Status.INFEASIBLE:
+            self.verdicts[horizon] = Verdict.INFEASIBLE
+            if row["bound"] is not None:  # earlier versions recorded none
+                self.bounds[horizon] = row["bound"]
+        else:
+            self.verdicts[horizon] = Verdict.UNDECIDED
+
+
+def verdict_of(outcome: Outcome | None) -> Verdict:
+    """Return what a solve decides of its horizon, whatever its cost."""
+    if outcome is not None and outcome.primal:
+        return Verdict.FEASIBLE
+    return Verdict.INFEASIBLE if outcome is not None and outcome.status == Status.INFEASIBLE else Verdict.UNDECIDED
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedHorizon:
+    """The outcome at a horizon, None if its worker was lost, and its row."""
+
+    outcome: Outcome | None
+    row: Row
+
+
+def _solve_task(solve: Callable[[int], Outcome], horizon: int, attempt: int) -> SolvedHorizon:
+    """Solve in this process or in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
+    started = now()
+    outcome = solve(horizon)
+    return SolvedHorizon(outcome, row_of(outcome, {"horizon": horizon}, now() - started))
+
+
+def _lost_horizon(horizon: int, reason: str) -> SolvedHorizon:
+    return SolvedHorizon(None, failed_point({"horizon": horizon}, reason))
+
+
+def _undecided_by_interrupt(solved: SolvedHorizon) -> bool:
+    interrupted = solved.outcome is not None and solved.outcome.interrupted
+    return interrupted and verdict_of(solved.outcome) == Verdict.UNDECIDED
 
 
 def search_horizons(
@@ -92,34 +154,47 @@ def search_horizons(
     monotone: bool,
     solve: Callable[[int], Outcome],
     progress: Callable[[int, str], None] | None = None,
+    executor: Executor | None = None,
+    record: AbstractContextManager[Record[Row] | None] | None = None,
 ) -> Search:
-    """Search the horizons; Ctrl-C ends it with what is decided."""
-    search = Search(low, high)
-    try:
-        while not search.interrupted:
-            if monotone:
-                horizon = _next_of_bisection(search)
-            else:  # from below, until one is feasible
-                horizon = low + len(search.verdicts)
-                horizon = horizon if search.horizon is None and horizon <= high else None
-            if horizon is None:
-                break
-            verdict = search.keep(horizon, solve(horizon))
-            if progress is not None:
-                progress(horizon, verdict)
-    except KeyboardInterrupt:
-        search.interrupted = True
+    """Search the horizons, a run of tasks like a sweep; Ctrl-C ends it with what is decided."""
+    search, told = Search(low, high), list[tuple[int, str]]()
+    work = Work(partial(_solve_task, solve), _lost_horizon, _undecided_by_interrupt)
+
+    def solve_missing(recorded: Mapping[str, Row]) -> Generator[Mapping[str, Row]]:
+        for key, row in recorded.items():
+            search.recall(keys[key], row)
+        while horizons := _next_horizons(search, monotone, 1 if executor is None else AT_ONCE):
+            points = {point_key({"horizon": T}): T for T in horizons}
+            with closing(finish_tasks(work, points, executor)) as parts:
+                for key, solved in parts:
+                    told.append((points[key], search.keep(points[key], solved.outcome)))
+                    if solved.outcome is not None and solved.outcome.interrupted:  # decided, and not recorded
+                        raise KeyboardInterrupt
+                    yield {key: solved.row}
+        for horizon in search.without_evidence:
+            search.keep(horizon, solve(horizon))
+
+    def tell(done: int, count: int) -> None:
+        if progress is not None and told:
+            progress(*told[-1])
+
+    keys = {} if record is None else {point_key({"horizon": T}): T for T in range(low, high + 1)}
+    _, search.interrupted = finish_run(list(keys), solve_missing, record or nullcontext(), tell)
     return search
 
 
-def _next_of_bisection(search: Search) -> int | None:
-    """Return the horizon to solve next: the last one, then the middle of those between the proven ends."""
-    if not search.verdicts:
-        return search.high
+def _next_horizons(search: Search, monotone: bool, count: int) -> list[int]:
+    """Return the horizons to solve next: by bisection, at first the last one, or from below until one is feasible."""
+    if monotone and not search.verdicts:
+        return [search.high]
     above = search.high + 1 if search.horizon is None else search.horizon
-    below = max(search.of(Verdict.INFEASIBLE), default=search.low - 1)
+    below = max(search.of(Verdict.INFEASIBLE), default=search.low - 1) if monotone else search.low - 1
     unknown = [T for T in range(below + 1, above) if T not in search.verdicts]
-    return unknown[len(unknown) // 2] if unknown else None
+    if not monotone:
+        return unknown[:count]
+    parts = min(count, len(unknown)) + 1
+    return [unknown[len(unknown) * i // parts] for i in range(1, parts)]
 
 
 def checked_horizons(given: object) -> tuple[int, int]:
@@ -151,6 +226,14 @@ def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
     except ProblemError as error:
         advice = f"The problem cannot be stated at the horizon {horizon}; give a function of the horizon instead."
         raise ProblemError(error.field, error.got, error.expected, advice) from None
+
+
+def solve_horizon(
+    source: Source, method: str | Method, backend: str, time_limit: float | None, tolerance: float | None, horizon: int
+) -> Outcome:
+    """Return the answer at a horizon."""
+    problem = problem_at_horizon(source, horizon)
+    return solve_judged(problem, method, time_limit, backend=backend, tolerance=tolerance)
 
 
 def require_source(source: Source) -> None:
@@ -206,7 +289,7 @@ def _sets_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str
     tube, T = problem.control_tube, problem.horizon
     outside = ((tube.lower[first:] > 0) | (tube.upper[first:] < 0)).any()
     x, u = np.zeros((T + 1, problem.state_dim)), np.zeros((T, problem.control_dim))
-    sets = [term for term in problem.terms if term.hard and term.kind == TermKind.CONTROL_SET]
+    sets = [term for term in problem.terms if term.hard and term.kind.of == "controls" and not term.kind.is_spectrum]
     if outside or any((term.violation(x, u) > 0).any() for term in sets):
         yield "control_set: zero is not an admissible control at all later times"
     boxes = problem.state_boxes

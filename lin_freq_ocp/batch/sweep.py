@@ -32,6 +32,7 @@ from lin_freq_ocp.batch.grid import (
     require_executor,
 )
 from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
+from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, solve_judged
 
 INTERRUPTED_POINT = "interrupted"  # status of a point whose solve was stopped by Ctrl-C; no sweep keeps it
@@ -137,21 +138,40 @@ def run_sweep(
     values = grid_values(problem, grid)
     require_executor(executor, problem, values)
     points, shown = grid_points(values), {name: tuple(map(plain, given)) for name, given in values.items()}
-    named: object = problem
-    while isinstance(named, partial):
-        named = named.func
-    name = str(getattr(named, "name", None) or getattr(named, "__name__", None) or "problem")
-    head = {"problem": name, "fingerprint": fingerprint(problem), "names": sorted(values), "options": dict(options)}
     work = Work(partial(solve_point, problem, options), failed_point, lambda row: row["status"] == INTERRUPTED_POINT)
 
-    def solve_missing(keys: Sequence[str]) -> Generator[Mapping[str, Row]]:
-        with closing(finish_tasks(work, {key: points[key] for key in keys}, executor)) as results:
+    def solve_missing(recorded: Mapping[str, Row]) -> Generator[Mapping[str, Row]]:
+        missing = {key: point for key, point in points.items() if key not in recorded}
+        with closing(finish_tasks(work, missing, executor)) as results:
             for key, row in results:
                 yield {key: row}
 
-    record = open_record(head | {"grid": {name: list(given) for name, given in shown.items()}})
-    rows, interrupted = finish_run(list(points), solve_missing, record, progress)
-    return SweepOutcome(name, shown, tuple(rows[key] for key in points if key in rows), options, interrupted)
+    rows, interrupted = finish_run(
+        list(points), solve_missing, open_record(sweep_head(problem, shown, options)), progress
+    )
+    found = tuple(rows[key] for key in points if key in rows)
+    return SweepOutcome(name_of(problem), shown, found, options, interrupted)
+
+
+def name_of(source: Source) -> str:
+    """Return the name of a problem, or of the function that builds it."""
+    named: object = source
+    while isinstance(named, partial):
+        named = named.func
+    return str(getattr(named, "name", None) or getattr(named, "__name__", None) or "problem")
+
+
+def sweep_head(
+    source: Source, grid: Mapping[str, Sequence[object]], options: Mapping[str, object]
+) -> dict[str, object]:
+    """Return what makes two sweeps the same, and the grid."""
+    return {
+        "problem": name_of(source),
+        "fingerprint": fingerprint(source),
+        "names": sorted(grid),
+        "options": dict(options),
+        "grid": {name: list(values) for name, values in grid.items()},
+    }
 
 
 def solve_point(source: Source, options: Mapping[str, Any], parameters: Parameters, attempt: int = 0) -> Row:
@@ -170,7 +190,12 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
         return failed_point(parameters, str(error), now() - started)
     except Exception as error:  # a function that builds problems may raise anything: the others are solved
         return failed_point(parameters, f"{type(error).__name__}: {error}", now() - started)
-    row = failed_point(parameters, None, now() - started)
+    return row_of(result, parameters, now() - started, bands)
+
+
+def row_of(result: Outcome, parameters: Parameters, seconds: float, notes: Sequence[str] = ()) -> Row:
+    """Return the row of a point that was solved, with notes on it."""
+    row = failed_point(parameters, None, seconds)
     certificate, messages = result.certificate, [result.message] if result.message else []
     row["status"] = INTERRUPTED_POINT if result.interrupted else result.status
     row["lower_bound"], row["bound"] = _finite_or_none(result.lower_bound), result.bound
@@ -184,7 +209,7 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
         row["cost"], row["gap"] = _finite_or_none(result.cost), _finite_or_none(result.gap)
     elif result.cost is not None:  # it may be lower than that of every solution
         messages.append(f"the point found, with cost {result.cost:.6g}, breaks constraints")
-    row["message"] = "; ".join([*messages, *bands]) or None
+    row["message"] = "; ".join([*messages, *notes]) or None
     return row
 
 

@@ -42,18 +42,21 @@ OpenRecord = Callable[[Mapping[str, object]], AbstractContextManager[Record[Answ
 
 def finish_run(
     keys: Sequence[str],
-    solve_missing: Callable[[Sequence[str]], Generator[Mapping[str, Answer]]],
+    solve_missing: Callable[[Mapping[str, Answer]], Generator[Mapping[str, Answer]]],
     record: AbstractContextManager[Record[Answer] | None],
     progress: Callable[[int, int], None] | None,
 ) -> tuple[dict[str, Answer], bool]:
-    """Return the answers, recorded ones first and the missing ones as they finish, and whether Ctrl-C ended the run."""
+    """Return the answers, recorded ones first and the missing ones as they finish, and whether Ctrl-C ended the run.
+
+    ``solve_missing`` is given the recorded answers and yields others, which it chooses. ``progress`` is given the
+    numbers of answers and of keys.
+    """
     with record as log:
         answers = {} if log is None else {key: log.answers[key] for key in keys if key in log.answers}
-        missing = [key for key in keys if key not in answers]
         try:
             if progress is not None:
                 progress(len(answers), len(keys))
-            with closing(solve_missing(missing)) as parts:
+            with closing(solve_missing(dict(answers))) as parts:
                 for part in parts:
                     for key, answer in part.items():
                         if log is not None:

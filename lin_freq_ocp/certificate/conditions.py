@@ -296,9 +296,9 @@ def term_holds(label: str, priced: PricedTerm, least: Array) -> Condition:
     violation = priced.term.penalty.violation(priced.values).astype(np.float64)
     scales = _scales(priced.sizes, least)
     scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
-    what = "rows hold" if priced.term.kind == "stage rows" else "holds"
+    what = "rows hold" if priced.term.kind.is_rows else "holds"
     found = _locate_condition(priced.term, worst_condition(label, f"{what}: {priced.term.name}", violation, scales))
-    return replace(found, tolerance=ENDS_TOLERANCE) if priced.term.kind == "linked ends" else found
+    return replace(found, tolerance=ENDS_TOLERANCE) if priced.term.kind.is_link else found
 
 
 def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array) -> Condition:
@@ -313,7 +313,7 @@ def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array)
     scale = max(level, float((np.abs(priced.given) * priced.sizes).sum(1).max(initial=0.0)))
     t, row = _argmax(gap.astype(np.float64)) if len(gap) else (0, 0)
     residual = float(gap[t, row]) if len(gap) else 0.0
-    what = "row multipliers complementary" if priced.term.kind == "stage rows" else "multipliers are subgradients"
+    what = "row multipliers complementary" if priced.term.kind.is_rows else "multipliers are subgradients"
     name = f"{what}: {priced.term.name}"
     return _locate_condition(priced.term, Condition(label, name, residual, scale, CONDITION_TOLERANCE, t, row))
 
@@ -323,7 +323,7 @@ def _locate_condition(term: Term, condition: Condition) -> Condition:
     positions = term.map.positions
     group = condition.time if 0 < len(positions) == term.shape[0] else None  # a mask may have no atoms
     time = None if group is None else int(positions[group])
-    return replace(condition, time=time, component=condition.component if term.kind == "stage rows" else None)
+    return replace(condition, time=time, component=condition.component if term.kind.is_rows else None)
 
 
 def _largest(*parts: Array | ComplexArray) -> float:

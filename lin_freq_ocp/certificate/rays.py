@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.response_bound import farkas_bound
@@ -168,23 +168,20 @@ def _bounds(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Confli
 
 def _bands(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
     """Name the stop bands without whose multipliers the ray proves nothing."""
-    for kind, names, prices in (
-        ("state", problem.state_names, ray.rho_x),
-        ("control", problem.control_names, ray.rho_u),
-    ):
+    for signal, names, field in (("state", problem.state_names, "rho_x"), ("control", problem.control_names, "rho_u")):
+        prices: ComplexArray = getattr(ray, field)
         for i, name in enumerate(names):
             rest = prices.copy()
             rest[:, i] = 0.0
-            without = replace(ray, rho_x=rest) if kind == "state" else replace(ray, rho_u=rest)
-            if prices[:, i].any() and _bound(problem, without).value <= 0:
-                yield Conflict(f"{kind} stop band on {name}", 1.0, _important(np.abs(prices[:, i])))
+            if prices[:, i].any() and _bound(problem, replace(ray, **{field: rest})).value <= 0:
+                yield Conflict(f"{signal} stop band on {name}", 1.0, _important(np.abs(prices[:, i])))
 
 
 def _terms(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
     """Name the terms other than joint rows without whose multipliers the ray proves nothing."""
     for term in problem.terms:
         weights = ray.stage.get(term.name)
-        if term.kind == "stage rows" or weights is None or not weights.any():
+        if term.kind.is_rows or weights is None or not weights.any():
             continue
         rest = {name: one for name, one in ray.stage.items() if name != term.name}
         if _bound(problem, replace(ray, stage=rest)).value <= 0:

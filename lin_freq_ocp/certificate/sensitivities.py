@@ -11,7 +11,6 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import at_frequencies
-from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers
 
 
@@ -98,7 +97,7 @@ def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> S
         limits={
             term.name: -term.per_limit * prices
             for term in problem.terms
-            if term.kind != TermKind.STAGE_ROWS and not term.kind.is_cost
+            if not (term.kind.is_rows or term.kind.is_cost)
             if (prices := term.penalty.limit_multipliers(multipliers.stage[term.name])) is not None
         },
         offset=-multipliers.eta,
@@ -116,9 +115,9 @@ def bin_prices(problem: OptimalControlProblem, multipliers: Multipliers) -> tupl
     prices = np.abs(multipliers.rho_u), np.abs(multipliers.rho_x)
     for term in at_frequencies(problem, multipliers.frequencies).terms:
         weights = multipliers.stage.get(term.name)
-        if weights is None or not len(term.map.nearest_bins) or term.kind == TermKind.OUTPUT_SPECTRUM:
+        if weights is None or not len(term.map.nearest_bins) or term.kind.of == "outputs":
             continue
         size = term.per_limit * np.linalg.norm(term.map.pairs(weights), axis=1)
-        of_component = prices[term.kind == TermKind.STATE_SPECTRUM][:, term.map.component]
+        of_component = prices[term.kind.of == "states"][:, term.map.component]
         np.add.at(of_component, term.map.nearest_bins, size)
     return prices

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import inspect
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from lin_freq_ocp import library
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
-from lin_freq_ocp.batch.grid import CUTOFFS
 from lin_freq_ocp.files.problem_file import read_problem
 from lin_freq_ocp.files.problem_tables import PROBLEM
 from lin_freq_ocp.files.reading import FileTable, FileValue, naming_file
+from lin_freq_ocp.problem.limits import CUTOFFS, NUMBER_WORDS, changed_fields
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
@@ -38,7 +38,7 @@ class ProblemFile:
     """A problem file as a function of its keys; keys within tables are written with dots, ``control_set.upper``.
 
     ``cutoff`` (rad/sample) and ``cutoff_hz`` are a low pass of all controls in place of the file's
-    ``control_spectrum``, as in ``lfo.sweep``.
+    ``control_spectrum``, and keys such as ``rows.0`` are numbers of its limits, as in ``lfo.sweep`` of a problem.
     """
 
     path: Path = field(compare=False)  # read anew for every point; not compared when a sweep is resumed
@@ -50,7 +50,7 @@ class ProblemFile:
         """Read the file, with these settings."""
         with naming_file(Path(path)):
             require_keys_of_file(settings)
-        return cls(Path(path), settings, read_problem(path, file_tables(settings)))
+        return cls(Path(path), settings, read_with_settings(path, settings))
 
     @property
     def name(self) -> str:
@@ -63,7 +63,7 @@ class ProblemFile:
         tables = deepcopy({key: value for key, value in self.settings.items() if key not in replaced})
         for key, value in parameters.items():
             _merge(tables, _nested_tables(key, value))
-        return read_problem(self.path, file_tables(tables))
+        return read_with_settings(self.path, tables)
 
 
 FILE_KEYS = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)  # top-level keys for --set and --grid
@@ -74,7 +74,7 @@ def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
     """Raise ProblemError unless these are keys of problem files or cut-offs, and at most one sets the spectrum."""
     for key in keys:
         first = key.partition(".")[0]
-        if first not in FILE_KEYS:
+        if first not in (*FILE_KEYS, *NUMBER_WORDS):
             known = f"one of {', '.join(FILE_KEYS)}"
             advice = suggestion(first, FILE_KEYS) or "Those of tables are written with dots, such as control_set.upper."
             raise ProblemError(f"{option}{key}", "an unknown key", known, advice)
@@ -83,9 +83,25 @@ def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
         raise ProblemError(f"{option}{given[1]}", f"{given[0]}, too", "one of them", "Both set the same.")
 
 
+def read_with_settings(path: str | Path, settings: FileTable) -> OptimalControlProblem:
+    """Return the problem of a file, with settings in place of its keys, and then numbers of its limits moved."""
+    problem = read_problem(path, file_tables(settings))
+    values = dict(entry for word in NUMBER_WORDS for entry in _dotted_entries(word, settings.get(word, {})))
+    return replace(problem, **changed_fields(problem, values)) if values else problem
+
+
+def _dotted_entries(key: str, value: FileValue) -> Iterator[tuple[str, FileValue]]:
+    """Yield the entries of nested tables with their keys, in which dots stand between those of the tables."""
+    if not isinstance(value, dict):
+        yield key, value
+        return
+    for inner, part in value.items():
+        yield from _dotted_entries(f"{key}.{inner}", part)
+
+
 def file_tables(settings: FileTable) -> FileTable:
-    """Return settings as tables of a problem file, with a cut-off as a low pass."""
-    tables = {key: value for key, value in settings.items() if key not in CUTOFFS}
+    """Return settings as tables of a problem file, with a cut-off as a low pass, without numbers of limits."""
+    tables = {key: value for key, value in settings.items() if key not in (*CUTOFFS, *NUMBER_WORDS)}
     for key in CUTOFFS:
         if key in settings:
             low_pass = {"kind": "low_pass", key: settings[key]}

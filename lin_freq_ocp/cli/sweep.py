@@ -28,6 +28,7 @@ from lin_freq_ocp.cli.console import (
     NO_SOLUTION,
     NOT_PROVEN,
     PROVEN,
+    Command,
     complain,
     err,
     json_option,
@@ -56,14 +57,20 @@ RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")  # from:to:coun
 GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"
 
 
+def batch_options(files: str) -> Callable[[Command], Command]:
+    """Return what adds the options of runs of many solves, which write these files, to a command."""
+    count = click.IntRange(min=1)
+    workers = click.option("--workers", type=count, default=1, show_default=True, help="Processes to solve on.")
+    text = f"Write {files} here; resume from it."
+    folder = click.option("--out", "folder", type=click.Path(path_type=Path), help=text)
+    return lambda command: workers(folder(command))
+
+
 @click.command("sweep")
 @problem_argument
 @click.option("--grid", "grids", multiple=True, required=True, metavar="KEY=VALUES", help=f"{GRID_FORM}; repeatable.")
 @solve_options
-@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes to solve on.")
-@click.option(
-    "--out", "folder", type=click.Path(path_type=Path), help="Write sweep.jsonl, .csv and .png here; resume from it."
-)
+@batch_options("sweep.jsonl, .csv and .png")
 @json_option
 def sweep_command(
     problem: str,
@@ -80,13 +87,7 @@ def sweep_command(
     """Solve a problem at every point of a grid of parameters, to see what bandwidth, time or a bound costs."""
     given = parsed_settings(settings)
     source = ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
-    grid = parsed_grid(grids, source)
-    path = None
-    if folder is not None:
-        require_folder(folder)
-        with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        path = folder / "sweep.jsonl"
+    grid, path = parsed_grid(grids, source), _file_in(folder, "sweep.jsonl")
     options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     with _worker_pool(workers) as executor, _progress_bar() as tell:
         found = sweep(source, grid, executor, path, **options, progress=tell)
@@ -112,6 +113,16 @@ def sweep_command(
             figure.savefig(stream, format="png", dpi=150)
 
     return write_files(status, lambda: found.to_csv(folder / "sweep.csv"), draw_sweep)
+
+
+def _file_in(folder: Path | None, name: str) -> Path | None:
+    """Return the file of a run in a folder, which is made if it is missing; None without a folder."""
+    if folder is None:
+        return None
+    require_folder(folder)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder / name
 
 
 @contextmanager
@@ -147,6 +158,7 @@ def _progress_bar() -> Generator[Callable[[int, int], None] | None]:
 @problem_argument
 @click.option("--horizons", nargs=2, type=int, required=True, metavar="LO HI", help="The range, both ends included.")
 @solve_options
+@batch_options("minimum_time.jsonl")
 @json_option
 def minimum_time_command(
     problem: str,
@@ -156,14 +168,20 @@ def minimum_time_command(
     backend: str,
     time_limit: float | None,
     tolerance: float | None,
+    workers: int,
+    folder: Path | None,
     as_json: bool,
 ) -> int:
     """Find the least horizon at which a problem is feasible, and prove that one step less is not."""
     given = parsed_settings(settings)
     source = ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
-    with search_progress("looking for the least horizon") as report:
+    options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    path = _file_in(folder, "minimum_time.jsonl")
+    with _worker_pool(workers) as executor, search_progress("looking for the least horizon") as report:
         tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
-        found = minimum_time(source, horizons, method, backend, time_limit, tolerance, throw=False, progress=tell)
+        found = minimum_time(source, horizons, **options, throw=False, progress=tell, executor=executor, path=path)
+        if found.interrupted and executor is not None:
+            executor.abandon()
     if as_json:
         print_json(
             {

@@ -14,7 +14,6 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.term import TermKind
 
 # Decibels that a Butterworth filter may lose at the last kept bin, and must lose half way into the stop band.
 PASS_LOSS, STOP_LOSS = 3.0, 20.0
@@ -101,7 +100,7 @@ def _other_bands(problem: OptimalControlProblem) -> dict[str, list[tuple[int, Ma
     states = [(problem.state_samples, problem.state_band[:, i]) for i in range(problem.state_dim)]
     outputs = list[tuple[int, Mask]]()
     for term in problem.terms:
-        if term.kind == TermKind.OUTPUT_SPECTRUM:
+        if term.kind.of == "outputs":
             bounded = np.zeros(term.map.samples // 2 + 1, dtype=bool)
             bounded[term.map.nearest_bins] = True
             outputs.append((term.map.samples, bounded))

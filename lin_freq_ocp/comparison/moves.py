@@ -37,7 +37,6 @@ from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replay_cont
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import everywhere_of
 from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
-from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -180,7 +179,7 @@ def why_not_shaped(problem: OptimalControlProblem) -> str:
 def boxes_of(problem: OptimalControlProblem) -> tuple[PlantBox, ...]:
     """Return the boxes of modes that controls must not leave ringing."""
     terms = everywhere_of(problem, PlantBox)
-    return tuple(box for term, box in terms if term.kind == TermKind.CONTROL_SPECTRUM)
+    return tuple(box for term, box in terms if term.kind.of == "controls")
 
 
 def zero_vibration(K: float) -> Array:

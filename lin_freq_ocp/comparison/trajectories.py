@@ -25,7 +25,7 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
 from lin_freq_ocp.problem.terms.semi_infinite import Frequencies, peaks_above
-from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -110,26 +110,27 @@ class Signal:
     def row_bounds(self) -> list[Line]:
         """Return the limits of rows on this signal alone: of polyhedra, soft boxes, stage rows; not costs of levels."""
         levels = any(len(one.levels_of(self.problem.control_dim)) for one in entries_of(self.problem.control_set))
-        left_out = TermKind.CONTROL_SET if levels else None
+        left_out = "controls" if levels else None
         n, column = self.problem.state_dim, self.index if self.is_state else self.problem.state_dim + self.index
         terms = [term for term in self.problem.terms if term.penalty.polyhedral and not term.kind.is_cost]
-        terms = [term for term in terms if term.kind != left_out]
+        terms = [term for term in terms if term.kind.of != left_out]
         return [line for term in terms for line in _row_limits(term, n, self.problem.control_dim, column)]
 
     @property
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum."""
-        return _mask_levels(self.problem, self._kind, *self._rows)
+        return _mask_levels(self.problem, self.kind, *self._rows)
 
     @property
     def limited_beyond_bins(self) -> bool:
         """Whether it has a limit that is not about bins: on its held spectrum, or on what it leaves ringing."""
-        terms = [one for one in self.problem.terms if one.kind == self._kind and one.everywhere is not None]
+        terms = [one for one in self.problem.terms if one.kind.of == self.kind and one.everywhere is not None]
         return any(not len(one.map.nearest_bins) and one.map.component == self.index for one in terms)
 
     @property
-    def _kind(self) -> TermKind:
-        return TermKind.STATE_SPECTRUM if self.is_state else TermKind.CONTROL_SPECTRUM
+    def kind(self) -> str:
+        """Return what it is: of "states", "controls" or "outputs"."""
+        return "states" if self.is_state else "controls"
 
     def touching(self, trajectory: Trajectory) -> Line:
         """Return where its spectrum reaches the limit of a mask at every frequency, and the limits there."""
@@ -167,11 +168,11 @@ def _row_limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
             yield Line(term.map.positions.astype(np.float64), values, not term.hard)
 
 
-def _mask_levels(problem: OptimalControlProblem, kind: TermKind, C: Array | None, D: Array | None) -> list[Line]:
+def _mask_levels(problem: OptimalControlProblem, kind: str, C: Array | None, D: Array | None) -> list[Line]:
     """Return the limits on the magnitude of the spectrum of C x + D u, of the terms of a kind with these C and D."""
     found = list[Line]()
     for term in problem.terms:
-        if term.kind != kind or not len(term.map.frequencies) or not term.map.spectrum_of(C, D):
+        if term.kind.of != kind or not len(term.map.frequencies) or not term.map.spectrum_of(C, D):
             continue
         match term.everywhere:
             case Frequencies(limits=given):
@@ -204,7 +205,7 @@ class Output(Signal):
         """Return its stopped or bounded bins, (N//2 + 1,)."""
         stop = np.zeros(self.samples // 2 + 1, dtype=bool)
         for term in self.problem.terms:
-            if term.kind == TermKind.OUTPUT_SPECTRUM and term.map.spectrum_of(*self._rows):
+            if term.kind.of == self.kind and term.map.spectrum_of(*self._rows):
                 stop[term.map.nearest_bins] = True
         return stop
 
@@ -219,9 +220,9 @@ class Output(Signal):
         return []
 
     @property
-    def levels(self) -> list[Line]:
-        """Return the limits on the magnitude of its spectrum."""
-        return _mask_levels(self.problem, TermKind.OUTPUT_SPECTRUM, *self._rows)
+    def kind(self) -> str:
+        """Return "outputs"."""
+        return "outputs"
 
     def of(self, trajectory: Trajectory) -> Array:
         """Return its values over time."""

@@ -18,11 +18,20 @@ from lin_freq_ocp.base.clock import LEAST_SECONDS, now, processor_now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, drop_blocks, hard_only, kept_stopped, relax_block
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.limits import (
+    BOXES,
+    SPECTRA,
+    Limit,
+    constraints,
+    drop_limits,
+    intersection,
+    map_constraints,
+    map_sets,
+)
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import AddedStates, extended
-from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.box import Box, box_of
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.solving.families import family_of
@@ -102,7 +111,7 @@ class _Search:
     def __init__(self, problem: OptimalControlProblem, ends: list[tuple[Callable[[], float], float]]):
         cost = QuadraticCost(R=np.diag(1 / stated_sizes(problem)[1] ** 2))
         self.problem, self.ends, self.sure, self.interrupted = replace(problem, cost=cost), ends, True, False
-        self.blocks = blocks(problem)
+        self.blocks = constraints(problem)
 
     def solved(self, problem: OptimalControlProblem) -> Outcome:
         """Return how a variant ends, with a simple cost or none: only feasibility matters."""
@@ -125,7 +134,7 @@ class _Search:
             return None
         return DECIDED.get(self.solved(problem).status)
 
-    def family(self, result: Outcome) -> list[Block]:
+    def family(self, result: Outcome) -> list[Limit]:
         """Return an irreducible family: each block is dropped in turn, for good if the others are still infeasible."""
         named = {one.block: one.share for one in result.conflict or ()}
         some = [block for block in self.blocks if block.name in named]
@@ -136,187 +145,112 @@ class _Search:
                 family = rest
         return family
 
-    def _infeasible(self, kept: list[Block]) -> bool:
+    def _infeasible(self, kept: list[Limit]) -> bool:
         """Whether these blocks alone are known to have no solution."""
         if self._time_is_over():
             self.sure = False
             return False
-        found = self.feasible(drop_blocks(self.problem, [block for block in self.blocks if block not in kept]))
+        found = self.feasible(drop_limits(self.problem, [block for block in self.blocks if block not in kept]))
         self.sure &= found is not None
         return found is False
 
-    def cure(self, block: Block) -> Cure | None:
+    def cure(self, block: Limit) -> Cure | None:
         """Return the least change of a block that cures the problem, if it does and there is time."""
         return None if self._time_is_over() else least_cure(self.problem, block, self.feasible, self._seconds_left())
 
 
 def least_cure(
-    problem: OptimalControlProblem, block: Block, feasible: Feasible, time_limit: float | None = None
+    problem: OptimalControlProblem, limit: Limit, feasible: Feasible, time_limit: float | None = None
 ) -> Cure | None:
-    """Return the least relaxation of a block that cures the problem, tried on it; None if none of it alone does."""
-    if block.kind.endswith("stop band"):
-        return _least_narrowing(problem, block, feasible)
-    if block.kind == "term":
-        return _least_rise(problem, block, feasible)
-    if problem.dynamics.response(problem.horizon) is not None:  # it takes no state delta
-        amount = None if block.kind in ENDS else _least_amount(problem, block, feasible, _bounded_size(problem, block))
+    """Return the least relaxation of a limit that cures the problem, tried on it; None if none of it alone does."""
+    rows, reached = None, np.zeros(0)
+    if problem.dynamics.response(problem.horizon) is None:  # else it takes no state delta
+        rows = limit.rows()
+    if rows is not None:
+        found = _least_by_delta(problem, limit, rows, feasible, time_limit)
+        if found is None:
+            return None
+        amount, reached = found
+    elif limit.end is not None:
+        return None
+    else:
+        least = _least_bins if limit.whole else _least_amount
+        amount = least(limit.size, lambda by: bool(feasible(limit.relaxed(problem, by))))
         if amount is None:
             return None
-        cured = relax_block(problem, block, amount)
-        return Cure(block.name, amount, _cure_description(problem, cured, block, amount, np.zeros(0)))
-    result = solve_judged(_elastic_problem(problem, block), "convex", time_limit=time_limit)
+    return Cure(limit.name, amount, limit.words(limit.relaxed(problem, amount), amount, reached))
+
+
+def _least_by_delta(
+    problem: OptimalControlProblem, limit: Limit, rows: StageRows, feasible: Feasible, time_limit: float | None
+) -> tuple[float, Array] | None:
+    """Return the least amount by which rows must give way, as the optimum of a problem, and the end that is reached."""
+    result = solve_judged(_elastic_problem(problem, limit, rows), "convex", time_limit=time_limit)
     if result.trajectory is None:  # an inaccurate one is good enough: the amount is tried below
         return None
-    least, sizes = max(float(result.trajectory.x[-1, -1]), 0.0), stated_sizes(problem)
-    if least > LARGEST * max(map(np.max, sizes)):
+    least = max(float(result.trajectory.x[-1, -1]), 0.0)
+    if least > LARGEST * max(map(np.max, stated_sizes(problem))):
         return None
-    end = result.trajectory.x[0 if block.kind == ENDS[0] else -1, :-1]
 
-    def relaxed_by(amount: float) -> OptimalControlProblem:
-        return relax_block(problem, block, amount * sizes[0] if block.kind in ENDS else amount)
+    def suffices(amount: float) -> bool:
+        return bool(feasible(limit.relaxed(problem, amount)))
 
     for margin in MARGINS:
         amount = least * (1 + margin)
-        if feasible(relaxed_by(amount)):
-            if block.kind not in ENDS:
-                amount = _reduce_amount(amount, lambda less: bool(feasible(relaxed_by(less))))
-            return Cure(block.name, amount, _cure_description(problem, relaxed_by(amount), block, amount, end))
+        if suffices(amount):
+            if limit.end is None:
+                return _reduce_amount(amount, suffices), np.zeros(0)
+            return amount, result.trajectory.x[limit.end, :-1]
     return None
 
 
-def _least_narrowing(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
+def _least_bins(most: float, suffices: Callable[[float], bool]) -> float | None:
     """Return the fewest bins to pass at the edges of a stop band, by bisection."""
-    stopped = (problem.state_stop if block.kind == "state stop band" else problem.control_stop)[:, block.index]
-    most = len(stopped)
-    if not feasible(relax_block(problem, block, most)):
+    least = 0.0  # bins that do not suffice
+    if not suffices(most):
         return None
-    least = 0  # bins that do not suffice
     while most - least > 1:
         middle = (least + most) // 2
-        least, most = (least, middle) if feasible(relax_block(problem, block, middle)) else (middle, most)
-    before, after = (np.flatnonzero(~mask) for mask in (stopped, kept_stopped(stopped, most)))
-    text = f"{len(before)} -> {len(after)} passed bins of {len(stopped)}"
-    if len(before) and stopped[before.max() + 1 :].all() and not stopped[: before.max()].any():  # a low pass
-        length, Ts = problem.state_samples if "state" in block.kind else problem.horizon, problem.sampling_time
-        factor, unit = (2 * np.pi, "rad/sample") if Ts is None else (1 / Ts, "Hz")
-        first, second = (f"{factor * bins.max() / length:.6g}" for bins in (before, after))
-        text = f"cut-off {first} -> {second} {unit}"
-    return Cure(block.name, float(most), text)
-
-
-def _least_rise(problem: OptimalControlProblem, block: Block, feasible: Feasible) -> Cure | None:
-    """Return the least amount by which the limits of a term must rise, by bisection: it need not be a row."""
-    terms = [term for term in problem.terms if term.source == (block.family, block.index)]
-    limit = max(float(np.max(term.penalty.sizes())) for term in terms)
-    most = _least_amount(problem, block, feasible, limit if limit > 0 else 1.0)
-    if most is None:
-        return None
-    if limit == 0:
-        return Cure(block.name, most, f"wider by {most:.6g}")
-    power = 2 if all(term.name.startswith("energy bound") for term in terms) else 1  # energies are given as squares
-    return Cure(block.name, most, f"limit {limit**power:.6g} -> {(limit + most) ** power:.6g}")
-
-
-def _least_amount(problem: OptimalControlProblem, block: Block, feasible: Feasible, unit: float) -> float | None:
-    """Return the least amount by which a block must be relaxed, by bisection; None if no multiple of a unit does."""
-    most = unit * FIRST_AMOUNT
-    while not feasible(relax_block(problem, block, most)):
-        most *= GROWTH
-        if most > LARGEST * unit:
-            return None
-    least = most / GROWTH if most > unit * FIRST_AMOUNT else 0.0
-    while most - least > PRECISION * (unit + most):
-        middle = (least + most) / 2
-        least, most = (least, middle) if feasible(relax_block(problem, block, middle)) else (middle, most)
+        least, most = (least, middle) if suffices(middle) else (middle, most)
     return most
 
 
-def _bounded_size(problem: OptimalControlProblem, block: Block) -> float:
-    """Return the size of what a block bounds."""
-    x, u = stated_sizes(problem)
-    if block.kind == "row":
-        return float(_rows_of_block(problem, block).sizes(x, u)[..., block.index].max())
-    return float({"state bound": x, "control bound": u}.get(block.kind, np.ones(1 + block.index))[block.index])
+def _least_amount(size: float, suffices: Callable[[float], bool]) -> float | None:
+    """Return the least amount that suffices, by bisection; None if no multiple of a size does."""
+    most = size * FIRST_AMOUNT
+    while not suffices(most):
+        most *= GROWTH
+        if most > LARGEST * size:
+            return None
+    least = most / GROWTH if most > size * FIRST_AMOUNT else 0.0
+    while most - least > PRECISION * (size + most):
+        middle = (least + most) / 2
+        least, most = (least, middle) if suffices(middle) else (middle, most)
+    return most
 
 
-def _rows_of_block(problem: OptimalControlProblem, block: Block) -> StageRows:
-    return next(rows for rows in problem.stage_rows if rows.name == block.family)
-
-
-def _cure_description(
-    problem: OptimalControlProblem, cured: OptimalControlProblem, block: Block, amount: float, end: Array
-) -> str:
-    if block.kind in ENDS:
-        before = problem.initial_box if block.kind == ENDS[0] else problem.terminal_box
-        text = " x ".join(f"[{low:.6g}, {high:.6g}]" for low, high in zip(before.lower, before.upper, strict=True))
-        if before.fixed.all():
-            text = np.array2string(before.lower, precision=6, separator=", ")
-        return f"{text} -> {np.array2string(end, precision=6, separator=', ')}"
-    if block.kind == "row":
-        limits = _rows_of_block(problem, block).e[..., block.index]
-        if np.ptp(limits) == 0:
-            shown = [f"{limit:.6g}" for limit in (np.max(limits), np.max(limits) + amount)]
-            return f"<= {shown[0]} -> {shown[1]}" + _small_amount_note(shown, amount)
-        return f"limits higher by {amount:.6g}"
-    tubes = [one.state_boxes if block.kind == "state bound" else one.control_tube for one in (problem, cured)]
-    lower, upper = tubes[0].lower[:, block.index], tubes[0].upper[:, block.index]
-    if (lower == lower[0]).all() and (upper == upper[0]).all():
-        shown = [f"[{one.lower[0, block.index]:.6g}, {one.upper[0, block.index]:.6g}]" for one in tubes]
-        return " -> ".join(shown) + _small_amount_note(shown, amount)
-    return f"bounds wider by {amount:.6g}"
-
-
-def _small_amount_note(shown: list[str], amount: float) -> str:
-    """Return the amount where rounded limits do not show it: the problem is nearly feasible."""
-    return f" (by {amount:.2g}: nearly feasible)" if shown[0] == shown[1] else ""
-
-
-def _elastic_problem(problem: OptimalControlProblem, block: Block) -> OptimalControlProblem:
-    """Return the problem of the least delta >= 0, its last state, by which the block is relaxed."""
+def _elastic_problem(problem: OptimalControlProblem, limit: Limit, rows: StageRows) -> OptimalControlProblem:
+    """Return the problem of the least delta >= 0, its last state, by which the rows of a limit are relaxed."""
     m, T = problem.control_dim, problem.horizon
     delta = AddedStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
     base = replace(
-        hard_only(relax_block(problem, block, np.inf)), cost=QuadraticCost(), name=f"least change of the {block.name}"
+        hard_part(limit.relaxed(problem, np.inf)), cost=QuadraticCost(), name=f"least change of the {limit.name}"
     )
     elastic, (x, u) = extended(base, delta), stated_sizes(problem)
-    unit = _bounded_size(problem, block)
-    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(np.append(np.zeros_like(x), unit**-2)))
-    return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, _elastic_rows(problem, block)])
+    P = np.diag(np.append(np.zeros_like(x), limit.size**-2))
+    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=P)
+    return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, rows])
 
 
-def _elastic_rows(problem: OptimalControlProblem, block: Block) -> StageRows:
-    """Return the block's rows, each less delta times its size; those on x_T as rows on A x + B u of the step before."""
-    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    i, x, u = block.index, np.eye(n), np.eye(m)
-    if block.kind == "row":
-        rows = _rows_of_block(problem, block)
-        C, D = (np.broadcast_to(part, (T, *part.shape[-2:]))[:, [i]] for part in (rows.C, rows.D))
-        limits = np.broadcast_to(rows.e, (T, rows.rows))[:, [i]]
-        return StageRows(np.concatenate([C, np.full((T, 1, 1), -1.0)], axis=2), D, limits, "relaxed")
-    A, B, d = problem.linear.at(T - 1)
-    parts: list[tuple[Array, Array, Array]] = []  # rows on (x, delta) and on u, limits (T,)
-
-    def add(C: Array, D: Array, upper: Array, lower: Array, size: float = 1.0) -> None:
-        parts.extend([(np.append(C, -size), D, upper), (np.append(-C, -size), -D, -lower)])
-
-    def at(t: int, value: float, absent: float) -> Array:
-        return np.where(np.arange(T) == t, value, absent)
-
-    if block.kind == "control bound":
-        add(np.zeros(n), u[i], problem.control_tube.upper[:, i], problem.control_tube.lower[:, i])
-    elif block.kind == "state bound":
-        upper, lower = problem.state_boxes.upper[:, i], problem.state_boxes.lower[:, i]
-        add(x[i], np.zeros(m), upper[:T], lower[:T])
-        add(A[i], B[i], at(T - 1, upper[T] - d[i], np.inf), at(T - 1, lower[T] - d[i], -np.inf))
-    else:
-        first = block.kind == ENDS[0]
-        end = problem.initial_box if first else problem.terminal_box
-        t, C, D, offset = (0, x, np.zeros((n, m)), np.zeros(n)) if first else (T - 1, A, B, d)
-        for j, size in enumerate(stated_sizes(problem)[0]):
-            upper, lower = at(t, end.upper[j] - offset[j], np.inf), at(t, end.lower[j] - offset[j], -np.inf)
-            add(C[j], D[j], upper, lower, size)
-    rows_x, rows_u, limits = map(np.array, zip(*parts, strict=True))
-    return StageRows(rows_x, rows_u, limits.T, "relaxed")
+def hard_part(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem without its soft constraints: whether there is a solution does not depend on them."""
+    sets = {
+        field: map_sets(getattr(problem, field), lambda one: intersection(box_of(one), one.hard_members))
+        for field in BOXES
+    }
+    spectra = {field: map_constraints(getattr(problem, field), lambda one: one.hard_part) for field in SPECTRA}
+    rows = [part for one in problem.stage_rows if (part := one.hard_part) is not None]
+    return replace(problem, **sets, **spectra, stage_rows=rows)
 
 
 def _reduce_amount(amount: float, suffices: Callable[[float], bool]) -> float:

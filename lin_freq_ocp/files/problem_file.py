@@ -24,7 +24,6 @@ from lin_freq_ocp.base.arrays import Array, brief
 from lin_freq_ocp.base.atomic import write_bytes, writing
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.base.phrases import split_unit
-from lin_freq_ocp.batch.grid import CUTOFFS
 from lin_freq_ocp.files.problem_tables import PROBLEM, problem_from_tables
 from lin_freq_ocp.files.reading import (
     FileTable,
@@ -39,6 +38,7 @@ from lin_freq_ocp.files.reading import (
 from lin_freq_ocp.files.summary import finite, head
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.frequency_response import read_response
+from lin_freq_ocp.problem.limits import CUTOFFS
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 

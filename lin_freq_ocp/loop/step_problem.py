@@ -11,29 +11,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, positive_number, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.explanation.blocks import GivenSet
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.limits import SPECTRA, intersection, map_constraints, map_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import translation_of
-from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
-from lin_freq_ocp.problem.sets.convex import Soft
+from lin_freq_ocp.problem.sets.convex import softened_set
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.spectrum.bands import Band
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, entries_of
-from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound
+from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.problem.spectrum.bounds import softened_constraint
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy
-FIELDS = ("state_set", "terminal_state", "stage_rows", "control_spectrum", "state_spectrum", "output_spectrum")
-
-SPECTRA = ("control_spectrum", "state_spectrum", "output_spectrum")
+FIELDS = ("state_set", "terminal_state", "stage_rows", *SPECTRA)  # that can be soft
 
 
 def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
@@ -99,48 +97,20 @@ def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> Op
     changes: dict[str, object] = {}
     for field, penalty in penalties.items():
         given = getattr(problem, field)
-        if field in ("state_set", "terminal_state"):
-            changes[field] = _soften_sets(given, penalty)
+        if field in SPECTRA:
+            changes[field] = map_constraints(given, partial(softened_constraint, penalty))
         elif field == "stage_rows":
-            changes[field] = [
-                rows if rows.penalty is not None else StageRows(rows.C, rows.D, rows.e, rows.name, penalty)
-                for rows in given
-            ]
-        elif field == "output_spectrum":
-            outputs: Sequence[OutputSpectrum] = entries_of(given)
-            bounds = [[_soften_bound(bound, penalty) for bound in one.constraints] for one in outputs]
-            pairs = zip(outputs, bounds, strict=True)
-            changes[field] = [OutputSpectrum(one.C, one.D, soft, one.output_names) for one, soft in pairs] or None
+            changes[field] = [rows.softened(penalty) for rows in given]
         else:
-            changes[field] = [_soften_bound(one, penalty) for one in entries_of(given)] or None
+            per_time = isinstance(given, ConvexSet) and given.bounds[0].ndim > 1  # one soft set for each
+            sets = [_set_at(given, t) for t in range(len(given.bounds[0]))] if per_time else given
+            changes[field] = map_sets(sets, partial(softened_set, penalty))
     return replace(problem, **changes)
-
-
-def _soften_sets(given: GivenSet, penalty: float) -> GivenSet:
-    if isinstance(given, Sequence):
-        return [one and _soften_set(one, penalty) for one in given]
-    if given is not None and given.bounds[0].ndim > 1:
-        return [_soften_set(_set_at(given, t), penalty) for t in range(len(given.bounds[0]))]
-    return given and _soften_set(given, penalty)
-
-
-def _soften_set(given: ConvexSet, penalty: float) -> ConvexSet:
-    box = box_of(given)
-    hard: list[ConvexSet] = [member for member in given.members if not member.soft]
-    if np.isfinite(box.lower).any() or np.isfinite(box.upper).any():
-        hard.insert(0, Box(box.lower, box.upper))
-    members = [member for member in given.members if member.soft] + [Soft(one, penalty) for one in hard]
-    return Intersection(members) if members else given
 
 
 def _set_at(given: ConvexSet, t: int) -> ConvexSet:
     """Return a set whose bounds are given per time at one of the times."""
-    bounds = box_of(given).at(t)
-    return Intersection([bounds, *given.members]) if given.members else bounds
-
-
-def _soften_bound(given: FrequencyConstraint, penalty: float) -> FrequencyConstraint:
-    return MagnitudeBound(0.0, band=given, penalty=penalty) if isinstance(given, Band) else given.softened(penalty)
+    return intersection(box_of(given).at(t), given.members)
 
 
 def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:

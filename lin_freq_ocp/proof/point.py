@@ -22,7 +22,7 @@ from flint import arb_mat, ctx
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.explanation.blocks import Block, relax_block, replace_bounds
+from lin_freq_ocp.problem.limits import Limit, of_source, replace_bounds
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
@@ -161,8 +161,8 @@ def tighten(problem: OptimalControlProblem, share: float, sizes: tuple[Array, Ar
             problem = replace(problem, **{field: replace_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
     rows = [_tighten_rows(one, share, sizes) for one in problem.stage_rows]
     problem = replace(problem, stage_rows=rows) if rows else problem
-    for block, amount in _term_limits(problem, share, sizes):
-        problem = relax_block(problem, block, -amount)
+    for limit, amount in _term_limits(problem, share, sizes):
+        problem = limit.relaxed(problem, -amount)
     return problem
 
 
@@ -188,7 +188,7 @@ def _tighten_rows(rows: StageRows, share: float, sizes: tuple[Array, Array]) -> 
 
 def _term_limits(
     problem: OptimalControlProblem, share: float, sizes: tuple[Array, Array]
-) -> Iterator[tuple[Block, float]]:
+) -> Iterator[tuple[Limit, float]]:
     """Yield each entry of a field with hard limits beyond bounds and rows, and by how much they are to be lower."""
     steady = np.tile(sizes[0], (problem.horizon + 1, 1)), np.tile(sizes[1], (problem.horizon, 1))
     found: dict[tuple[str, int], float] = {}
@@ -199,9 +199,9 @@ def _term_limits(
         least = float(np.min(upper - lower))
         amount = min(share * float(term.map.sizes(*steady).max()), MOST * least) / term.per_limit
         found[term.source] = min(found.get(term.source, np.inf), amount)
-    for (field, index), amount in found.items():
+    for source, amount in found.items():
         if amount > 0:
-            yield Block("term", field, index, field), amount
+            yield of_source(problem, source, source[0]), amount
 
 
 def needs_feedback(problem: OptimalControlProblem) -> bool:

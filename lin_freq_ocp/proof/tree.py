@@ -15,9 +15,9 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.hybrid.tree import LeafJudge, Stages, reached_nodes
-from lin_freq_ocp.explanation.blocks import replace_bounds
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree
+from lin_freq_ocp.problem.limits import replace_bounds
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.sets.box import Box

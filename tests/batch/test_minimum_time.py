@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -13,6 +14,7 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.batch.minimum_time import Verdict, obstacles, problem_at_horizon, search_horizons
+from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
 
 LAST = 14  # largest horizon of the random problems
@@ -181,8 +183,8 @@ def test_bounds_that_move_are_not_monotone():
 class Found:
     """An outcome of a horizon."""
 
-    interrupted = False
-    ray = None
+    interrupted, message, dual = False, "", False
+    ray = cost = gap = lower_bound = bound = certificate = method = backend = None
 
     def __init__(self, horizon, verdict):
         self.problem, self.primal = integrator(horizon), verdict == "feasible"
@@ -203,7 +205,7 @@ def test_a_range_of_undecided_horizons_is_no_infeasible_one(monkeypatch):
         outcome = lfo.solve(problem, "convex", throw=False)
         return replace(outcome, status=lfo.results.Status.LIMIT, certificate=None, infeasibility=None)
 
-    monkeypatch.setattr("lin_freq_ocp.api.minimum_time.solve_judged", stopped)
+    monkeypatch.setattr("lin_freq_ocp.batch.minimum_time.solve_judged", stopped)
     found = lfo.minimum_time(integrator, horizons=(1, 9), throw=False)
     assert (found.horizon, found.proven, found.ray) == (None, False, None)
     assert found.proof == "nothing is proven of 1 to 9"
@@ -317,3 +319,81 @@ def test_bins_at_a_horizon_before_the_longest_are_an_obstacle(name):
     assert obstacles(partial(problem_at_horizon, problem), 1, 11, same_data=True)
     soft = replace(integrator(11), control_spectrum=[WIDE, lfo.MagnitudeBound(0.02, band=NARROW, penalty=1.0)])
     assert obstacles(partial(problem_at_horizon, soft), 1, 11, same_data=True) == []
+
+
+# --- recorded, resumed, and on other processes
+
+
+@pytest.mark.parametrize("source", [integrator, random_problem(1)], ids=["monotone", "from below"])
+def test_a_recorded_search_is_resumed_without_solving_again(source, tmp_path, monkeypatch):
+    path, solved = tmp_path / "horizons.jsonl", []
+
+    def counted(problem, *options, **more):
+        solved.append(problem.horizon)
+        return solve_judged(problem, *options, **more)
+
+    monkeypatch.setattr("lin_freq_ocp.batch.minimum_time.solve_judged", counted)
+    first = lfo.minimum_time(source, horizons=(1, LAST), path=path)
+    assert {row["parameters"]["horizon"] for row in lfo.load_sweep(path).rows} == set(first.verdicts)
+    solved.clear()
+    again = lfo.minimum_time(source, horizons=(1, LAST), path=path)
+    assert (again.horizon, again.proof, again.verdicts) == (first.horizon, first.proof, first.verdicts)
+    assert sorted(solved) == [first.horizon - 1, first.horizon]  # for the answer and its ray, which the file has not
+    assert again.result.cost == pytest.approx(first.result.cost, rel=1e-9)
+    assert again.ray is not None
+    with pytest.raises(lfo.errors.ProblemError, match="other options"):
+        lfo.minimum_time(source, horizons=(1, LAST), path=path, time_limit=9.0)
+
+
+def test_a_search_goes_on_after_ctrl_c(tmp_path):
+    def stop(horizon, verdict):
+        raise KeyboardInterrupt
+
+    path = tmp_path / "horizons.jsonl"
+    cut = lfo.minimum_time(integrator, horizons=(1, 100), path=path, progress=stop)
+    assert cut.interrupted
+    assert list(cut.verdicts) == [100]
+    whole = lfo.minimum_time(integrator, horizons=(1, 100), path=path)
+    assert (whole.horizon, whole.proven, whole.proof) == (4, True, lfo.minimum_time(integrator, (1, 100)).proof)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_an_executor_finds_the_same(seed):
+    problem = random_problem(seed)
+    here = lfo.minimum_time(problem, horizons=(1, LAST), throw=False)
+    with ThreadPoolExecutor(3) as executor:
+        there = lfo.minimum_time(problem, horizons=(1, LAST), throw=False, executor=executor)
+    assert (there.horizon, there.proven, there.monotone) == (here.horizon, here.proven, here.monotone)
+    assert there.proof == here.proof or here.monotone
+    assert set(here.verdicts.items()) <= set(there.verdicts.items()) or here.monotone
+    with pytest.raises(lfo.errors.ProblemError, match="executor"):
+        lfo.minimum_time(problem, horizons=(1, LAST), executor=7)
+
+
+def test_a_lost_horizon_is_undecided():
+    class Losing(ThreadPoolExecutor):
+        def submit(self, task, horizon, attempt):
+            return super().submit((lambda *_: 1 / 0) if horizon == 3 else task, horizon, attempt)
+
+    with Losing(1) as executor:
+        found = lfo.minimum_time(integrator, horizons=(3, 9), executor=executor)
+    assert (found.horizon, found.proven) == (4, False)
+    assert found.verdicts[3] == "undecided"
+
+
+def test_a_recorded_range_without_a_feasible_horizon_has_its_ray_again(tmp_path):
+    path = tmp_path / "horizons.jsonl"
+    first = lfo.minimum_time(integrator, horizons=(1, 3), path=path, throw=False)
+    again = lfo.minimum_time(integrator, horizons=(1, 3), path=path, throw=False)
+    assert (again.horizon, again.proven, again.proof) == (None, True, first.proof)
+    assert again.result.problem.horizon == 3
+    assert again.ray is not None
+
+
+def test_a_search_goes_on_from_the_file_of_a_sweep(tmp_path):
+    path = tmp_path / "sweep.jsonl"
+    lfo.sweep(integrator, {"horizon": [3, 5]}, path=path)
+    found = lfo.minimum_time(integrator, horizons=(1, 9), path=path)
+    assert (found.horizon, found.proven) == (4, True)
+    assert found.verdicts[5] == "feasible"
+    assert {row["parameters"]["horizon"] for row in lfo.load_sweep(path).rows} >= {3, 4, 5}

@@ -303,3 +303,17 @@ def test_the_example_of_the_docs_runs(tmp_path, monkeypatch):
     exec(code, {"__name__": "__main__"})
     assert {file.name for file in tmp_path.iterdir()} == {"sweep.jsonl", "sweep.csv", "sweep.png"}
     assert set(lfo.load_sweep("sweep.jsonl").column("status")) == {"optimal", "infeasible"}
+
+
+def test_numbers_of_limits_are_swept_by_their_keys():
+    mask = lfo.MagnitudeBound(0.2, bins=[3])
+    problem = replace(lfo.library.double_integrator(), control_set=lfo.Box(-2, 2), control_spectrum=mask)
+    found = lfo.sweep(problem, {"bound.0": [1.5, 3.0], "level.control_spectrum.0": [0.0, 20.0]})
+    expected = [
+        lfo.solve(replace(problem, control_set=lfo.Box(-bound, bound), control_spectrum=at)).cost
+        for bound in (1.5, 3.0)
+        for at in (mask, lfo.MagnitudeBound(2.0, bins=[3]))
+    ]
+    assert found.column("cost") == pytest.approx(expected, rel=1e-6)
+    with pytest.raises(lfo.errors.ProblemError, match=r"grid\.bound\.1: .*bound\.0"):
+        lfo.sweep(problem, {"bound.1": [1.0]})

@@ -44,7 +44,7 @@ def test_an_undecided_horizon_has_a_status_of_its_own(monkeypatch):
         found = lfo.solve(problem, throw=False)
         return replace(found, status=lfo.results.Status.LIMIT, certificate=None)
 
-    monkeypatch.setattr("lin_freq_ocp.api.minimum_time.solve_judged", stopped)
+    monkeypatch.setattr("lin_freq_ocp.batch.minimum_time.solve_judged", stopped)
     status, out, _ = run("minimum-time", *MOVER, "--horizons", "40", "42")
     assert status == 3
     assert "nothing is proven of 40 to 42" in out
@@ -56,7 +56,7 @@ def test_ctrl_c_prints_what_is_decided(monkeypatch):
             raise KeyboardInterrupt
         return lfo.solve(problem)
 
-    monkeypatch.setattr("lin_freq_ocp.api.minimum_time.solve_judged", stopped)
+    monkeypatch.setattr("lin_freq_ocp.batch.minimum_time.solve_judged", stopped)
     status, out, _ = run("minimum-time", *MOVER, "--horizons", "20", "60", "--json")
     assert status == 130
     assert (parsed(out)["horizon"], parsed(out)["proven"], parsed(out)["interrupted"]) == (60, False, True)
@@ -72,3 +72,14 @@ def test_files_are_stated_at_other_horizons(tmp_path):
     status, out, err = run("minimum-time", str(path), "--horizons", "1", "9", "--json")
     assert (status, err) == (0, "")
     assert parsed(out)["horizon"] == 4
+
+
+def test_a_search_on_two_processes_is_recorded_and_resumed(tmp_path):
+    words = ("minimum-time", *MOVER, "--horizons", "30", "40", "--workers", "2", "--out", str(tmp_path), "--json")
+    status, out, err = run(*words)
+    assert (status, err) == (0, "")
+    assert parsed(out)["horizon"] == 37
+    recorded = (tmp_path / "minimum_time.jsonl").read_text()
+    again = run(*words)
+    assert (tmp_path / "minimum_time.jsonl").read_text() == recorded
+    assert parsed(again[1])["proof"] == parsed(out)["proof"]

@@ -100,3 +100,35 @@ def test_a_problem_file_is_swept_by_its_keys(tmp_path):
     status, _, err = run(*arguments, "--grid", "contrl_set.upper=[1.0]")
     assert status == 2
     assert "Did you mean 'control_set'" in err
+
+
+def test_numbers_of_limits_of_a_file_are_set_and_swept(tmp_path):
+    path = tmp_path / "move.toml"
+    path.write_text(
+        "schema = 1\nhorizon = 9\ninitial_state = [0, 0]\nterminal_state = [4, 0]\n"
+        "[dynamics]\nA = [[1, 1], [0, 1]]\nB = [[0], [1]]\n"
+        "[cost]\nR = 1.0\n[control_set]\nlower = -1\nupper = 1\n"
+        "[[control_spectrum]]\nkind = 'magnitude_bound'\nlimit = 2.0\nbins = [3]\n"
+    )
+
+    def cost(*settings):
+        status, out, err = run("solve", str(path), "--json", *settings)
+        assert (status, err) == (0, "")
+        return parsed(out)["cost"]
+
+    by_number = cost("--set", "bound.0=0.4", "--set", "level.control_spectrum.0=-20")
+    assert by_number == pytest.approx(
+        cost(
+            *("--set", "control_set.lower=-0.4", "--set", "control_set.upper=0.4"),
+            *("--set", "control_spectrum=[{kind='magnitude_bound', limit=0.2, bins=[3]}]"),
+        ),
+        rel=1e-6,
+    )
+    assert by_number > cost() + 1e-3
+    status, out, _ = run("sweep", str(path), "--grid", "bound.0=[0.4, 1.0]", "--json")
+    assert status == 0
+    assert parsed(out)["points"][1]["cost"] == pytest.approx(cost(), rel=1e-6)
+    for setting, text in (("bound.7=1", "bound.7: got no number of that name"), ("bound.0='x'", "a number")):
+        status, _, err = run("solve", str(path), "--set", setting)
+        assert status == 2
+        assert text in " ".join(err.split())

@@ -13,8 +13,8 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.explanation import explanation as explanation_module
-from lin_freq_ocp.explanation.blocks import blocks, drop_blocks, relax_block
 from lin_freq_ocp.explanation.explanation import least_cure
+from lin_freq_ocp.problem.limits import constraints, drop_limits
 from lin_freq_ocp.solving.solve import solve_judged
 
 H, T = 0.1, 20
@@ -97,30 +97,26 @@ def test_the_family_clashes_and_can_spare_no_block(case):
     problem, explanation, family, _ = case
     assert sorted(explanation.family) == sorted(family)
     assert explanation.irreducible
-    named = {block.name: block for block in blocks(problem)}
+    named = {block.name: block for block in constraints(problem)}
     others = [block for name, block in named.items() if name not in family]
-    assert not feasible(drop_blocks(problem, others))
+    assert not feasible(drop_limits(problem, others))
     for name in family:
-        assert feasible(drop_blocks(problem, [*others, named[name]])), name
+        assert feasible(drop_limits(problem, [*others, named[name]])), name
 
 
 def test_a_cure_helps_and_less_does_not(case):
     problem, explanation, _, amounts = case
-    named = {block.name: block for block in blocks(problem)}
+    named = {block.name: block for block in constraints(problem)}
     cures = {cure.block: cure for cure in explanation.cures}
     assert cures
     for name, cure in cures.items():
-        block, units = named[name], 1.0
-        if block.kind in ENDS:
-            units = np.array([1.0, 1.0]) if problem.state_set is None else np.array([1.0, 0.3])
-            if isinstance(problem.state_set, lfo.Box) and problem.state_set.upper[-1] == 9.0:
-                units = np.array([1.0, 9.0])
-        if "stop band" in name:
-            assert feasible(relax_block(problem, block, cure.amount))
-            assert not feasible(relax_block(problem, block, cure.amount - 1))
-        elif block.kind not in ENDS:
-            assert feasible(relax_block(problem, block, 1.001 * cure.amount * units))
-            assert not feasible(relax_block(problem, block, 0.98 * cure.amount * units))
+        block = named[name]
+        if block.whole:
+            assert feasible(block.relaxed(problem, cure.amount))
+            assert not feasible(block.relaxed(problem, cure.amount - 1))
+        elif block.end is None:
+            assert feasible(block.relaxed(problem, 1.001 * cure.amount))
+            assert not feasible(block.relaxed(problem, 0.98 * cure.amount))
     for name, amount in amounts.items():
         assert cures[name].amount == pytest.approx(amount, rel=1e-3)
 
@@ -166,10 +162,10 @@ def test_time_varying_dynamics_and_state_bands_are_explained_too():
     problem = carriage(dynamics=plant, state_spectrum=lfo.stop_band(bins=[1], component=1))
     explanation = lfo.explain(problem)
     assert explanation.irreducible
-    named = {block.name: block for block in blocks(problem)}
+    named = {block.name: block for block in constraints(problem)}
     others = [block for name, block in named.items() if name not in explanation.family]
-    assert not feasible(drop_blocks(problem, others))
-    assert all(feasible(drop_blocks(problem, [*others, named[name]])) for name in explanation.family)
+    assert not feasible(drop_limits(problem, others))
+    assert all(feasible(drop_limits(problem, [*others, named[name]])) for name in explanation.family)
 
 
 def test_a_problem_with_a_solution_is_not_explained():
@@ -197,7 +193,7 @@ def test_without_time_no_more_is_claimed_than_is_known():
 
 def test_a_cure_that_does_not_help_when_tried_is_none():
     problem = carriage()
-    assert all(least_cure(problem, block, lambda cured: False) is None for block in blocks(problem))
+    assert all(least_cure(problem, block, lambda cured: False) is None for block in constraints(problem))
 
 
 def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):

@@ -12,7 +12,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.explanation.blocks import ENDS, blocks, drop_blocks, relax_block
+from lin_freq_ocp.problem.limits import constraints, drop_limits
 from lin_freq_ocp.problem.sizes import stated_sizes
 
 H, T = 0.1, 20
@@ -36,7 +36,7 @@ half of T sum u_t^2 and half of bins 0 and T/2, which are single."""
 
 SPECTRUM = np.abs(np.fft.rfft(LEAST.control[:, 0])) ** 2
 
-BOUND, START, END = "control bound on u_0", *ENDS
+BOUND, START, END = "control bound on u_0", "initial state", "terminal state"
 INFEASIBLE = {  # name: changes, family
     "an energy bound": (
         {"control_spectrum": lfo.spectrum.EnergyBound(0.5 * float(SPECTRUM.sum()), bins=BINS)},
@@ -110,26 +110,26 @@ def test_the_conflict_names_the_family_and_rests_on_a_proof(name):
 def test_the_family_clashes_and_can_spare_no_block(name):
     problem, _, explanation = explained(name)
     assert explanation.irreducible
-    named = {block.name: block for block in blocks(problem)}
+    named = {block.name: block for block in constraints(problem)}
     assert set(explanation.family) <= set(named)
     others = [block for block in named.values() if block.name not in explanation.family]
-    assert not feasible(drop_blocks(problem, others))
+    assert not feasible(drop_limits(problem, others))
     for member in explanation.family:
-        assert feasible(drop_blocks(problem, [*others, named[member]])), member
+        assert feasible(drop_limits(problem, [*others, named[member]])), member
 
 
 @pytest.mark.parametrize("name", EVERY_OTHER)
 def test_a_cure_cures_and_less_does_not(name):
     problem, _, explanation = explained(name)
-    named = {block.name: block for block in blocks(problem)}
+    named = {block.name: block for block in constraints(problem)}
     cures = {cure.block: cure for cure in explanation.cures}
     assert set(cures) == set(explanation.family)  # each of them can give way alone
     for block in (named[one] for one in cures):
-        if block.kind in ENDS:
+        if block.end is not None:
             continue  # in the sizes of the states; tried below
         amount = cures[block.name].amount
-        assert feasible(relax_block(problem, block, 1.001 * amount)), block.name
-        assert not feasible(relax_block(problem, block, 0.95 * amount)), block.name
+        assert feasible(block.relaxed(problem, 1.001 * amount)), block.name
+        assert not feasible(block.relaxed(problem, 0.95 * amount)), block.name
 
 
 @pytest.mark.parametrize("name", ["an energy bound", "a mask and a bound", "a ball", "a polyhedron"])

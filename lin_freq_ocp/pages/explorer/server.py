@@ -28,9 +28,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.base.interrupts import interrupts_noted
-from lin_freq_ocp.pages.explorer.frequencies import CUTOFF
-from lin_freq_ocp.pages.explorer.movable import Slider
 from lin_freq_ocp.pages.explorer.session import FOLDED, GROUPS, Data, Session
+from lin_freq_ocp.pages.explorer.sliders import Slider
 from lin_freq_ocp.problem.description import problem_facts
 
 # Points of a solved sweep along each slider, the own value among them: all pairs of two, the others alone.
@@ -64,7 +63,7 @@ def page(session: Session, solved: list[Data] | None = None) -> str:
         .render(
             title=session.problem.name or "Optimal control problem",
             facts=problem_facts(session.problem),
-            cutoff=any(slider.key == CUTOFF for slider in session.sliders),
+            cutoff=any(slider.key == "cutoff" for slider in session.sliders),
             live=solved is None,
             groups=[(key, heading) for key, heading in GROUPS.items() if key not in FOLDED],
             folded=[(key, GROUPS[key]) for key in FOLDED],

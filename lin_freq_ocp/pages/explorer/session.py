@@ -1,7 +1,7 @@
 """The answers of a live page: a problem at the values of its sliders, solved again and again and judged.
 
 Bounds and ends leave the solver cache valid, which is kept between solves (``batch.repeated``); other values build the
-problem again. A new kind of slider is a ``Movable`` in the table ``MOVABLE``, with its group in ``GROUPS``.
+problem again. What can be moved is what the problem lists of its limits (``problem.limits``), and its horizon.
 
 The page draws plain data in the axes' units: signals over time, and their spectra. The spectrum of a signal v of N
 samples is |V_k| = |sum_t v_t exp(-2 pi i k t / N)|, k = 0 .. N//2, as limits mean it.
@@ -13,7 +13,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -27,12 +27,11 @@ from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome,
 from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, frequencies_around, vibration
 from lin_freq_ocp.comparison.trajectories import Signal, controls_of, outputs_of, replay_control, states_of
-from lin_freq_ocp.pages.explorer.frequencies import FREQUENCIES
-from lin_freq_ocp.pages.explorer.frequencies import GROUP as FREQUENCY
-from lin_freq_ocp.pages.explorer.movable import BOUNDS, ENDS, ROWS, Movable, Slider, Values, ends_at, sets_at
+from lin_freq_ocp.pages.explorer.sliders import GROUP_OF, Slider, sliders_of_limits
 from lin_freq_ocp.pages.report.findings import finding
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.units import frequency_scale, time_scale
+from lin_freq_ocp.problem.limits import SPECTRA, changed_fields
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import everywhere_of
@@ -44,8 +43,6 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 HORIZON = "horizon"
 HORIZON_NOTCHES = 60  # between half the problem's own horizon and its double, about
-
-MOVABLE: tuple[Movable, ...] = (FREQUENCIES, BOUNDS, ROWS, ENDS)
 
 # The groups of sliders in the order of the page, with their headings.
 GROUPS = {
@@ -70,13 +67,13 @@ Data = dict[str, object]  # as JSON has it
 SOLVE_SECONDS = 10.0  # for one answer
 KEPT_PROBLEMS, KEPT_ANSWERS = 8, 64  # the latest ones
 
-Key = tuple[tuple[str, float], ...]
+Values = Mapping[str, float]  # the value of each slider, by its key
 Item = TypeVar("Item")
 
 
 def sliders_of(problem: OptimalControlProblem, rebuild: Rebuild | None) -> tuple[Slider, ...]:
     """Return the sliders of a problem, group by group."""
-    found = [*_horizon_slider(problem, rebuild), *(slider for kind in MOVABLE for slider in kind.sliders(problem))]
+    found = [*_horizon_slider(problem, rebuild), *sliders_of_limits(problem)]
     return tuple(sorted(found, key=lambda slider: list(GROUPS).index(slider.group)))
 
 
@@ -122,7 +119,7 @@ def problem_at(problem: OptimalControlProblem, rebuild: Rebuild | None, moved: V
         warnings.simplefilter("ignore", BandWarning)  # the page shows which bins are stopped
         if HORIZON in moved and rebuild is not None:
             problem = rebuild(int(moved[HORIZON]))
-        fields = {field: value for kind in MOVABLE for field, value in kind.fields(problem, moved).items()}
+        fields = changed_fields(problem, {key: value for key, value in moved.items() if key != HORIZON})
         return replace(problem, **fields) if fields else problem
 
 
@@ -200,7 +197,7 @@ class Session:
         """Return how the problem at these values ends, with or without its frequency constraints."""
         moved = {one.key: values[one.key] for one in self.sliders if values[one.key] != one.value}
         if classical:
-            moved = self._values_of_groups(moved, lambda group: group != FREQUENCY)
+            moved = self._values_of_groups(moved, lambda group: group != GROUP_OF["control_spectrum"])
         return self._outcomes.get((classical, *moved.items()), lambda: self._solve(moved, classical))
 
     def _values_of_groups(self, moved: Values, wanted: Callable[[str], bool]) -> dict[str, float]:
@@ -214,12 +211,15 @@ class Session:
         def prepare() -> Repeated:
             problem = problem_at(self.problem, self.rebuild, structure)
             if classical:
-                problem = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
+                problem = replace(problem, **dict.fromkeys(SPECTRA))
             return Repeated(problem)
 
         repeated = self._repeated.get((classical, *structure.items()), prepare)
-        sets, ends = sets_at(repeated.problem, moved), ends_at(repeated.problem, moved)
-        change = Change(ends.get("initial_state"), ends.get("terminal_state"), bounds=sets or None)
+        fields: dict[str, Any] = changed_fields(
+            repeated.problem, self._values_of_groups(moved, lambda group: group in KEPT)
+        )
+        ends = (fields.pop(field, None) for field in ("initial_state", "terminal_state"))
+        change = Change(*ends, bounds=fields or None)
         return repeated.solve(change, SOLVE_SECONDS)
 
 

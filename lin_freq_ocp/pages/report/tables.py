@@ -93,7 +93,7 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
         columns.append(None)
         labels.append(comparison.constrained_label)
     controls, hard = controls_of(problem), [term for term in problem.terms if term.hard]
-    only_rows = all(term.kind == "stage rows" for term in hard)
+    only_rows = all(term.kind.is_rows for term in hard)
     of_terms = "Beyond the joint rows by" if only_rows else "Beyond other constraints by"
     groups = [
         _group("", ["cost"], columns, lambda one, _: _measured_cell(one, one.measures.cost, digits=COST_DIGITS)),

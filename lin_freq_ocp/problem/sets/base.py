@@ -109,6 +109,11 @@ class ConvexSet(ABC):
         parts = tuple(Part(part.F, *part.penalty.widened(part.c, amount)) for part in self.parts(dimension))
         return PartSet(parts, dimension, f"wider by {amount:g}")
 
+    @property
+    def hard_members(self) -> tuple[ConvexSet, ...]:
+        """Return its members that must hold."""
+        return tuple(member for member in self.members if not member.soft)
+
     def translated(self, origin: Array) -> ConvexSet:
         """Return the set of v - origin for v in this set, origin (n,)."""
         n, (lower, upper) = len(origin), self.bounds

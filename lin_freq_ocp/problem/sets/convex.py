@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import NO_BOUND, Array, assign, brief, frozen, positive_number, real_array, with_columns
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST, MOST_ROWS, combination, datum, inequalities, number, price, vector
-from lin_freq_ocp.problem.sets.base import ConvexSet, Part
+from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection, Part
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
 from lin_freq_ocp.problem.terms.penalty import HARD
 
@@ -280,6 +281,15 @@ class Soft(ConvexSet):
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         return f"{self.soft_set.describe(names, signal)}{price(self.penalty)}"
+
+
+def softened_set(penalty: float, given: ConvexSet) -> ConvexSet:
+    """Return a set where bounds and members that must hold cost a penalty per unit of excess."""
+    lower, upper = given.bounds
+    bounds = [Box(lower, upper)] if np.isfinite(lower).any() or np.isfinite(upper).any() else []
+    soft = [member for member in given.members if member.soft]
+    members = [*soft, *(Soft(one, penalty) for one in (*bounds, *given.hard_members))]
+    return Intersection(members) if members else given
 
 
 def _ball(radius: float) -> NormBall:

@@ -123,7 +123,20 @@ class StageRows:
 
     def translated(self, origin: Array) -> StageRows:
         """Return the rows of x - origin, origin (n,)."""
-        return StageRows(self.C, self.D, with_products(self.e, (-self.C, origin)), self.name, self.penalty)
+        return self.with_limits(with_products(self.e, (-self.C, origin)))
+
+    def with_limits(self, e: Array) -> StageRows:
+        """Return the rows with other limits, (rows,) or (T, rows)."""
+        return StageRows(self.C, self.D, e, self.name, self.penalty)
+
+    def softened(self, penalty: float) -> StageRows:
+        """Return the rows with a price per unit of excess, unless they have one already."""
+        return self if self.penalty is not None else StageRows(self.C, self.D, self.e, self.name, penalty)
+
+    @property
+    def hard_part(self) -> StageRows | None:
+        """Return the rows if they must hold, else None."""
+        return self if self.penalty is None else None
 
     @property
     def rows(self) -> int:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, assign, brief, positive_number, real_array, with_columns
 from lin_freq_ocp.base.errors import BandWarning, ProblemError
 from lin_freq_ocp.base.phrases import datum, first_few, number, price, runs_in_words, runs_of, short_name
+from lin_freq_ocp.problem.numbers import NOTCHES, Axis, Number
 from lin_freq_ocp.problem.spectrum.base import (
     Constraints,
     FrequencyConstraint,
@@ -56,6 +58,26 @@ class Band(FrequencyConstraint):
     edges: tuple[float, ...]
     unit: str
     component: int | str | None = None
+    removes_bins: ClassVar[bool] = True
+
+    @property
+    def title(self) -> str:
+        """Return its kind in words."""
+        return self.kind.replace("_", " ")
+
+    def numbers(self, axis: Axis, finest: float = np.inf) -> Iterator[Number]:
+        """Yield its edges within Nyquist; those of a notch in steps of at most a part of its width."""
+        factor, edges = axis.per_unit(self.unit), EDGES.get(self.kind, ())
+        if not edges or max(filter(np.isfinite, self.limits)) * factor > axis.nyquist:
+            return
+        own, step = [edge * factor for edge in self.edges], axis.step
+        if self.kind == "notch":
+            step = min(step, finest * own[1])
+        for i, label, direction, range_of in edges:
+            value, (low, high) = own[i], range_of(own, step, axis.nyquist)
+            put = partial(_move_edge, i, factor)
+            ends = min(low, value), max(high, value)
+            yield Number(f"edge.{{}}.{i}", label, axis.unit, value, *ends, direction, put, step)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -78,8 +100,8 @@ class Band(FrequencyConstraint):
         }[self.kind]
 
     def describe(self, names: Sequence[str]) -> str:
-        kind = self.kind.replace("_", " ")
-        return f"{kind} of {component_words(self.component, names)}: {self.removed} are zero, and their mirror images"
+        of = component_words(self.component, names)
+        return f"{self.title} of {of}: {self.removed} are zero, and their mirror images"
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         """Yield the stopped bins of outputs as equations."""
@@ -149,6 +171,34 @@ class Band(FrequencyConstraint):
         else:
             shown = " .. ".join(f"{edge:.6g}" for edge in self.limits if np.isfinite(edge)) + f" {self.unit}"
         return f"{self.kind}({shown})" + ("" if self.component is None else f" on {self.component!r}")
+
+
+def _move_edge(i: int, factor: float, band: Band, value: float) -> Band:
+    return replace(band, edges=(*band.edges[:i], value / factor, *band.edges[i + 1 :]))
+
+
+def _cutoffs(own: Sequence[float], step: float, nyquist: float) -> tuple[float, float]:
+    return step, nyquist - step
+
+
+def _centres(own: Sequence[float], step: float, nyquist: float) -> tuple[float, float]:
+    return max(step, own[0] - NOTCHES * step), min(nyquist - step, own[0] + NOTCHES * step)
+
+
+WIDEST = 3.0  # notches, of their own width
+# Of every kind of band the edges that can be moved: index, name, direction in which the problem gets easier, and range
+EDGES = {
+    "low_pass": [(1, "cut-off", 1, _cutoffs)],
+    "high_pass": [(0, "cut-off", -1, _cutoffs)],
+    "band_pass": [
+        (0, "lower edge", -1, lambda own, step, nyquist: (0.0, sum(own) / 2)),
+        (1, "upper edge", 1, lambda own, step, nyquist: (sum(own) / 2, nyquist)),
+    ],
+    "notch": [
+        (0, "centre", 0, _centres),
+        (1, "width", -1, lambda own, step, nyquist: (step, min(WIDEST * max(own[1], step), nyquist))),
+    ],
+}
 
 
 def low_pass(
@@ -367,6 +417,16 @@ def bands_of(stop: Mask) -> list[Band]:
     """Return bands that remove just these bins (k, components)."""
     components = np.flatnonzero(stop.any(0))
     return [stop_band(bins=np.flatnonzero(stop[:, i]).tolist(), component=int(i)) for i in components]
+
+
+def kept_stopped(stopped: Mask, bins: float) -> Mask:
+    """Return which stopped bins lie farther than ``bins`` from every passed one; bin 0 counts as one if none is."""
+    if not np.isfinite(bins):
+        return np.zeros_like(stopped)
+    k, passed = np.arange(len(stopped)), np.flatnonzero(~stopped)
+    if not len(passed):
+        return stopped & (k >= bins)
+    return stopped & (np.abs(k[:, None] - passed).min(1) > bins)
 
 
 def time_signal(rho: ComplexArray, length: int) -> Array:

@@ -19,7 +19,10 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, assign, brief, names, real_array, with_columns
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name, split_unit
+from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.terms.term import Term, TermKind
+
+LEVELS = -40.0, 20.0, 0.5  # dB: lowest, highest, and a step
 
 
 class FrequencyConstraint(ABC):
@@ -27,8 +30,10 @@ class FrequencyConstraint(ABC):
 
     label: ClassVar[str] = "frequency constraint"  # in words
     component: int | str | None = None  # index or name; None: all
+    output_names: Sequence[str] = ()  # of an entry that has outputs of its own
     on_outputs: ClassVar[bool] = True  # whether it may constrain linear outputs
     remembers: ClassVar[bool] = False  # whether it depends on samples of the past
+    removes_bins: ClassVar[bool] = False  # whether it is a stop band, and nothing else
 
     @abstractmethod
     def describe(self, names: Sequence[str]) -> str:
@@ -52,13 +57,48 @@ class FrequencyConstraint(ABC):
         assign(copied, **fields)
         return copied
 
-    def widened(self, amount: float) -> Self:
-        """Return it with a limit that is higher by an amount, if it has one."""
+    @property
+    def title(self) -> str:
+        """Return what it is in words."""
+        return self.label
+
+    @property
+    def levels(self) -> Array | None:
+        """Return its limits on magnitudes, of any shape; None if it has none that can be moved."""
+        return None
+
+    @property
+    def power(self) -> int:
+        """Return the power of its levels that is given as limits: 2 for energies."""
+        return 1
+
+    def at_levels(self, levels: Array) -> Self:
+        """Return it with other limits on magnitudes, of the same shape."""
         return self
 
-    def scaled(self, factor: float) -> Self | None:
-        """Return it with its limits on magnitudes times a factor; None if it has none above zero."""
-        return None
+    def numbers(self, axis: Axis) -> Iterator[Number]:
+        """Yield its values that can be moved: its levels, in dB of its own, if they are above zero."""
+        if self.levels is not None and self.levels.any():
+            low, high, step = LEVELS
+            yield Number("level.{}", "level", "dB", 0.0, low, high, 1, _scale_levels, step)
+
+    def widened(self, amount: float) -> Self:
+        """Return it with limits that are higher by an amount, if it has some."""
+        return self if self.levels is None else self.at_levels(self.levels + amount)
+
+    @property
+    def constraints(self) -> Sequence[FrequencyConstraint]:
+        """Return the constraints of an entry of the problem: itself; those of outputs are several."""
+        return (self,)
+
+    def with_constraints(self, constraints: Sequence[FrequencyConstraint]) -> FrequencyConstraint:
+        """Return the entry with one other constraint."""
+        return constraints[0]
+
+    @property
+    def hard_part(self) -> FrequencyConstraint | None:
+        """Return what of it must hold; None if all of it has a price."""
+        return self if getattr(self, "penalty", None) is None else None
 
     def behind(self, past: Array, measured: int) -> FrequencyConstraint:
         """Return it after samples (k, components) of its signal, if it depends on them.
@@ -76,6 +116,11 @@ class FrequencyConstraint(ABC):
     def softened(self, penalty: float) -> FrequencyConstraint:
         """Return it with a price per unit of excess, unless it has one already, or knows none."""
         return self
+
+
+def _scale_levels(constraint: FrequencyConstraint, decibels: float) -> FrequencyConstraint:
+    levels = constraint.levels
+    return constraint if levels is None else constraint.at_levels(levels * 10 ** (decibels / 20))
 
 
 Constraints = FrequencyConstraint | Sequence[FrequencyConstraint] | None  # of states or controls, as a problem has them
@@ -165,12 +210,15 @@ class OutputSpectrum:
         C = None if self.C is None else with_columns(self.C, k)
         return OutputSpectrum(C, self.D, self.constraints, self.output_names)
 
+    def with_constraints(self, constraints: Sequence[FrequencyConstraint]) -> OutputSpectrum:
+        """Return other constraints on the same outputs."""
+        return OutputSpectrum(self.C, self.D, constraints, self.output_names)
+
     def behind(self, x: Array, u: Array) -> OutputSpectrum:
         """Return the constraints after states (k, n) and controls (k, m)."""
         parts = [signal @ matrix.T for matrix, signal in ((self.C, x), (self.D, u)) if matrix is not None]
         past = sum(parts[1:], parts[0])
-        constraints = [one.behind(past, int(self.D is None)) for one in self.constraints]
-        return OutputSpectrum(self.C, self.D, constraints, self.output_names)
+        return self.with_constraints([one.behind(past, int(self.D is None)) for one in self.constraints])
 
     @property
     def remembers(self) -> bool:
@@ -190,7 +238,7 @@ class OutputSpectrum:
             yield from one.terms(signal, f"{field}.constraints[{i}]", ("output_spectrum", index))
 
 
-def entries_of(given: Any) -> Sequence[Any]:
+def entries_of(given: object) -> Sequence[Any]:
     """Return the content of a field, one entry or several or None, as a sequence."""
     return given if isinstance(given, (list, tuple)) else () if given is None else (given,)
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
 from lin_freq_ocp.base.errors import BandWarning, ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import AT_MOST, number, price
+from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
 from lin_freq_ocp.problem.terms.maps import AffineMap
@@ -30,6 +32,7 @@ from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 Limit = ArrayLike | Callable[[Array], ArrayLike]
+PART_OF_WIDTH = 0.1  # of a notch at every frequency, where bins mean nothing: the step of its edges
 SAMPLED = 64  # frequencies of an interval at which a function is evaluated, or of two points with a limit in dB
 NO_ZERO = (
     "A signal of finitely many samples whose spectrum vanishes on an interval is zero everywhere. Give a level above "
@@ -47,6 +50,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
 
     label: ClassVar[str]
     together: ClassVar[bool]  # whether one limit holds for all bins
+    limit: float | Array
     band: Band
     component: int | str | None
     penalty: float | None
@@ -89,9 +93,11 @@ class SpectrumBound(FrequencyConstraint, ABC):
     def limits(self, count: int, field: str) -> Array:
         """Return the limit of the norm of each of ``count`` points of the grid, or of all together."""
 
-    def within(self, band: Band) -> Self:
-        """Return it with the bins that another band would remove."""
-        return self.changed(band=band)
+    def numbers(self, axis: Axis) -> Iterator[Number]:
+        edges = self.band.numbers(axis, PART_OF_WIDTH if self.every_frequency else np.inf)
+        for edge in edges if np.ndim(self.limit) == 0 else ():  # else each bin or frequency has a limit of its own
+            yield replace(edge, put=partial(_move_band, edge.put))
+        yield from super().numbers(axis)
 
     @property
     @abstractmethod
@@ -154,6 +160,10 @@ class SpectrumBound(FrequencyConstraint, ABC):
             last = q * k + (q if k + 1 in named or 2 * k + 1 == length else 0)
             grid[q * k : last + 1] = True
         return np.flatnonzero(grid)
+
+
+def _move_band(put: Callable[..., object], bound: SpectrumBound, value: float) -> SpectrumBound:
+    return bound.changed(band=put(bound.band, value))
 
 
 class MagnitudeBound(SpectrumBound):
@@ -280,8 +290,7 @@ class MagnitudeBound(SpectrumBound):
         return self.changed(frequencies=tuple(frequencies), relaxed=relaxed)
 
     def describe(self, names: Sequence[str]) -> str:
-        values = self.limit[:, 1] if self.limit.ndim == 2 else self.limit
-        low, high = (number(float(limit)) for limit in (values.min(), values.max()))
+        low, high = (number(float(limit)) for limit in (self.levels.min(), self.levels.max()))
         limit = low if low == high else f"{low} to {high} (a limit for each bin)"
         of = component_words(self.component, names)
         if self.every_frequency:
@@ -304,14 +313,12 @@ class MagnitudeBound(SpectrumBound):
             raise ProblemError(f"{field}.limit", f"shape {self.limit.shape}", f"one number, or {count}: one per bin")
         return np.broadcast_to(self.factor * self.limit, (count,))
 
-    def widened(self, amount: float) -> Self:
-        higher = np.array([0.0, amount]) if self.limit.ndim == 2 else amount
-        return self.changed(limit=self.limit + higher)
+    @property
+    def levels(self) -> Array:
+        return self.limit[:, 1] if self.limit.ndim == 2 else self.limit
 
-    def scaled(self, factor: float) -> Self | None:
-        values = self.limit[:, 1] if self.limit.ndim == 2 else self.limit
-        scales = np.array([1.0, factor]) if self.limit.ndim == 2 else factor
-        return self.changed(limit=self.limit * scales) if values.any() else None
+    def at_levels(self, levels: Array) -> Self:
+        return self.changed(limit=np.column_stack([self.limit[:, 0], levels]) if self.limit.ndim == 2 else levels)
 
     @property
     def factor(self) -> float:
@@ -368,11 +375,16 @@ class EnergyBound(SpectrumBound):
         square, cost = "\N{SUPERSCRIPT TWO}", price(self.penalty, "excess of its root")
         return f"energy of {of}: sum of |DFT|{square} {limit} over {self.where}{cost}"
 
-    def widened(self, amount: float) -> Self:
-        return self.changed(limit=(np.sqrt(self.limit) + amount) ** 2)
+    @property
+    def levels(self) -> Array:
+        return np.sqrt(self.limit)
 
-    def scaled(self, factor: float) -> Self | None:
-        return self.changed(limit=self.limit * factor**2) if self.limit else None
+    @property
+    def power(self) -> int:
+        return 2
+
+    def at_levels(self, levels: Array) -> Self:
+        return self.changed(limit=float(levels) ** 2)
 
     def limits(self, count: int, field: str) -> Array:
         return np.asarray(self.factor * np.sqrt(self.limit))
@@ -380,6 +392,13 @@ class EnergyBound(SpectrumBound):
     @property
     def factor(self) -> float:
         return float(np.sqrt(self.oversampling))
+
+
+def softened_constraint(penalty: float, given: FrequencyConstraint) -> FrequencyConstraint:
+    """Return a frequency constraint with a price per unit of excess: of a stop band, of each of its bins."""
+    if isinstance(given, Band):
+        return MagnitudeBound(0.0, band=given, penalty=penalty)
+    return given.softened(penalty)
 
 
 def _named_window(field: str, name: str, length: int) -> Array:

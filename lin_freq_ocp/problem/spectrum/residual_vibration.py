@@ -92,11 +92,12 @@ class ResidualVibration(FrequencyConstraint):
     def extended(self, n: int, k: int) -> Sequence[ResidualVibration]:
         return self.on_components(n)
 
-    def widened(self, amount: float) -> Self:
-        return self.changed(limit=self.limit + amount)
+    @property
+    def levels(self) -> Array:
+        return np.asarray(self.limit)
 
-    def scaled(self, factor: float) -> Self:
-        return self.changed(limit=self.limit * factor)
+    def at_levels(self, levels: Array) -> Self:
+        return self.changed(limit=float(levels))
 
     def describe(self, names: Sequence[str]) -> str:
         (low, high), (least, most) = ([number(float(end)) for end in ends] for ends in (self.frequency, self.damping))

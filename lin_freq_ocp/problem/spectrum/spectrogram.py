@@ -123,12 +123,16 @@ class Spectrogram(FrequencyConstraint):
         past = None if self.past is None else with_columns(self.past, k)
         return [self.changed(bound=one, component=one.component, past=past) for one in self.bound.on_components(n)]
 
-    def widened(self, amount: float) -> Self:
-        return self.changed(bound=self.bound.widened(amount))
+    @property
+    def levels(self) -> Array | None:
+        return self.bound.levels
 
-    def scaled(self, factor: float) -> Self | None:
-        bound = self.bound.scaled(factor)
-        return None if bound is None else self.changed(bound=bound)
+    @property
+    def power(self) -> int:
+        return self.bound.power
+
+    def at_levels(self, levels: Array) -> Self:
+        return self.changed(bound=self.bound.at_levels(levels))
 
     def softened(self, penalty: float) -> Self:
         bound = self.bound.softened(penalty)

@@ -15,27 +15,45 @@ from lin_freq_ocp.problem.terms.semi_infinite import Continuum, peaks_above
 
 
 class TermKind(StrEnum):
-    """Where a term comes from: the field of the problem that it was given in."""
+    """Where a term comes from, the field of the problem that it was given in, and what that says of it.
 
-    STATE_SET = "state set"
-    CONTROL_SET = "control set"
-    STAGE_ROWS = "stage rows"
-    STATE_SPECTRUM = "state spectrum"
-    CONTROL_SPECTRUM = "control spectrum"
-    OUTPUT_SPECTRUM = "output spectrum"
-    LINKED_ENDS = "linked ends"
-    STAGE_COST = "stage cost"
-    TERMINAL_COST = "terminal cost"
+    Attributes
+    ----------
+    of : str
+        The signal that it is about alone: "states", "controls" or "outputs"; empty for joint rows, ends and costs.
+    is_cost : bool
+        Whether it is part of the cost as the user stated it.
+    is_spectrum : bool
+        Whether it is a frequency constraint.
+    is_rows : bool
+        Whether its entries are joint rows, which have multipliers, limits and names of their own.
+    is_link : bool
+        Whether it is equations on both ends.
+    """
 
-    @property
-    def is_cost(self) -> bool:
-        """Whether it is part of the cost as the user stated it."""
-        return self in (TermKind.STAGE_COST, TermKind.TERMINAL_COST)
+    of: str
+    is_cost: bool
+    is_spectrum: bool
+    is_rows: bool
+    is_link: bool
 
-    @property
-    def is_spectrum(self) -> bool:
-        """Whether it is a frequency constraint."""
-        return self in (TermKind.STATE_SPECTRUM, TermKind.CONTROL_SPECTRUM, TermKind.OUTPUT_SPECTRUM)
+    STATE_SET = "state set", "states"
+    CONTROL_SET = "control set", "controls"
+    STAGE_ROWS = "stage rows", "", "rows"
+    STATE_SPECTRUM = "state spectrum", "states", "spectrum"
+    CONTROL_SPECTRUM = "control spectrum", "controls", "spectrum"
+    OUTPUT_SPECTRUM = "output spectrum", "outputs", "spectrum"
+    LINKED_ENDS = "linked ends", "", "link"
+    STAGE_COST = "stage cost", "", "cost"
+    TERMINAL_COST = "terminal cost", "", "cost"
+
+    def __new__(cls, text: str, of: str, trait: str = "") -> TermKind:
+        """Make a kind of its text, its signal, and the one trait that is true of it."""
+        kind = str.__new__(cls, text)
+        kind._value_, kind.of = text, of
+        for name in ("cost", "spectrum", "rows", "link"):
+            setattr(kind, f"is_{name}", name == trait)
+        return kind
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,8 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.random.infeasible import random_infeasible
-from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.rays import PRACTICAL
-from lin_freq_ocp.explanation.blocks import ENDS, Block, blocks, drop_blocks, relax_block
+from lin_freq_ocp.problem.limits import Limit, constraints, drop_limits
 from lin_freq_ocp.problem.sizes import stated_sizes
 
 LESS = 0.95  # part of a cure that must not help
@@ -62,7 +61,7 @@ def check(seed: int) -> Outcome:
     """Explain one problem, and try everything that is said."""
     kind, problem = random_infeasible(seed)
     explanation = lfo.explain(problem)
-    named = {block.name: block for block in blocks(problem)}
+    named = {block.name: block for block in constraints(problem)}
     family = [named[name] for name in explanation.family]
     others = [block for block in named.values() if block not in family]
     wrong, answers = [] if explanation.irreducible else ["not shown to be irreducible"], list[bool | None]()
@@ -72,20 +71,17 @@ def check(seed: int) -> Outcome:
         if answer is not None and answer != expected:
             wrong.append(what)
 
-    expect(feasible(drop_blocks(problem, others)), False, "the family can hold together")
+    expect(feasible(drop_limits(problem, others)), False, "the family can hold together")
     for block in family:
-        expect(feasible(drop_blocks(problem, [*others, block])), True, f"the family can spare the {block.name}")
+        expect(feasible(drop_limits(problem, [*others, block])), True, f"the family can spare the {block.name}")
     for cure in explanation.cures:
-        enough, less = amounts(problem, named[cure.block], cure.amount)
-        expect(feasible(relax_block(problem, named[cure.block], enough)), True, f"no cure: {cure}")
-        expect(feasible(relax_block(problem, named[cure.block], less)), False, f"less would do: {cure}")
-    cures = tuple(named[cure.block].kind for cure in explanation.cures)
+        enough, less = amounts(named[cure.block], cure.amount)
+        expect(feasible(named[cure.block].relaxed(problem, enough)), True, f"no cure: {cure}")
+        expect(feasible(named[cure.block].relaxed(problem, less)), False, f"less would do: {cure}")
+    cures = tuple(type(named[cure.block]).__name__ for cure in explanation.cures)
     return Outcome(seed, kind, explanation.family, cures, tuple(wrong), answers.count(None))
 
 
-def amounts(problem: lfo.OptimalControlProblem, block: Block, amount: float) -> tuple[float | Array, float | Array]:
-    """Return a little more than a cure, and less than it, as ``relax_block`` takes them."""
-    if block.kind.endswith("stop band"):
-        return amount, amount - 1
-    units = stated_sizes(problem)[0] if block.kind in ENDS else 1.0
-    return 1.0001 * amount * units + 1e-9, LESS * amount * units
+def amounts(block: Limit, amount: float) -> tuple[float, float]:
+    """Return a little more than a cure, and less than it."""
+    return (amount, amount - 1) if block.whole else (1.0001 * amount + 1e-9, LESS * amount)
