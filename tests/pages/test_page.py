@@ -19,7 +19,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import NOTHING, number
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.pages.figures.figures import comparison_data, comparison_figure
-from lin_freq_ocp.pages.figures.plot_data import STYLES
+from lin_freq_ocp.pages.figures.look import STYLES
 from lin_freq_ocp.pages.report import findings, proof
 from lin_freq_ocp.pages.report.page import draw, render, save_report, tiles
 from lin_freq_ocp.pages.report.tables import NOT_MEANINGFUL, certificate_rows, comparison_rows

@@ -25,8 +25,9 @@ from lin_freq_ocp.certificate.hybrid.smooth import kinks
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_sequence
 from lin_freq_ocp.pages.figures.figures import comparison_data, result_data, result_figure, states_figure
+from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS, TINTS
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, shade_modes, strip_rows, strips_figure
-from lin_freq_ocp.pages.figures.plot_data import THEMED, THEMED_TINTS, TINTS, Span, spans
+from lin_freq_ocp.pages.figures.plot_data import Span, spans
 from lin_freq_ocp.pages.report import findings
 from lin_freq_ocp.pages.report.page import draw, render, tiles
 from lin_freq_ocp.pages.report.proof import adjoint_caption, modes_caption, search_sentences, switching_sentences

@@ -12,21 +12,9 @@ from matplotlib.figure import Figure
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import number
 from lin_freq_ocp.batch.sweep import Row, SweepOutcome
-from lin_freq_ocp.pages.figures.plot_data import (
-    COMPONENTS,
-    INK,
-    LABEL_SIZE,
-    MARKERS,
-    MUTED,
-    PAPER,
-    ROW_HEIGHT,
-    Note,
-    new_figure,
-    plain,
-    style_axes,
-)
+from lin_freq_ocp.pages.figures import look
 
-HEIGHT = 1.4 * ROW_HEIGHT
+HEIGHT = 1.4 * look.ROW_HEIGHT
 WIDE = 30.0  # an axis whose values, all above zero, have a larger ratio than this is logarithmic
 MOST_NAMED = 12  # of more lines only the first and the last stand in the legend
 PITCH, STRIP = 0.04, 0.25  # fractions of the height: from row to row of marks, and for all rows of marks at most
@@ -59,7 +47,7 @@ def sweep_figure(sweep: SweepOutcome) -> Figure:
     lines = _lines(sweep, name)
     priced = [line for line in lines if any(row["cost"] is not None for _, row in line.points)]
     relative = bool(priced) and all(line.reference is not None and line.reference > 0 for line in priced)
-    figure = new_figure(HEIGHT)
+    figure = look.new_figure(HEIGHT)
     ax = figure.add_subplot()
     for i, line in enumerate(lines):
         _draw(ax, line, i, relative, named=len(lines) <= MOST_NAMED or i in (0, len(lines) - 1))
@@ -68,7 +56,7 @@ def sweep_figure(sweep: SweepOutcome) -> Figure:
     if _wide([cost for line in lines for _, row in line.points if (cost := _cost(row, line, relative)) is not None]):
         ax.set_yscale("log")
     if relative:
-        ax.axhline(1.0, color=MUTED, linewidth=0.9, linestyle=(0, (1.2, 1.2)), zorder=1)
+        ax.axhline(1.0, color=look.MUTED, linewidth=0.9, linestyle=(0, (1.2, 1.2)), zorder=1)
     for kinds, above in ((MARKS_ABOVE, True), (BELOW, False)):
         _draw_marks(ax, lines, kinds, above)
     unit = UNITS.get(name)
@@ -76,9 +64,11 @@ def sweep_figure(sweep: SweepOutcome) -> Figure:
     x_label = f"{name.removesuffix('_hz').replace('_', ' ')}" + (f" [{unit}]" if unit else "")
     unproven = any(row["cost"] is not None and not row["proven"] for row in sweep.rows)
     title = "the price of bandwidth" if name.startswith("cutoff") else f"cost against {name.replace('_', ' ')}"
-    style_axes(ax, f"{sweep.problem}: {title}", x_label, y_label, [Note("Hollow: not proven.")] if unproven else [])
+    look.style_axes(
+        ax, f"{sweep.problem}: {title}", x_label, y_label, [look.Note("Hollow: not proven.")] if unproven else []
+    )
     if ax.get_legend_handles_labels()[1]:
-        figure.legend(fontsize=LABEL_SIZE, labelcolor=INK, frameon=False, loc="outside right upper")
+        figure.legend(fontsize=look.LABEL_SIZE, labelcolor=look.INK, frameon=False, loc="outside right upper")
     return figure
 
 
@@ -105,14 +95,14 @@ def _lines(sweep: SweepOutcome, name: str) -> list[Line]:
 
 
 def _draw(ax: Axes, line: Line, i: int, relative: bool, named: bool) -> None:
-    color, marker = COMPONENTS[i % len(COMPONENTS)], MARKERS[i % len(MARKERS)]
+    color, marker = look.COMPONENTS[i % len(look.COMPONENTS)], look.MARKERS[i % len(look.MARKERS)]
     costs = [_cost(row, line, relative) for _, row in line.points]
     ax.plot(
         [x for x, _ in line.points],
         [float("nan") if cost is None else cost for cost in costs],
         color=color,
         linewidth=1.5,
-        label=plain(line.label) if named and line.label else None,
+        label=look.plain(line.label) if named and line.label else None,
         marker=marker,
         markersize=5,
     )
@@ -121,7 +111,9 @@ def _draw(ax: Axes, line: Line, i: int, relative: bool, named: bool) -> None:
     ]
     if unproven:
         x, cost = zip(*unproven, strict=True)
-        ax.plot(x, cost, linestyle="none", marker=marker, markersize=5, color=color, markerfacecolor=PAPER, zorder=4)
+        ax.plot(
+            x, cost, linestyle="none", marker=marker, markersize=5, color=color, markerfacecolor=look.PAPER, zorder=4
+        )
 
 
 def _draw_marks(ax: Axes, lines: Sequence[Line], kinds: Mapping[str, tuple[str, str]], above: bool) -> None:
@@ -136,21 +128,21 @@ def _draw_marks(ax: Axes, lines: Sequence[Line], kinds: Mapping[str, tuple[str, 
     room = (high - low) * strip / (1 - strip)  # for a fraction of the height that is free of costs
     ax.set_ylim(*map(float, axis.inverted().transform([low, high + room] if above else [low - room, high])))
     edge = 1 - strip if above else strip
-    ax.axhline(edge, color=MUTED, linewidth=0.7, zorder=1).set_transform(ax.transAxes)
+    ax.axhline(edge, color=look.MUTED, linewidth=0.7, zorder=1).set_transform(ax.transAxes)
     text, at, side = ("no solution", 1.0, "top") if above else ("no cheapest", 0.0, "bottom")
-    ax.text(0.995, at, text, transform=ax.transAxes, ha="right", va=side, color=MUTED, fontsize=LABEL_SIZE)
+    ax.text(0.995, at, text, transform=ax.transAxes, ha="right", va=side, color=look.MUTED, fontsize=look.LABEL_SIZE)
     for kind, (marker, label) in kinds.items():
         found = False
         for row_number, i in enumerate(marked, 1):
             x = [x for x, row in lines[i].points if _kind(row) == kind]
             height = edge + pitch * row_number if above else edge - pitch * row_number
-            color, transform = COMPONENTS[i % len(COMPONENTS)], ax.get_xaxis_transform()
+            color, transform = look.COMPONENTS[i % len(look.COMPONENTS)], ax.get_xaxis_transform()
             ax.plot(
                 x, [height] * len(x), linestyle="none", marker=marker, color=color, markersize=6, transform=transform
             )
             found = found or bool(x)
         if found:
-            ax.plot([], [], linestyle="none", marker=marker, color=MUTED, markersize=6, label=label)
+            ax.plot([], [], linestyle="none", marker=marker, color=look.MUTED, markersize=6, label=label)
 
 
 def _kind(row: Row) -> str:

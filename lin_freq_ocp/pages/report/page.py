@@ -30,9 +30,10 @@ from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_
 from lin_freq_ocp.loop.record import LoopRecord
 from lin_freq_ocp.pages.figures import figures
 from lin_freq_ocp.pages.figures.continua import held_figure, moves_figure, vibrations_figure
+from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS
 from lin_freq_ocp.pages.figures.loop import loop_figure
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
-from lin_freq_ocp.pages.figures.plot_data import THEMED, THEMED_TINTS, PlotData
+from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.report import proof
 from lin_freq_ocp.pages.report.findings import FILTERING, finding, stop_band_meaning
 from lin_freq_ocp.pages.report.tables import (
