@@ -37,12 +37,13 @@ from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.report import proof
 from lin_freq_ocp.pages.report.findings import FILTERING, finding, stop_band_meaning
 from lin_freq_ocp.pages.report.tables import (
+    CONDITION_DIGITS,
     NOT_MEANINGFUL,
-    certificate_rows,
     comparison_rows,
     moves_caption,
     moves_rows,
     moves_title,
+    worst_location,
 )
 from lin_freq_ocp.pages.units import rough
 from lin_freq_ocp.problem.description import problem_facts
@@ -136,7 +137,10 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
         meaning=stop_band_meaning(comparison),
         verdict=[] if certificate is None else proof.verdict(certificate, problem),
         search=proof.search_sentences(result),
-        conditions=() if certificate is None else certificate_rows(problem, certificate),
+        conditions=() if certificate is None else certificate.conditions,
+        condition_digits=CONDITION_DIGITS.items(),
+        number=number,
+        worst_location=worst_location,
         problem=problem,
         result=result,
         comparison=comparison,

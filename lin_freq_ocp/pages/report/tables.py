@@ -27,6 +27,7 @@ KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"
 OF_CONTROL, OF_ROWS, OF_MODES = ("C-v", "C-vii", "S-u", "N-u"), ("S-z", "N-z"), ("S-f", "N-f")
 IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")  # conditions whose worst violation is at a bin
 
+CONDITION_DIGITS = {"residual": 3, "scale": 4, "relative": 3, "tolerance": 3}  # the figures of a condition
 COST_DIGITS = 5  # costs differ less than the other figures do
 SWEEP_DIGITS = 6  # neighbours in a grid differ less than a filter and a solution do
 
@@ -64,25 +65,6 @@ class ComparisonRows:
 
     columns: tuple[str, ...]
     groups: tuple[Group, ...]
-
-
-@dataclass(frozen=True)
-class ConditionRow:
-    """One condition of a certificate, in words."""
-
-    label: str
-    name: str
-    residual: str
-    scale: str
-    relative: str
-    tolerance: str
-    passed: bool
-    place: str
-
-    @property
-    def verdict(self) -> str:
-        """Return "holds" or "fails"."""
-        return "holds" if self.passed else "fails"
 
 
 def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
@@ -164,24 +146,7 @@ def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states
     return _group(f"Stop band of the {'states' if of_states else 'controls'}", rows if banded else [], columns, cell)
 
 
-def certificate_rows(problem: OptimalControlProblem, certificate: Certificate) -> tuple[ConditionRow, ...]:
-    """Return every condition of a certificate, in the paper's order."""
-    return tuple(
-        ConditionRow(
-            label=condition.label,
-            name=condition.name,
-            residual=number(condition.residual, 3),
-            scale=number(condition.scale, 4),
-            relative=number(condition.relative, 3),
-            tolerance=number(condition.tolerance, 3),
-            passed=condition.passed,
-            place=_worst_at(problem, condition),
-        )
-        for condition in certificate.conditions
-    )
-
-
-def _worst_at(problem: OptimalControlProblem, condition: Condition) -> str:
+def worst_location(problem: OptimalControlProblem, condition: Condition) -> str:
     """Return where a condition is worst; nothing where it holds exactly."""
     if condition.time is None or condition.residual == 0:
         return NOTHING
@@ -229,13 +194,13 @@ def certificate_table(problem: OptimalControlProblem, certificate: Certificate) 
     if certificate.gap is not None:
         verdict += f", gap to the {bound_kind(certificate)} bound {number(certificate.gap, 2)}"
     table = Table(title=Text(verdict))
-    for heading in ("", "condition", "residual", "scale", "relative", "tolerance", "", "worst at"):
-        justify = "right" if heading in ("residual", "scale", "relative", "tolerance") else "left"
-        table.add_column(heading, justify=justify)
-    for row in certificate_rows(problem, certificate):
-        style = "green" if row.passed else "bold red"
-        cells = (row.label, row.name, row.residual, row.scale, row.relative, row.tolerance)
-        table.add_row(*(Text(cell) for cell in cells), Text(row.verdict, style=style), Text(row.place))
+    for heading in ("", "condition", *CONDITION_DIGITS, "", "worst at"):
+        table.add_column(heading, justify="right" if heading in CONDITION_DIGITS else "left")
+    for one in certificate.conditions:
+        holds = Text("holds", style="green") if one.passed else Text("fails", style="bold red")
+        numbers = [number(getattr(one, name), digits) for name, digits in CONDITION_DIGITS.items()]
+        texts = [Text(cell) for cell in (one.label, one.name, *numbers)]
+        table.add_row(*texts, holds, Text(worst_location(problem, one)))
     return table
 
 
