@@ -25,17 +25,9 @@ from lin_freq_ocp.base.atomic import write_bytes, writing
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.batch.grid import CUTOFFS
+from lin_freq_ocp.files import reading
 from lin_freq_ocp.files.problem_tables import PROBLEM, problem_from_tables
-from lin_freq_ocp.files.reading import (
-    FileTable,
-    FileValue,
-    naming_file,
-    npz_bytes,
-    opened_npz,
-    read_text,
-    require_file,
-    require_keys,
-)
+from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.files.summary import finite, head
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.frequency_response import read_response
@@ -86,7 +78,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
     """
     path = Path(path)
     tables = read_tables(path)
-    with naming_file(path):
+    with reading.naming_file(path):
         try:
             return problem_from_tables(_resolve(_merge(tables, overrides or {}), path.parent))
         except ProblemError:
@@ -111,9 +103,9 @@ def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:
 
 
 def _load_reference(field: str, reference: Mapping[str, FileValue], folder: Path) -> FileValue:
-    require_keys(field, reference, required=("npz", "key"))
+    reading.require_keys(field, reference, required=("npz", "key"))
     path, key = _path_inside(f"{field}.npz", reference["npz"], folder), reference["key"]
-    with opened_npz(f"{field}.npz", path) as arrays:
+    with reading.opened_npz(f"{field}.npz", path) as arrays:
         if key not in arrays.files:
             expected = f"the name of an array in {path.name}: {', '.join(arrays.files)}"
             raise ProblemError(f"{field}.key", brief(key), expected, suggestion(key, arrays.files))
@@ -154,11 +146,11 @@ def _merge(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -
 
 def read_tables(path: Path) -> FileTable:
     """Return the tables of a TOML file; ProblemError if it is no such file."""
-    require_file(str(path), path)
+    reading.require_file(str(path), path)
     if (size := path.stat().st_size) > MOST_BYTES:
         advice = 'Put large arrays into an .npz beside it, as {npz = "data.npz", key = "A"}; write_problem does so.'
         raise ProblemError(str(path), f"{size} bytes", f"a TOML file of at most {MOST_BYTES} bytes", advice)
-    text = read_text(path)
+    text = reading.read_text(path)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # not only TOMLDecodeError: also numbers of thousands of digits
@@ -225,7 +217,7 @@ def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]
     arrays: dict[str, ArrayLike] = {}
     beside = Path(name).stem + ARRAYS_SUFFIX
     text = _ROW.sub(_put_on_one_line, tomli_w.dumps(_store(PROBLEM.write("", problem), beside, arrays)))
-    return ({beside: npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
+    return ({beside: reading.npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
 
 
 def _put_on_one_line(row: re.Match[str]) -> str:

@@ -70,18 +70,35 @@ def _mode_values(mode: AffineMode) -> FileTable:
 def _from_formulas(
     f: FileValue, control_dim: FileValue, let: FileValue = None, domain: FileValue = (), **labels: FileValue
 ) -> PiecewiseSmoothDynamics:
-    n, m = _dimensions(f, control_dim)
-    mode = _parse_formulas("dynamics", SmoothMode(f, domain=domain), _definitions(let, n, m), n, m)
+    (mode,), n, m = _parse_modes({"dynamics": SmoothMode(f, domain=domain)}, control_dim, let)
     return PiecewiseSmoothDynamics.from_formulas(mode.f, n, m, domain=mode.domain, **labels)
 
 
 def _from_modes(
     modes: list[SmoothMode], control_dim: FileValue, let: FileValue = None, **labels: FileValue
 ) -> PiecewiseSmoothDynamics:
-    n, m = _dimensions(modes[0].f, control_dim)
-    known = _definitions(let, n, m)
-    parsed = [_parse_formulas(f"dynamics.modes[{i}]", mode, known, n, m) for i, mode in enumerate(modes)]
-    return PiecewiseSmoothDynamics(parsed, n, m, **labels)
+    by_location = {f"dynamics.modes[{i}]": mode for i, mode in enumerate(modes)}
+    return PiecewiseSmoothDynamics(*_parse_modes(by_location, control_dim, let), **labels)
+
+
+def _parse_modes(
+    modes: Mapping[str, SmoothMode], control_dim: FileValue, let: FileValue
+) -> tuple[list[SmoothMode], int, int]:
+    """Return modes, by their location, with their texts parsed, n, and m; their class refuses other values."""
+    f = next(iter(modes.values())).f
+    n, m = max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
+    known, parsed = defined("dynamics.let", {} if let is None else let, (n, m)), list[SmoothMode]()
+    for location, mode in modes.items():
+        formulas: FileTable = {}
+        for key in FORMULA_KEYS:
+            given = getattr(mode, key)
+            if isinstance(given, (str, list)):
+                formulas[key] = [
+                    formula_from_text(f"{location}.{key}[{i}]", text, (n, m), known) if isinstance(text, str) else text
+                    for i, text in enumerate([given] if isinstance(given, str) else given)
+                ]
+        parsed.append(replace(mode, **formulas))
+    return parsed, n, m
 
 
 def _response(
@@ -110,44 +127,15 @@ def _complex(field: str, real: FileValue, imaginary: FileValue) -> ComplexArray:
 
 
 def _response_values(dynamics: FrequencyResponse) -> FileTable:
-    known = dynamics.offset if dynamics.offset.any() else None
-    return {
-        "G_real": dynamics.G.real,
-        "G_imag": dynamics.G.imag,
-        "offset_real": None if known is None else known.real,
-        "offset_imag": None if known is None else known.imag,
-        "disturbance": dynamics.disturbance,
-        "mode": dynamics.mode,
-        "sampling_time": dynamics.sampling_time,
-        "state_names": dynamics.state_names,
-        "control_names": dynamics.control_names,
-    }
+    table: FileTable = {"G_real": dynamics.G.real, "G_imag": dynamics.G.imag}
+    if dynamics.offset.any():
+        table |= {"offset_real": dynamics.offset.real, "offset_imag": dynamics.offset.imag}
+    keys = ("disturbance", "mode", "sampling_time", "state_names", "control_names")
+    return table | {key: getattr(dynamics, key) for key in keys}
 
 
 def _labels(sampling_time: object = None, state_names: object = None, control_names: object = None) -> None:
     """Declare the arguments that all dynamics share."""
-
-
-def _dimensions(f: object, control_dim: FileValue) -> tuple[int, int]:
-    """Return n, the number of formulas, and m."""
-    return max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
-
-
-def _definitions(let: FileValue, n: int, m: int) -> dict[str, Formula]:
-    return defined("dynamics.let", {} if let is None else let, (n, m))
-
-
-def _parse_formulas(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: int, m: int) -> SmoothMode:
-    """Return the mode with its texts parsed; its class refuses other values."""
-    parsed: FileTable = {}
-    for key in FORMULA_KEYS:
-        given = getattr(mode, key)
-        if isinstance(given, (str, list)):
-            parsed[key] = [
-                formula_from_text(f"{location}.{key}[{i}]", text, (n, m), known) if isinstance(text, str) else text
-                for i, text in enumerate([given] if isinstance(given, str) else given)
-            ]
-    return replace(mode, **parsed)
 
 
 def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
@@ -169,12 +157,10 @@ def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     return names | {"let": definitions or None, "modes": modes}
 
 
-def _smooth_mode_values(mode: SmoothMode) -> FileTable:
-    return {key: getattr(mode, key) or None for key in ("name", *FORMULA_KEYS)}
-
-
 AFFINE_MODE = Record(AffineMode, own=MODE, values=_mode_values, offset=nonzero(1))
-SMOOTH_MODE = Record(SmoothMode, values=_smooth_mode_values)
+SMOOTH_MODE = Record(
+    SmoothMode, values=lambda mode: {key: getattr(mode, key) or None for key in ("name", *FORMULA_KEYS)}
+)
 
 LINEAR = Record(
     _linear,
@@ -209,17 +195,10 @@ RECORDS: dict[type, Record] = {
 def _read_dynamics(location: str, given: FileValue) -> Dynamics:
     keys = given if isinstance(given, Mapping) else {}
     modes = keys.get("modes")
-    if "table" in keys:
-        return MEASURED.read(location, given)
-    if "G_real" in keys:
-        return RESPONSE.read(location, given)
-    if "f" in keys:
-        return SMOOTH.read(location, given)
-    if "orders" in keys:
-        return PULSE_TRAIN.read(location, given)
-    if isinstance(modes, list) and any(isinstance(mode, Mapping) and "f" in mode for mode in modes):
-        return SMOOTH_MODES.read(location, given)
-    return (PIECEWISE_AFFINE if "modes" in keys else LINEAR).read(location, given)
+    smooth = isinstance(modes, list) and any(isinstance(mode, Mapping) and "f" in mode for mode in modes)
+    with_modes = SMOOTH_MODES if smooth else PIECEWISE_AFFINE
+    kinds = {"table": MEASURED, "G_real": RESPONSE, "f": SMOOTH, "orders": PULSE_TRAIN, "modes": with_modes}
+    return next((record for key, record in kinds.items() if key in keys), LINEAR).read(location, given)
 
 
 def _write_dynamics(location: str, value: Dynamics) -> FileTable:

@@ -7,48 +7,31 @@ from math import pi
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import positive_integer, positive_number, shaped
 from lin_freq_ocp.library.common import symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import Band, low_pass, notch
+from lin_freq_ocp.problem.spectrum.bands import low_pass, notch
 
 SAMPLING_TIME = 0.1  # s
 HOVER = 10.5916  # of each rotor, in the source's unit
-A = np.array(
+# The states are three angles, three positions and the rates of both. A pitch moves the quadcopter along x, a roll along
+# -y, and a common thrust up.
+EYE, TILT = np.eye(3), np.diag([1.0, -1.0, 0.0])
+A = np.block(
     [
-        [1, 0, 0, 0, 0, 0, 0.1, 0, 0, 0, 0, 0],
-        [0, 1, 0, 0, 0, 0, 0, 0.1, 0, 0, 0, 0],
-        [0, 0, 1, 0, 0, 0, 0, 0, 0.1, 0, 0, 0],
-        [0.0488, 0, 0, 1, 0, 0, 0.0016, 0, 0, 0.0992, 0, 0],
-        [0, -0.0488, 0, 0, 1, 0, 0, -0.0016, 0, 0, 0.0992, 0],
-        [0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0.0992],
-        [0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0],
-        [0.9734, 0, 0, 0, 0, 0, 0.0488, 0, 0, 0.9846, 0, 0],
-        [0, -0.9734, 0, 0, 0, 0, 0, -0.0488, 0, 0, 0.9846, 0],
-        [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0.9846],
+        [EYE, 0 * EYE, 0.1 * EYE, 0 * EYE],
+        [0.0488 * TILT, EYE, 0.0016 * TILT, 0.0992 * EYE],
+        [0 * EYE, 0 * EYE, EYE, 0 * EYE],
+        [0.9734 * TILT, 0 * EYE, 0.0488 * TILT, 0.9846 * EYE],
     ]
 )
-B = np.array(
-    [
-        [0, -0.0726, 0, 0.0726],
-        [-0.0726, 0, 0.0726, 0],
-        [-0.0152, 0.0152, -0.0152, 0.0152],
-        [0, -0.0006, 0, 0.0006],
-        [0.0006, 0, -0.0006, 0],
-        [0.0106, 0.0106, 0.0106, 0.0106],
-        [0, -1.4512, 0, 1.4512],
-        [-1.4512, 0, 1.4512, 0],
-        [-0.3049, 0.3049, -0.3049, 0.3049],
-        [0, -0.0236, 0, 0.0236],
-        [0.0236, 0, -0.0236, 0],
-        [0.2107, 0.2107, 0.2107, 0.2107],
-    ]
-)
+PITCH, ROLL, YAW, LIFT = [0, -1, 0, 1], [-1, 0, 1, 0], [-1, 1, -1, 1], [1, 1, 1, 1]  # made by the four rotors
+DIRECTIONS = np.array([PITCH, ROLL, YAW, PITCH, ROLL, LIFT] * 2)
+GAINS = [0.0726, 0.0726, 0.0152, 0.0006, -0.0006, 0.0106, 1.4512, 1.4512, 0.3049, 0.0236, -0.0236, 0.2107]
+B = np.array(GAINS)[:, None] * DIRECTIONS + 0.0  # without negative zeros
 STATE_WEIGHTS = np.diag([0.0, 0, 10, 10, 10, 10, 0, 0, 0, 5, 5, 5])
 CONTROL_WEIGHT = 0.1
 
@@ -205,15 +188,31 @@ def quarter_car(
     """
     T, step = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
     height = float(shaped("bump_height", bump_height, ()))
-    A, B, E = _car_model()
-    sampled = LinearDynamics.from_continuous(A, np.hstack([B, E]), step)
-    acceleration = np.append(A[1], B[1])
+    A = np.array(
+        [
+            [0, 1, 0, -1],
+            [-SPRING / BODY_MASS, -DAMPER / BODY_MASS, 0, DAMPER / BODY_MASS],
+            [0, 0, 0, 1],
+            [SPRING / WHEEL_MASS, DAMPER / WHEEL_MASS, -TYRE / WHEEL_MASS, -DAMPER / WHEEL_MASS],
+        ]
+    )
+    # Of the force [kN], and of the road's vertical speed [m/s] in each period
+    B = np.array([[0, 0.0], [1000 / BODY_MASS, 0.0], [0, -1.0], [-1000 / WHEEL_MASS, 0.0]])
+    comfort = None
+    if stop_band_hz is not None:
+        low, high = shaped("stop_band_hz", stop_band_hz, (2,))
+        comfort = notch(centre_hz=(low + high) / 2, width_hz=high - low, component="body speed")
+    t = step * np.arange(T + 1)
+    on_bump = (t >= BUMP_START) & (t <= BUMP_END)
+    road_speed = np.diff(np.where(on_bump, height / 2 * (1 - np.cos(8 * pi * t)), 0.0)) / step
+    sampled = LinearDynamics.from_continuous(A, B, step)
+    acceleration = np.append(A[1], B[1, 0])
     weights = np.outer(acceleration, acceleration) + np.diag([0, 0, TYRE_WEIGHT, 0, FORCE_WEIGHT])
     return OptimalControlProblem(
         dynamics=LinearDynamics(
             sampled.A,
             sampled.B[:, :1],
-            offset=np.outer(_road_speed(height, T, step), sampled.B[:, 1]),
+            offset=np.outer(road_speed, sampled.B[:, 1]),
             sampling_time=step,
             state_names=["travel [m]", "body speed [m/s]", "tyre deflection [m]", "wheel speed [m/s]"],
             control_names=["force [kN]"],
@@ -224,33 +223,6 @@ def quarter_car(
         state_set=symmetric("travel_bound", [travel_bound, None, None, None]),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        state_spectrum=None if stop_band_hz is None else _comfort_band(stop_band_hz),
+        state_spectrum=comfort,
         name="quarter_car",
     )
-
-
-def _car_model() -> tuple[Array, Array, Array]:
-    """Return the matrices of the state, of the force [kN] and of the road's vertical speed [m/s]."""
-    A = np.array(
-        [
-            [0, 1, 0, -1],
-            [-SPRING / BODY_MASS, -DAMPER / BODY_MASS, 0, DAMPER / BODY_MASS],
-            [0, 0, 0, 1],
-            [SPRING / WHEEL_MASS, DAMPER / WHEEL_MASS, -TYRE / WHEEL_MASS, -DAMPER / WHEEL_MASS],
-        ]
-    )
-    B = np.array([[0], [1000 / BODY_MASS], [0], [-1000 / WHEEL_MASS]])
-    E = np.array([[0.0], [0.0], [-1.0], [0.0]])
-    return A, B, E
-
-
-def _road_speed(height: float, horizon: int, step: float) -> Array:
-    """Return the vertical speed of the road in each period, shape (T,)."""
-    t = step * np.arange(horizon + 1)
-    on_bump = (t >= BUMP_START) & (t <= BUMP_END)
-    return np.diff(np.where(on_bump, height / 2 * (1 - np.cos(8 * pi * t)), 0.0)) / step
-
-
-def _comfort_band(edges_hz: Sequence[float]) -> Band:
-    lower, upper = shaped("stop_band_hz", edges_hz, (2,))
-    return notch(centre_hz=(lower + upper) / 2, width_hz=upper - lower, component="body speed")
