@@ -28,8 +28,7 @@ from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.proof.lines import Text, exact, line, rows
-from lin_freq_ocp.proof.statement import multiplier_lines, stack_signals
+from lin_freq_ocp.proof.statement import Text, exact, line, multiplier_lines, rows, stack_signals
 
 Balls = list[arb]
 
@@ -72,7 +71,7 @@ def dual_of(problem: OptimalControlProblem, at: Trajectory, multipliers: Multipl
     """Return the dual of multipliers, in the precision of balls; terms stand at their frequencies."""
     point = dual_point(problem, at, multipliers)
     free = np.flatnonzero(problem.state_tube.fixed[-1])
-    moved, eta = steer_adjoint(Recursion(problem.linear.A, exact_slopes(problem, point)), point.eta, free)
+    moved, eta = steer_adjoint(problem.linear.A, exact_slopes(problem, point), point.eta, free)
     end = [point.mu[-1, i].hex() for i in range(problem.state_dim)]
     for i, change in zip(free.tolist(), moved, strict=True):
         mantissa, exponent = (change + float(point.mu[-1, i])).mid().man_exp()
@@ -210,34 +209,28 @@ def _add_signal(slopes: list[Balls], signal: Array) -> None:
             slope[i] += value
 
 
-@dataclass(frozen=True, eq=False)
-class Recursion:
-    """eta_{t-1} = A_t' eta_t - s_t for t = T .. 1; ``slopes`` are s_0 .. s_T."""
+def run_adjoint(A: Array, slopes: Sequence[Balls], begin: arb_mat) -> tuple[arb_mat, Array]:
+    """Run eta_{t-1} = A_t' eta_t - s_t for t = T-1 .. 1 from eta_{T-1}, columns (n, k); s_t acts on the first one.
 
-    A: Array  # (n, n) or (T, n, n)
-    slopes: Sequence[Balls]
-
-    def run(self, begin: arb_mat) -> tuple[arb_mat, Array]:
-        """Return eta_0, (n, k), and of its first column all eta_t as floats, (T, n), from eta_{T-1} of columns (n, k).
-
-        Slopes act on the first column.
-        """
-        T, n = len(self.slopes) - 1, begin.nrows()
-        turned = self.A.T if self.A.ndim == 2 else np.swapaxes(self.A, 1, 2)
-        constant = arb_mat(turned.tolist()) if self.A.ndim == 2 else None
-        eta, found = begin, np.empty((T, n))
-        found[T - 1] = [float(eta[i, 0]) for i in range(n)]
-        for t in range(T - 1, 0, -1):
-            eta = (arb_mat(turned[t].tolist()) if constant is None else constant) * eta
-            for i, slope in enumerate(self.slopes[t]):
-                eta[i, 0] -= slope
-            found[t - 1] = [float(eta[i, 0]) for i in range(n)]
-        return eta, found
+    A is (n, n) or (T, n, n), and slopes are s_0 .. s_T. Return eta_0, (n, k), and of its first column all eta_t as
+    floats, (T, n).
+    """
+    T, n = len(slopes) - 1, begin.nrows()
+    turned = A.T if A.ndim == 2 else np.swapaxes(A, 1, 2)
+    constant = arb_mat(turned.tolist()) if A.ndim == 2 else None
+    eta, found = begin, np.empty((T, n))
+    found[T - 1] = [float(eta[i, 0]) for i in range(n)]
+    for t in range(T - 1, 0, -1):
+        eta = (arb_mat(turned[t].tolist()) if constant is None else constant) * eta
+        for i, slope in enumerate(slopes[t]):
+            eta[i, 0] -= slope
+        found[t - 1] = [float(eta[i, 0]) for i in range(n)]
+    return eta, found
 
 
-def steer_adjoint(recursion: Recursion, eta: Array, free: Indices) -> tuple[Balls, Array]:
+def steer_adjoint(A: Array, slopes: Sequence[Balls], eta: Array, free: Indices) -> tuple[Balls, Array]:
     """Return d, (free,), as exact numbers, and the adjoint with mu_T + d as floats, (T, n)."""
-    n, last = eta.shape[1], recursion.slopes[-1]
+    n, last = eta.shape[1], slopes[-1]
     begin = arb_mat(n, 1 + len(free))
     for i in range(n):
         begin[i, 0] = -last[i]
@@ -245,7 +238,7 @@ def steer_adjoint(recursion: Recursion, eta: Array, free: Indices) -> tuple[Ball
         begin[i, 1 + k] = -1
     sizes = np.abs(eta).max(axis=0)
     weights = [arb(1.0 / size) if size > 0 else arb(1) for size in sizes.tolist()]
-    first, _ = recursion.run(begin)
+    first, _ = run_adjoint(A, slopes, begin)
     rows = [
         (weight, [part[i, j] for j in range(1 + len(free))], float(goal[i]))
         for part, goal in ((first, eta[0]), (begin, eta[-1]))
@@ -260,7 +253,7 @@ def steer_adjoint(recursion: Recursion, eta: Array, free: Indices) -> tuple[Ball
         alone[i, 0] = -last[i]
     for d, i in zip(found, free.tolist(), strict=True):
         alone[i, 0] -= d
-    return found, recursion.run(alone)[1]
+    return found, run_adjoint(A, slopes, alone)[1]
 
 
 def precision(A: Array, horizon: int) -> int:

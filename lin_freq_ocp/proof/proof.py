@@ -31,9 +31,8 @@ from lin_freq_ocp.proof.convex import LARGER_RISE, convex_problem, raised_by
 from lin_freq_ocp.proof.dual import Dual, dual_of, precision
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.lfo_check import Failed, check
-from lin_freq_ocp.proof.lines import line
-from lin_freq_ocp.proof.point import Point, points
-from lin_freq_ocp.proof.statement import problem_lines
+from lin_freq_ocp.proof.point import InteriorPoint, points
+from lin_freq_ocp.proof.statement import line, problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
@@ -53,7 +52,7 @@ class Proof:
     problem: OptimalControlProblem
     bits: int
     claim: Enclosure
-    point: Point | None
+    point: InteriorPoint | None
     dual: Dual | TreeDual
 
     def lines(self) -> Iterator[str]:

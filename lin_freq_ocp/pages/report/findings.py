@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from lin_freq_ocp.base.phrases import listed, number, plural, runs_in_words, sho
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
-from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Signal, Violation, controls_of
+from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Violation, controls_of
 from lin_freq_ocp.pages.report.proof import RIGOROUS, proven_optimal
 from lin_freq_ocp.pages.report.tables import moves_sentence
 from lin_freq_ocp.pages.units import frequency_scale, quantity, rough
@@ -69,18 +69,21 @@ def finding(comparison: ComparisonOutcome) -> Finding:
 
 def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[str]:
     """Return the constraints that a filtered control violates, and whether it is more expensive, in words."""
-    problem, found = replay.problem, _exceeded_controls(replay)
-    if replay.meaningful:
-        left, others = _broken(replay.states, problem.state_names, "other state")
-        if left:
-            found.append(f"leaves the bounds on {listed([name for name, _ in left])}{others}")
-        terms = [term.name for term in problem.terms if term.hard]
-        violated, others = _broken(replay.terms, terms, "other constraint")
-        if violated:
-            found.append(f"violates {listed([f'{name} by {size}' for name, size in violated])}{others}")
-        missed, others = _broken(replay.end, problem.state_names, "other state")
-        if missed:
-            found.append(f"misses the end by {listed([f'{size} in {name}' for name, size in missed])}{others}")
+    problem, controls = replay.problem, controls_of(replay.problem)
+    names, terms = problem.state_names, [term.name for term in problem.terms if term.hard]
+
+    def exceeded(name: str, size: str, j: int) -> str:
+        times = replay.peak_times(controls[j])
+        where = listed([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
+        peak = quantity(replay.largest(controls[j]), controls[j].name)
+        return f"the {name} bound by {size} (peaks at {peak}, {where})"
+
+    found = [
+        *_broken("exceeds", replay.controls, problem.control_names, "other control", exceeded),
+        *_broken("leaves the bounds on", replay.states, names, "other state", lambda name, size, i: name),
+        *_broken("violates", replay.terms, terms, "other constraint", lambda name, size, i: f"{name} by {size}"),
+        *_broken("misses the end by", replay.end, names, "other state", lambda name, size, i: f"{size} in {name}"),
+    ]
     measures, best = replay.measures, comparison.constrained.cost
     for of_states, what, energy in (
         (False, "control", measures.stopband_energy),
@@ -96,32 +99,16 @@ def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[st
     return found
 
 
-def _exceeded_controls(replay: MeasuredTrajectory) -> list[str]:
-    broken, controls = np.flatnonzero(~replay.controls.passed), controls_of(replay.problem)
-    bounds = [
-        f"the {short_name(controls[j].name)} bound by {quantity(float(replay.controls.values[j]), controls[j].name)} "
-        f"({_peak(replay, controls[j])})"
-        for j in broken[:NAMED]
-    ]
-    return [f"exceeds {listed(bounds)}{_others(len(broken), 'other control')}"] if bounds else []
-
-
-def _peak(replay: MeasuredTrajectory, signal: Signal) -> str:
-    times = replay.peak_times(signal)
-    where = listed([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
-    return f"peaks at {quantity(replay.largest(signal), signal.name)}, {where}"
-
-
-def _broken(violation: Violation | None, names: Sequence[str], noun: str) -> tuple[list[tuple[str, str]], str]:
-    """Return name and size of the first violated bounds, and the count of the others."""
-    broken = [] if violation is None else [int(i) for i in np.flatnonzero(~violation.passed)]
-    sizes = [] if violation is None else [quantity(float(violation.values[i]), names[i]) for i in broken[:NAMED]]
-    named = [(short_name(names[i]), size) for i, size in zip(broken, sizes, strict=False)]
-    return named, _others(len(broken), noun)
-
-
-def _others(count: int, noun: str) -> str:
-    return f" (and {plural(count - NAMED, noun)})" if count > NAMED else ""
+def _broken(
+    verb: str, violation: Violation | None, names: Sequence[str], noun: str, text: Callable[[str, str, int], str]
+) -> list[str]:
+    """Say which bounds are violated, by ``text`` of name, size and index of the first ones; nothing if none is."""
+    if violation is None or violation.passed.all():
+        return []
+    broken = np.flatnonzero(~violation.passed).tolist()
+    parts = [text(short_name(names[i]), quantity(float(violation.values[i]), names[i]), i) for i in broken[:NAMED]]
+    others = f" (and {plural(len(broken) - NAMED, noun)})" if len(broken) > NAMED else ""
+    return [f"{verb} {listed(parts)}{others}"]
 
 
 def _with_constraint(comparison: ComparisonOutcome) -> str:
