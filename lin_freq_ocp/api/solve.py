@@ -207,7 +207,7 @@ def report_progress(
     if given is not None or not in_notebook():
         yield given
         return
-    line = Line()
+    line = ProgressLine()
 
     def report(*args: Given.args, **kwargs: Given.kwargs) -> None:
         line.show(words(*args, **kwargs))
@@ -225,7 +225,7 @@ class Handle(Protocol):
         """Show something else in its place."""
 
 
-class Line:
+class ProgressLine:
     """A line below the cell that runs: quick calls never show it, and it is emptied in the end."""
 
     def __init__(self):

@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_integer, real_array
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.codec import Kinds, Record, Tables, Value, checked_value, nonzero
+from lin_freq_ocp.files.codec import Kinds, TableRecord, Tables, Value, checked_value, nonzero
 from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import defined, formula_from_text, require_formula, with_definitions
@@ -157,33 +157,33 @@ def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     return names | {"let": definitions or None, "modes": modes}
 
 
-AFFINE_MODE = Record(AffineMode, own=MODE, values=_mode_values, offset=nonzero(1))
-SMOOTH_MODE = Record(
+AFFINE_MODE = TableRecord(AffineMode, own=MODE, values=_mode_values, offset=nonzero(1))
+SMOOTH_MODE = TableRecord(
     SmoothMode, values=lambda mode: {key: getattr(mode, key) or None for key in ("name", *FORMULA_KEYS)}
 )
 
-LINEAR = Record(
+LINEAR = TableRecord(
     _linear,
     like=LinearDynamics,
     offset=nonzero(1),
     continuous=checked_value(lambda given: isinstance(given, bool), "true or false"),
 )
-PIECEWISE_AFFINE = Record(PiecewiseAffineDynamics, modes=Tables(AFFINE_MODE, single=False))
-SMOOTH_MODES = Record(
+PIECEWISE_AFFINE = TableRecord(PiecewiseAffineDynamics, modes=Tables(AFFINE_MODE, single=False))
+SMOOTH_MODES = TableRecord(
     _from_modes,
     like=_labels,
     classes=(PiecewiseSmoothDynamics,),
     values=_smooth_values,
     modes=Tables(SMOOTH_MODE, single=False),
 )
-SMOOTH = Record(_from_formulas, like=_labels)
+SMOOTH = TableRecord(_from_formulas, like=_labels)
 
-RESPONSE = Record(_response, like=_labels, classes=(FrequencyResponse,), values=_response_values)
-MEASURED = Record(FrequencyResponse.from_table, own="dynamics")
+RESPONSE = TableRecord(_response, like=_labels, classes=(FrequencyResponse,), values=_response_values)
+MEASURED = TableRecord(FrequencyResponse.from_table, own="dynamics")
 
-PULSE_TRAIN = Record(PulseTrain)
+PULSE_TRAIN = TableRecord(PulseTrain)
 
-RECORDS: dict[type, Record] = {
+RECORDS: dict[type, TableRecord] = {
     FrequencyResponse: RESPONSE,
     PulseTrain: PULSE_TRAIN,
     LinearDynamics: LINEAR,
@@ -216,16 +216,16 @@ SCHEMA = 2  # version of the layout; earlier ones are read, as what was added si
 
 SETS = Kinds("set", default="box")
 SETS.records |= {
-    "box": Record(Box, classes=(Box, Point, Everything)),
-    "polyhedron": Record(Polyhedron),
-    "ball": Record(Ball),
-    "ellipsoid": Record(Ellipsoid),
-    "second_order_cone": Record(SecondOrderCone),
-    "intersection": Record(Intersection, sets=Tables(SETS, single=False)),
-    "finite_set": Record(FiniteSet),
-    "linked_ends": Record(LinkedEnds),
-    "periodic": Record(Periodic),
-    "soft": Record(Soft, renamed={"soft_set": "set"}, soft_set=SETS),
+    "box": TableRecord(Box, classes=(Box, Point, Everything)),
+    "polyhedron": TableRecord(Polyhedron),
+    "ball": TableRecord(Ball),
+    "ellipsoid": TableRecord(Ellipsoid),
+    "second_order_cone": TableRecord(SecondOrderCone),
+    "intersection": TableRecord(Intersection, sets=Tables(SETS, single=False)),
+    "finite_set": TableRecord(FiniteSet),
+    "linked_ends": TableRecord(LinkedEnds),
+    "periodic": TableRecord(Periodic),
+    "soft": TableRecord(Soft, renamed={"soft_set": "set"}, soft_set=SETS),
 }
 SET_TABLES = Tables(SETS)
 
@@ -255,7 +255,7 @@ END_SET = Value(_read_end, _write_end)
 BINS = checked_value(lambda given: isinstance(given, (list, np.ndarray)), "a list of whole numbers")
 
 
-class _Band(Record):
+class _Band(TableRecord):
     """A kind of band: its edges from ``first`` on are these arguments, in rad/sample or, with _hz, in Hz."""
 
     def __init__(self, make: Callable[..., Band], *edges: str, first: int = 0):
@@ -303,21 +303,21 @@ NO_LOWER = checked_value(lambda given: False, "an upper limit", NO_LOWER_MASK)
 SPECTRUM = Kinds("frequency constraint")
 SPECTRUM.records |= BANDS.records
 SPECTRUM.records |= {
-    "magnitude_bound": Record(
+    "magnitude_bound": TableRecord(
         MagnitudeBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS, at_least=NO_LOWER
     ),
-    "energy_bound": Record(EnergyBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS),
-    "linear_constraint": Record(LinearConstraint),
-    "residual_vibration": Record(ResidualVibration),
+    "energy_bound": TableRecord(EnergyBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS),
+    "linear_constraint": TableRecord(LinearConstraint),
+    "residual_vibration": TableRecord(ResidualVibration),
 }
 BOUNDS = Kinds("mask or energy bound")
 BOUNDS.records |= {kind: SPECTRUM.records[kind] for kind in ("magnitude_bound", "energy_bound")}
-SPECTRUM.records["spectrogram"] = Record(Spectrogram, bound=BOUNDS)
-OUTPUTS = Record(OutputSpectrum, own="output_spectrum", required=["constraints"], constraints=Tables(SPECTRUM))
+SPECTRUM.records["spectrogram"] = TableRecord(Spectrogram, bound=BOUNDS)
+OUTPUTS = TableRecord(OutputSpectrum, own="output_spectrum", required=["constraints"], constraints=Tables(SPECTRUM))
 
 NORM_COSTS = Kinds("cost")
 NORM_COSTS.records |= {
-    kind: Record(make, **dict.fromkeys(("x", "u", "terminal", "x_ref", "u_ref"), nonzero(2)))
+    kind: TableRecord(make, **dict.fromkeys(("x", "u", "terminal", "x_ref", "u_ref"), nonzero(2)))
     for kind, make in {"L1": L1Cost, "Linf": LInfCost}.items()
 }
 
@@ -334,7 +334,7 @@ def _cost_values(cost: Cost) -> FileTable:
     return terms | {"norms": cost.norms}
 
 
-COST = Record(
+COST = TableRecord(
     _cost,
     like=QuadraticCost,
     values=_cost_values,
@@ -349,7 +349,7 @@ def _row_values(rows: StageRows) -> FileTable:
     return {"name": rows.name, "C": C, "D": D, "e": rows.e, "penalty": rows.penalty}
 
 
-STAGE_ROWS = Record(StageRows, own="stage_rows", required=["e"], values=_row_values)
+STAGE_ROWS = TableRecord(StageRows, own="stage_rows", required=["e"], values=_row_values)
 
 
 def _problem(schema: int, **fields: FileValue) -> OptimalControlProblem:
@@ -373,7 +373,7 @@ def _problem_values(problem: OptimalControlProblem) -> FileTable:
     return fields
 
 
-PROBLEM = Record(
+PROBLEM = TableRecord(
     _problem,
     like=OptimalControlProblem,
     values=_problem_values,

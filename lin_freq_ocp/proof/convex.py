@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.reach import Enclosure as Region
+from lin_freq_ocp.certificate.reach import Region
 from lin_freq_ocp.certificate.tolerances import RADIUS_MARGIN
 from lin_freq_ocp.problem.costs.quadratic import CONVEXITY_TOLERANCE, CostSum, is_semidefinite
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

@@ -19,8 +19,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import cost_is_never_negative, optimum_box
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
-from lin_freq_ocp.certificate.reach import Enclosure as Region
-from lin_freq_ocp.certificate.reach import stated_bounds
+from lin_freq_ocp.certificate.reach import Region, stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree

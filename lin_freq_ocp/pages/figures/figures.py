@@ -19,7 +19,13 @@ from lin_freq_ocp.base.phrases import number, short_name, split_unit
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import has_frequency_constraint
-from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, Signal, measured_solution, solution_label
+from lin_freq_ocp.comparison.trajectories import (
+    CLASSICAL,
+    CONSTRAINED,
+    ProblemSignal,
+    measured_solution,
+    solution_label,
+)
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import mode_legend
 from lin_freq_ocp.pages.figures.panels import (
@@ -100,11 +106,11 @@ def four_panels(data: PlotData, with_states: bool = False) -> Figure:
     return figure
 
 
-def _groups_of_states(data: PlotData) -> list[list[Signal]]:
+def _groups_of_states(data: PlotData) -> list[list[ProblemSignal]]:
     """Return the states that share a panel: few have one each, of many those of the same unit, some at a time."""
     if len(data.states) <= MOST_PANELS or len(data.traces) > 1:
         return [[state] for state in data.states]
-    of_unit: dict[str, list[Signal]] = {}
+    of_unit: dict[str, list[ProblemSignal]] = {}
     for state in data.states:
         of_unit.setdefault(split_unit(state.name)[1], []).append(state)
     size = len(look.COMPONENTS)
@@ -129,7 +135,7 @@ def states_figure(data: PlotData) -> Figure:
     return figure
 
 
-def spectra_figure(data: PlotData, signals: Sequence[Signal]) -> Figure:
+def spectra_figure(data: PlotData, signals: Sequence[ProblemSignal]) -> Figure:
     """Return the spectra of some states or outputs (there must be one)."""
     figure, panels = look.panel_grid(len(signals), look.ROW_HEIGHT, LEGEND_HEIGHT, columns=2)
     for signal, ax in zip(signals, panels, strict=True):

@@ -12,7 +12,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.phrases import number, short_name, split_unit
-from lin_freq_ocp.comparison.trajectories import Signal
+from lin_freq_ocp.comparison.trajectories import ProblemSignal
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import shade_modes
 from lin_freq_ocp.pages.figures.plot_data import PlotData, View
@@ -25,7 +25,7 @@ HIDDEN_LIMIT = 30  # A limit of a spectrum that is more than so many times its l
 FEW_BINS = 48
 
 
-def time_panel(ax: Axes, data: PlotData, signal: Signal, letter: str = "") -> None:
+def time_panel(ax: Axes, data: PlotData, signal: ProblemSignal, letter: str = "") -> None:
     """Draw a control or state of all traces in time, within its bounds, before the modes of the main trajectory."""
     shade_modes(ax, data)
     zero_order_hold = not signal.is_state  # of controls, until the end of each step
@@ -60,7 +60,7 @@ def time_panel(ax: Axes, data: PlotData, signal: Signal, letter: str = "") -> No
     look.style_axes(ax, f"{letter} {short_name(signal.name)}".lstrip(), data.time.label, signal.name, notes)
 
 
-def states_panel(ax: Axes, data: PlotData, states: Sequence[Signal], letter: str) -> None:
+def states_panel(ax: Axes, data: PlotData, states: Sequence[ProblemSignal], letter: str) -> None:
     """Draw some states of the main in time: one as ``time_panel`` does, more in a colour each."""
     if len(states) == 1:
         time_panel(ax, data, states[0], letter)
@@ -79,7 +79,7 @@ def states_panel(ax: Axes, data: PlotData, states: Sequence[Signal], letter: str
     look.style_axes(ax, title, data.time.label, f"[{unit}]" if unit else "state", data.notes(states))
 
 
-def phase_panel(ax: Axes, data: PlotData, first: Signal, second: Signal, letter: str) -> None:
+def phase_panel(ax: Axes, data: PlotData, first: ProblemSignal, second: ProblemSignal, letter: str) -> None:
     """Draw the second state over the first, with their bounds as a box, the common start and every end."""
     pair = first, second
     views = [data.view(one) for one in pair]
@@ -99,7 +99,7 @@ def phase_panel(ax: Axes, data: PlotData, first: Signal, second: Signal, letter:
     look.style_axes(ax, title, first.name, second.name, data.notes(pair))
 
 
-def spectrum_panel(ax: Axes, data: PlotData, component: Signal, letter: str = "") -> None:
+def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:
     """Draw the spectrum of a component, its DFT bins as points and what lies between them as a line."""
     traces = data.showing(component)
     padded = [padded_spectrum(trace.of(component)[: component.samples, None]) for trace in traces]
@@ -148,7 +148,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: Signal, letter: str = ""
     frequency_axis(ax, data)
 
 
-def _draw_levels(ax: Axes, data: PlotData, component: Signal, floor: float, ceiling: float) -> float:
+def _draw_levels(ax: Axes, data: PlotData, component: ProblemSignal, floor: float, ceiling: float) -> float:
     """Draw the limits of the spectrum, and return the highest that the axis is to show."""
     highest = 0.0
     for line in component.levels:
@@ -180,7 +180,7 @@ def frequency_axis(ax: Axes, data: PlotData) -> None:
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / np.pi:.1f} \N{GREEK SMALL LETTER PI}"))
 
 
-def _draw_box(ax: Axes, pair: Sequence[Signal], views: Sequence[View]) -> None:
+def _draw_box(ax: Axes, pair: Sequence[ProblemSignal], views: Sequence[View]) -> None:
     """Draw the bounds of two states as a box, where they do not depend on time; open sides lie out of sight."""
     bounds = [state.bounds for state in pair]
     if any((bound != bound[0]).any() for both in bounds for bound in both):

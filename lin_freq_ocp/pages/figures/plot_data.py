@@ -11,7 +11,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.phrases import listed
-from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Signal, controls_of, outputs_of, states_of
+from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, ProblemSignal, controls_of, outputs_of, states_of
 from lin_freq_ocp.pages.figures.look import AXIS_MARGIN, Note, Style
 from lin_freq_ocp.pages.units import Scale, frequency_scale, quantity, rough, time_scale
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -36,7 +36,7 @@ class Trace:
         """Return the trajectory."""
         return self.measured.trajectory
 
-    def of(self, signal: Signal) -> Array:
+    def of(self, signal: ProblemSignal) -> Array:
         """Return the values of a signal over time."""
         return signal.of(self.trajectory)
 
@@ -93,25 +93,25 @@ class PlotData:
         return () if self.main.measured.modes is None else spans(self.main.measured.modes)
 
     @cached_property
-    def controls(self) -> list[Signal]:
+    def controls(self) -> list[ProblemSignal]:
         """Return all controls."""
         return controls_of(self.problem)
 
     @cached_property
-    def states(self) -> list[Signal]:
+    def states(self) -> list[ProblemSignal]:
         """Return all states."""
         return states_of(self.problem)
 
     @cached_property
-    def outputs(self) -> list[Signal]:
+    def outputs(self) -> list[ProblemSignal]:
         """Return the outputs whose spectrum is constrained."""
         return outputs_of(self.problem)
 
-    def showing(self, signal: Signal) -> tuple[Trace, ...]:
+    def showing(self, signal: ProblemSignal) -> tuple[Trace, ...]:
         """Return the traces that have meaningful values of this signal."""
         return tuple(trace for trace in self.traces if trace.measured.meaningful or not signal.is_state)
 
-    def view(self, signal: Signal) -> View:
+    def view(self, signal: ProblemSignal) -> View:
         """Return the range of a signal's axis."""
         shown = self.showing(signal)
         return view(
@@ -121,7 +121,7 @@ class PlotData:
             [line.values[np.isfinite(line.values)] for line in signal.references],
         )
 
-    def notes(self, signals: Sequence[Signal]) -> list[Note]:
+    def notes(self, signals: Sequence[ProblemSignal]) -> list[Note]:
         """Return which trajectories are missing from a panel of these states, and which leave it."""
         outside = any(self.view(signal).outside for signal in signals)
         notes = list[Note]()
@@ -138,7 +138,7 @@ class PlotData:
         return notes
 
 
-def _end_text(trace: Trace, signals: Sequence[Signal]) -> str:
+def _end_text(trace: Trace, signals: Sequence[ProblemSignal]) -> str:
     """Return how far from the terminal set a trajectory ends, or how far it goes where the end is free."""
     end = trace.measured.end
     bounded = [] if end is None else [one for one in signals if end.bounded[one.index]]

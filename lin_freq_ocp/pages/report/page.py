@@ -189,52 +189,39 @@ def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
 def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
     """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
     drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
+    steps = plural(len(loop.steps), "step")
+    sentence = f"{steps}; the plans of {int(loop.satisfied.sum())} satisfy the maximum principle"
+    known = loop.gaps[np.isfinite(loop.gaps)]
+    sentence += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
+    sentence += f" The loop stopped before its end: {loop.stopped}" if loop.stopped else ""
+    headline = [("steps", str(len(loop.steps)), "")]
+    if loop.steps:
+        solve, certify = 1e3 * loop.solve_seconds, 1e3 * loop.certify_seconds
+        most = f"at most {number(float(solve.max()), 3)} ms"
+        headline += [
+            ("time of a step", f"{number(float(np.median(solve)), 3)} ms", most),
+            ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
+            ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
+        ]
     counts = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
+    # The largest excess of each softened constraint, and at how many steps there was one
+    violations = list[tuple[str, str, int]]()
+    for name in dict.fromkeys(name for step in loop.steps for name in step.excess):
+        amounts = [step.excess.get(name, 0.0) for step in loop.steps]
+        violations.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
     page = render_template(
         "loop.html.jinja",
         title=loop.problem.name or "Control loop",
-        finding=_loop_finding(loop),
-        tiles=_loop_tiles(loop),
+        finding=sentence,
+        tiles=headline,
         drawing=drawing,
         counts=[(*key, count) for key, count in counts.most_common()],
-        excess=_loop_violations(loop),
+        excess=violations,
         facts=problem_facts(loop.problem, loop.problem.gap),
         problem=loop.problem,
         version=version("lin-freq-ocp"),
     )
     return save_page(folder, page, [drawing])
-
-
-def _loop_finding(loop: LoopRecord) -> str:
-    steps = len(loop.steps)
-    proven = int(loop.satisfied.sum())
-    text = f"{plural(steps, 'step')}; the plans of {proven} satisfy the maximum principle"
-    known = loop.gaps[np.isfinite(loop.gaps)]
-    text += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
-    return text + (f" The loop stopped before its end: {loop.stopped}" if loop.stopped else "")
-
-
-def _loop_tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
-    """Return label, number and remark of the headline's figures."""
-    if not loop.steps:
-        return [("steps", "0", "")]
-    solve, certify = 1e3 * loop.solve_seconds, 1e3 * loop.certify_seconds
-    return [
-        ("steps", str(len(loop.steps)), ""),
-        ("time of a step", f"{number(float(np.median(solve)), 3)} ms", f"at most {number(float(solve.max()), 3)} ms"),
-        ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
-        ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
-    ]
-
-
-def _loop_violations(loop: LoopRecord) -> list[tuple[str, str, int]]:
-    """Return the largest excess of each softened constraint, and at how many steps there was one."""
-    names = dict.fromkeys(name for step in loop.steps for name in step.excess)
-    rows: list[tuple[str, str, int]] = []
-    for name in names:
-        amounts = [step.excess.get(name, 0.0) for step in loop.steps]
-        rows.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
-    return rows
 
 
 @dataclass(frozen=True)

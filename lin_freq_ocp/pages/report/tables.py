@@ -14,7 +14,7 @@ from lin_freq_ocp.batch.sweep import SweepOutcome
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
-from lin_freq_ocp.comparison.moves import OURS, Move, Moves
+from lin_freq_ocp.comparison.moves import OURS, Moves
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation, controls_of
 from lin_freq_ocp.pages.report.proof import bound_kind
 from lin_freq_ocp.pages.units import align
@@ -35,7 +35,7 @@ Columns = Sequence[MeasuredTrajectory | None]  # None: no trajectory was found
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """A text, and whether a constraint holds there; None where none is concerned."""
 
     text: str
@@ -48,7 +48,7 @@ class Row:
 
     label: str
     unit: str
-    cells: tuple[Cell, ...]
+    cells: tuple[TableCell, ...]
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,10 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     groups = [
         _group("", ["cost"], columns, lambda one, _: _measured_cell(one, one.measures.cost, digits=COST_DIGITS)),
         _group(
-            "Largest magnitude", problem.control_names, columns, lambda one, j: Cell(align(one.largest(controls[j])))
+            "Largest magnitude",
+            problem.control_names,
+            columns,
+            lambda one, j: TableCell(align(one.largest(controls[j]))),
         ),
         _violation_group("Beyond the control bounds by", problem.control_names, columns, lambda one: one.controls),
         _violation_group("Beyond the state bounds by", problem.state_names, columns, lambda one: one.states),
@@ -91,7 +94,9 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     ]
     if not all(one.meaningful for one in found):
         title = "Misses the next planned state, in one step, by"
-        groups.append(_group(title, problem.state_names, columns, lambda one, i: Cell(align(one.one_step_residual[i]))))
+        groups.append(
+            _group(title, problem.state_names, columns, lambda one, i: TableCell(align(one.one_step_residual[i])))
+        )
     return ComparisonRows(tuple(labels), tuple(group for group in groups if group.rows))
 
 
@@ -99,14 +104,14 @@ def _group(
     title: str,
     names: Sequence[str],
     columns: Columns,
-    cell: Callable[[MeasuredTrajectory, int], Cell],
+    cell: Callable[[MeasuredTrajectory, int], TableCell],
     shown: Iterable[int] | None = None,
 ) -> Group:
     """Return a row per name, or for some of them, with ``cell`` of each trajectory and the name's index."""
     return Group(
         title,
         tuple(
-            Row(*split_unit(names[i]), tuple(Cell(NOTHING) if one is None else cell(one, i) for one in columns))
+            Row(*split_unit(names[i]), tuple(TableCell(NOTHING) if one is None else cell(one, i) for one in columns))
             for i in (range(len(names)) if shown is None else shown)
         ),
     )
@@ -114,8 +119,8 @@ def _group(
 
 def _measured_cell(
     trajectory: MeasuredTrajectory, value: float | None, passed: bool | None = None, digits: int = 4
-) -> Cell:
-    return Cell(NOT_MEANINGFUL if value is None and not trajectory.meaningful else align(value, digits), passed)
+) -> TableCell:
+    return TableCell(NOT_MEANINGFUL if value is None and not trajectory.meaningful else align(value, digits), passed)
 
 
 def _violation_group(
@@ -123,9 +128,13 @@ def _violation_group(
 ) -> Group:
     """Return one row per component that has a bound."""
 
-    def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
+    def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
         found = violation(trajectory)
-        return Cell(NOT_MEANINGFUL) if found is None else Cell(align(float(found.values[i])), bool(found.passed[i]))
+        return (
+            TableCell(NOT_MEANINGFUL)
+            if found is None
+            else TableCell(align(float(found.values[i])), bool(found.passed[i]))
+        )
 
     found = [violation(one) for one in columns if one is not None]
     bounded = np.any([one.bounded for one in found if one is not None], axis=0)
@@ -133,7 +142,7 @@ def _violation_group(
 
 
 def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:
-    def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
+    def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
         found = trajectory.measures
         if of_states:
             values = found.state_stopband_energy, found.state_stopband_peak
@@ -177,15 +186,13 @@ def terminal_table(title: str, rows: ComparisonRows) -> Table:
         if group.title:
             table.add_row(Text(group.title, style="italic"))
         for row in group.rows:
-            label = f"{row.label} [{row.unit}]" if row.unit else row.label
-            table.add_row(Text(("  " if group.title else "") + label), *(_styled_text(cell) for cell in row.cells))
+            label, texts = f"{row.label} [{row.unit}]" if row.unit else row.label, list[Text]()
+            for cell in row.cells:
+                style = "dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else ""
+                broken = cell.passed is False
+                texts.append(Text(f"{cell.text} \N{BALLOT X}", "bold red") if broken else Text(cell.text, style))
+            table.add_row(Text(("  " if group.title else "") + label), *texts)
     return table
-
-
-def _styled_text(cell: Cell) -> Text:
-    if cell.passed is False:
-        return Text(f"{cell.text} \N{BALLOT X}", style="bold red")
-    return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
 
 
 def certificate_table(problem: OptimalControlProblem, certificate: Certificate) -> Table:
@@ -214,8 +221,9 @@ def sweep_table(sweep: SweepOutcome) -> Table:
     for row in sweep.rows:
         style = "" if row["status"] == "optimal" and row["proven"] else "yellow" if row["proven"] else "bold red"
         status = row["status"].replace("_", " ") + ("" if row["proven"] else ", not proven")
+        values = [NOTHING if value is None else value for value in row["parameters"].values()]
         table.add_row(
-            *(Text(_cell_text(value)) for value in row["parameters"].values()),
+            *(Text(number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)) for value in values),
             Text(status, style=style),
             Text(align(row["cost"], SWEEP_DIGITS)),
             Text(number(row["gap"], 2)),
@@ -226,34 +234,22 @@ def sweep_table(sweep: SweepOutcome) -> Table:
     return table
 
 
-def _cell_text(value: object) -> str:
-    return NOTHING if value is None else number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)
-
-
 def moves_rows(moves: Moves) -> ComparisonRows:
     """Return one column per move: its length, and the vibration that it leaves."""
-    found = moves.all
-
-    def longer(move: Move) -> str:
-        if move.measured is None or moves.ours.measured is None:
-            return NOTHING
-        return number(100 * (move.samples / moves.ours.samples - 1), 3)
-
-    def length(move: Move, value: str) -> str:
-        return value if move.measured is not None else f"> {value}"
-
-    def vibration(move: Move) -> Cell:
-        if move.ratio is None:
-            return Cell(NOTHING)
-        return Cell(align(move.ratio), move.keeps_everything)
-
-    rows = (
-        Row("samples", "", tuple(Cell(length(move, str(move.samples))) for move in found)),
-        Row("move time", "s", tuple(Cell(length(move, align(move.seconds))) for move in found)),
-        Row("longer than the optimal move by", "%", tuple(Cell(longer(move)) for move in found)),
-        Row("largest vibration, of its limit", "", tuple(map(vibration, found))),
+    columns, ours = list[tuple[TableCell, ...]](), moves.ours
+    for move in moves.all:
+        at_least = "" if move.measured is not None else "> "
+        known = move.measured is not None and ours.measured is not None
+        longer = number(100 * (move.samples / ours.samples - 1), 3) if known else NOTHING
+        vibration = TableCell(NOTHING) if move.ratio is None else TableCell(align(move.ratio), move.keeps_everything)
+        lengths = TableCell(f"{at_least}{move.samples}"), TableCell(f"{at_least}{align(move.seconds)}")
+        columns.append((*lengths, TableCell(longer), vibration))
+    labels = (
+        *(("samples", ""), ("move time", "s")),
+        *(("longer than the optimal move by", "%"), ("largest vibration, of its limit", "")),
     )
-    return ComparisonRows(tuple(move.name for move in found), (Group("", rows),))
+    rows = tuple(Row(*label, cells) for label, cells in zip(labels, zip(*columns, strict=True), strict=True))
+    return ComparisonRows(tuple(move.name for move in moves.all), (Group("", rows),))
 
 
 def moves_sentence(moves: Moves) -> str:
