@@ -77,15 +77,17 @@ def dual_of(problem: OptimalControlProblem, at: Trajectory, multipliers: Multipl
         mantissa, exponent = (change + float(point.mu[-1, i])).mid().man_exp()
         end[i] = exact(int(mantissa), int(exponent))
     drift = np.abs(eta - point.eta).max(axis=0) > DRIFT * np.abs(point.eta).max(axis=0)
-    return Dual(problem, point, Text(json.dumps(end)), bool(drift.any()) and _all_slopes_cost(problem, point.normal))
+    # The file can give the adjoint itself where a slope in any state costs something finite, by bounds or curvature
+    bounded = np.isfinite(problem.state_tube.lower) & np.isfinite(problem.state_tube.upper)
+    costs = bounded | (point.normal & curvatures(problem, 1.0)[1])
+    return Dual(problem, point, Text(json.dumps(end)), bool(drift.any() and costs.all()))
 
 
-def _all_slopes_cost(problem: OptimalControlProblem, normal: bool) -> bool:
-    """Whether a slope in any state costs something finite: by its bounds or its curvature."""
-    tube, cost, n = problem.state_tube, problem.quadratic, problem.state_dim
-    bounded = np.isfinite(tube.lower) & np.isfinite(tube.upper)
-    curved = np.broadcast_to(cost.stage_hessians().diagonal(axis1=1, axis2=2)[:, :n] > 0, bounded[:-1].shape)
-    return bool((bounded | (normal & np.vstack([curved, np.diagonal(cost.P) > 0]))).all())
+def curvatures(problem: OptimalControlProblem, eta_C: float) -> tuple[Mask, Mask]:
+    """Return which components the cost curves: (x, u) of each stage, (1 or T, n + m), and x, (T+1, n)."""
+    curved = eta_C * problem.quadratic.stage_hessians().diagonal(axis1=1, axis2=2) > 0
+    in_x = np.broadcast_to(curved[:, : problem.state_dim], (problem.horizon, problem.state_dim))
+    return curved, np.vstack([in_x, eta_C * np.diagonal(problem.quadratic.P) > 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +107,7 @@ class DualPoint:
 def dual_point(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> DualPoint:
     """Return what a proof says of multipliers; the terms of the problem stand at their frequencies."""
     n = problem.state_dim
-    curved = multipliers.eta_C * problem.quadratic.stage_hessians().diagonal(axis1=1, axis2=2) > 0  # (1 or T, n + m)
-    at_end = multipliers.eta_C * np.diagonal(problem.quadratic.P) > 0
-    in_x = np.vstack([np.broadcast_to(curved[:, :n], (problem.horizon, n)), at_end])
+    curved, in_x = curvatures(problem, multipliers.eta_C)
     x, mu = project_on_bounds(problem.state_tube, trajectory.x, multipliers.mu, in_x)
     u, _ = project_on_bounds(problem.control_tube, trajectory.u, multipliers.nu, curved[:, n:])
     weights = [
@@ -271,33 +271,17 @@ def growth(A: Array, horizon: int) -> float:
 
     A is (n, n) or (T, n, n). Logarithms are added up, as the product itself may overflow.
     """
-    return _growth_of_powers(A, horizon) if A.ndim == 2 else _growth_of_products(A)
-
-
-def _growth_of_powers(A: Array, horizon: int) -> float:
-    """Return the growth of powers of one matrix, by squaring."""
-    power, logarithm, largest, steps = np.array(A), 0.0, 0.0, 1
-    while steps <= horizon:
-        size = float(np.linalg.norm(power))
-        if size == 0:
-            break
-        logarithm, power = logarithm + np.log2(size), power / size
-        largest = max(largest, logarithm * min(horizon / steps, 2.0))
-        power, logarithm, steps = power @ power, 2 * logarithm, 2 * steps
-    return largest
-
-
-def _growth_of_products(A: Array) -> float:
-    """Return the growth of products, by the largest rise of the logarithm of a product from time 0 on."""
-    product, logarithm, least, largest = np.eye(A.shape[-1]), 0.0, 0.0, 0.0
-    for matrix in A:
-        product = matrix @ product
-        size = float(np.linalg.norm(product))
-        if size == 0:
-            return largest
+    logarithm, least, largest, steps = 0.0, 0.0, 0.0, 1
+    product = np.array(A) if A.ndim == 2 else np.array(A[0])
+    while steps <= horizon and (size := float(np.linalg.norm(product))):
         logarithm, product = logarithm + np.log2(size), product / size
-        least = min(least, logarithm)
-        largest = max(largest, logarithm - least)
+        if A.ndim == 2:  # the power of ``steps``, squared next
+            largest = max(largest, logarithm * min(horizon / steps, 2.0))
+            product, logarithm, steps = product @ product, 2 * logarithm, 2 * steps
+        else:  # the product from time 0 on, of which the largest rise counts
+            least = min(least, logarithm)
+            largest = max(largest, logarithm - least)
+            product, steps = A[min(steps, len(A) - 1)] @ product, steps + 1
     return largest
 
 

@@ -182,19 +182,14 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
             found = proof, checked_enclosure(proof.lines())
     proof, enclosure = (bare, _confirmed_enclosure(bare, outcome)) if found is None else found
     if problem is not outcome.problem:
-        by = raised_by(outcome.problem, problem, _reachable_box(outcome.problem))
+        region, whole = stated_bounds(outcome.problem), IntervalReach(outcome.problem).whole()
+        if whole is not None:  # a box around all trajectories
+            lower, upper = np.array([stage.lower for stage in whole]), np.array([stage.upper for stage in whole])
+            x = np.where(lower > -FINITE, lower, -np.inf), np.where(upper < FINITE, upper, np.inf)
+            region = Region(x, outcome.problem.control_tube.bounds, np.inf, "forward reach")
+        by = raised_by(outcome.problem, problem, region)
         enclosure = replace(enclosure, lower=_subtract_downwards(enclosure.lower, by))
     return replace(proof, claim=_widened_claim(enclosure)), enclosure
-
-
-def _reachable_box(problem: OptimalControlProblem) -> Region:
-    """Return a box around all trajectories of a problem with modes."""
-    whole = IntervalReach(problem).whole()
-    if whole is None:
-        return stated_bounds(problem)
-    lower, upper = np.array([stage.lower for stage in whole]), np.array([stage.upper for stage in whole])
-    x = np.where(lower > -FINITE, lower, -np.inf), np.where(upper < FINITE, upper, np.inf)
-    return Region(x, problem.control_tube.bounds, np.inf, "forward reach")
 
 
 def unchecked_proof(outcome: Outcome) -> Proof:

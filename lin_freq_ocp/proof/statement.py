@@ -121,7 +121,8 @@ def _modes(problem: OptimalControlProblem) -> list[tuple[str, Parts]]:
     named = {"A": (found.A, 2), "B": (found.B, 2), "d": (found.offset, 1), "G": (found.G, 2), "H": (found.H, 2)}
     named["h"] = found.h, 1
     return [
-        (name, {field: (drop_repeated_time(values[:, i]), ndim) for field, (values, ndim) in named.items()})
+        # What stands in memory once for all times is stated without its time
+        (name, {field: (of[:, i] if of.strides[0] else of[0, i], ndim) for field, (of, ndim) in named.items()})
         for i, name in enumerate(problem.dynamics.mode_names)
     ]
 
@@ -174,11 +175,6 @@ def changes_over_time(parts: Parts, horizon: int) -> Iterator[tuple[int, dict[st
             changed[1:] |= differs.any(axis=tuple(range(1, values.ndim)))
     for t in np.flatnonzero(changed).tolist():
         yield t, {name: values[t] if values.ndim > ndim else values for name, (values, ndim) in parts.items()}
-
-
-def drop_repeated_time(values: Array) -> Array:
-    """Return values (T, ...) that stand in memory once for all times without their time."""
-    return values if values.strides[0] else values[0]
 
 
 def stack_signals(of_x: Array, of_u: Array, T: int) -> Array:

@@ -32,8 +32,23 @@ def loop_figure(loop: LoopRecord) -> Figure:
         alone = i == states - 1 and i % 2 == 0
         ax = figure.add_subplot(grid[m + i // 2, :] if alone else grid[m + i // 2, i % 2])
         _in_time(ax, loop, i, of_state=True)
-    _times(figure.add_subplot(grid[-1, 0]), loop)
-    _gaps(figure.add_subplot(grid[-1, 1]), loop)
+    ax, steps = figure.add_subplot(grid[-1, 0]), np.arange(float(len(loop.steps)))
+    for values, label, color in (
+        (loop.solve_seconds, "solve", look.COMPONENTS[0]),
+        (loop.certify_seconds, "certificate", look.COMPONENTS[2]),
+    ):
+        ax.semilogy(*look.thin_out(steps, 1e3 * np.maximum(values, 1e-7)), ".", color=color, markersize=4, label=label)
+    ax.legend(fontsize=look.LABEL_SIZE, frameon=False, labelcolor=look.INK)
+    median = number(1e3 * float(np.median(loop.solve_seconds)), 3) if len(steps) else "0"
+    note = look.Note(f"median without certificate: {median} ms")
+    look.style_axes(ax, "Times of the steps", "step", "time [ms]", [note])
+    ax, gaps = figure.add_subplot(grid[-1, 1]), loop.gaps
+    known, color = np.isfinite(gaps), look.COMPONENTS[0]
+    ax.semilogy(*look.thin_out(steps[known], np.maximum(gaps[known], 1e-17)), ".", color=color, markersize=4)
+    for step in steps[~known]:
+        ax.axvline(step, color=look.MUTED, linewidth=0.8)
+    note = look.Note(f"conditions satisfied at {int(loop.satisfied.sum())} of {plural(len(steps), 'step')}")
+    look.style_axes(ax, "Certificates", "step", "relative gap", [note])
     return figure
 
 
@@ -89,30 +104,3 @@ def _spectrogram(ax: Axes, loop: LoopRecord, j: int) -> None:
     look.style_axes(
         ax, title, label, unit, [look.Note(f"Hann windows of {length} samples; 0 dB: {number(largest, 3)}")]
     )
-
-
-def _times(ax: Axes, loop: LoopRecord) -> None:
-    steps = np.arange(float(len(loop.steps)))
-    for values, label, color in (
-        (loop.solve_seconds, "solve", look.COMPONENTS[0]),
-        (loop.certify_seconds, "certificate", look.COMPONENTS[2]),
-    ):
-        ax.semilogy(*look.thin_out(steps, 1e3 * np.maximum(values, 1e-7)), ".", color=color, markersize=4, label=label)
-    ax.legend(fontsize=look.LABEL_SIZE, frameon=False, labelcolor=look.INK)
-    median = number(1e3 * float(np.median(loop.solve_seconds)), 3) if len(steps) else "0"
-    look.style_axes(
-        ax, "Times of the steps", "step", "time [ms]", [look.Note(f"median without certificate: {median} ms")]
-    )
-
-
-def _gaps(ax: Axes, loop: LoopRecord) -> None:
-    steps, gaps = np.arange(float(len(loop.steps))), loop.gaps
-    known = np.isfinite(gaps)
-    ax.semilogy(
-        *look.thin_out(steps[known], np.maximum(gaps[known], 1e-17)), ".", color=look.COMPONENTS[0], markersize=4
-    )
-    if not known.all():
-        for step in steps[~known]:
-            ax.axvline(step, color=look.MUTED, linewidth=0.8)
-    text = f"conditions satisfied at {int(loop.satisfied.sum())} of {plural(len(steps), 'step')}"
-    look.style_axes(ax, "Certificates", "step", "relative gap", [look.Note(text)])

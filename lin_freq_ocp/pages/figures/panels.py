@@ -15,7 +15,7 @@ from lin_freq_ocp.base.phrases import number, short_name, split_unit
 from lin_freq_ocp.comparison.trajectories import ProblemSignal
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import shade_modes
-from lin_freq_ocp.pages.figures.plot_data import PlotData, View
+from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 
 LABEL_CHARACTERS = 30  # A longer name is cut off where several share a legend
@@ -83,7 +83,13 @@ def phase_panel(ax: Axes, data: PlotData, first: ProblemSignal, second: ProblemS
     """Draw the second state over the first, with their bounds as a box, the common start and every end."""
     pair = first, second
     views = [data.view(one) for one in pair]
-    _draw_box(ax, pair, views)
+    bounds = [one.bounds for one in pair]
+    if not any((bound != bound[0]).any() for both in bounds for bound in both):  # a box, whose open sides lie outside
+        low = [max(float(lower[0]), 2 * seen.low - seen.high) for (lower, _), seen in zip(bounds, views, strict=True)]
+        high = [min(float(upper[0]), 2 * seen.high - seen.low) for (_, upper), seen in zip(bounds, views, strict=True)]
+        box = Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
+        box.set(fill=False, edgecolor=look.BOUND, linewidth=1.2, zorder=2)
+        ax.add_patch(box)
     shown = data.showing(pair[0])
     for trace in shown:
         style = trace.style
@@ -107,7 +113,16 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
     floor = float(10.0 ** (np.ceil(np.log10(top)) - DECADES))
     length, factor = component.samples, data.frequency.factor
     shade_stop_band(ax, component.stop, length, factor)
-    highest = _draw_levels(ax, data, component, floor, HIDDEN_LIMIT * top)
+    highest = 0.0
+    for line in component.levels:  # the limits, drawn with gaps where neighbouring bins have none
+        cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
+        for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
+            shape: dict[str, object] = {"linewidth": 1.6, "linestyle": look.SOFT if line.soft else "-", "markersize": 9}
+            marker = "_" if len(at) == 1 else ""
+            look.draw_line(
+                ax, factor * at, np.maximum(level, floor), marker=marker, color=look.BOUND, zorder=2.5, **shape
+            )
+        highest = max(highest, float(line.values[line.values <= HIDDEN_LIMIT * top].max(initial=0.0)))
     for trace, (omega, magnitudes) in zip(traces, padded, strict=True):
         style, magnitude = trace.style, magnitudes[:, 0]
         gaps = (len(omega) - 1) // ZERO_PADDING
@@ -148,22 +163,6 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
     frequency_axis(ax, data)
 
 
-def _draw_levels(ax: Axes, data: PlotData, component: ProblemSignal, floor: float, ceiling: float) -> float:
-    """Draw the limits of the spectrum, and return the highest that the axis is to show."""
-    highest = 0.0
-    for line in component.levels:
-        cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
-        for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
-            style, marker = look.SOFT if line.soft else "-", "_" if len(at) == 1 else ""
-            shape: dict[str, object] = {"linewidth": 1.6, "linestyle": style, "marker": marker, "markersize": 9}
-            look.draw_line(
-                ax, data.frequency.factor * at, np.maximum(level, floor), color=look.BOUND, zorder=2.5, **shape
-            )
-        near = line.values[line.values <= ceiling]
-        highest = max(highest, float(near.max(initial=0.0)))
-    return highest
-
-
 def shade_stop_band(ax: Axes, stop: Mask, length: int, factor: float) -> None:
     """Shade the stopped bins, each with half the way to its neighbours."""
     for first, last in stopped_runs(stop):
@@ -178,17 +177,3 @@ def frequency_axis(ax: Axes, data: PlotData) -> None:
     if data.problem.sampling_time is None:
         ax.xaxis.set_major_locator(FixedLocator(list(np.pi * np.arange(6) / 5)))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / np.pi:.1f} \N{GREEK SMALL LETTER PI}"))
-
-
-def _draw_box(ax: Axes, pair: Sequence[ProblemSignal], views: Sequence[View]) -> None:
-    """Draw the bounds of two states as a box, where they do not depend on time; open sides lie out of sight."""
-    bounds = [state.bounds for state in pair]
-    if any((bound != bound[0]).any() for both in bounds for bound in both):
-        return
-    low, high = list[float](), list[float]()
-    for (lower, upper), seen in zip(bounds, views, strict=True):
-        low.append(max(float(lower[0]), seen.low - (seen.high - seen.low)))
-        high.append(min(float(upper[0]), seen.high + (seen.high - seen.low)))
-    box = Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
-    box.set(fill=False, edgecolor=look.BOUND, linewidth=1.2, zorder=2)
-    ax.add_patch(box)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Mask
 from lin_freq_ocp.base.phrases import listed, number, plural, runs_in_words, short_name
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
@@ -17,7 +16,6 @@ from lin_freq_ocp.pages.report.proof import RIGOROUS, proven_optimal
 from lin_freq_ocp.pages.report.tables import moves_sentence
 from lin_freq_ocp.pages.units import frequency_scale, quantity, rough
 from lin_freq_ocp.problem.measures import stopped_runs
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
 
 FILTERING = "Filtering afterwards"
@@ -72,14 +70,14 @@ def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[st
     problem, controls = replay.problem, controls_of(replay.problem)
     names, terms = problem.state_names, [term.name for term in problem.terms if term.hard]
 
-    def exceeded(name: str, size: str, j: int) -> str:
+    def bound_text(name: str, size: str, j: int) -> str:
         times = replay.peak_times(controls[j])
         where = listed([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
         peak = quantity(replay.largest(controls[j]), controls[j].name)
         return f"the {name} bound by {size} (peaks at {peak}, {where})"
 
     found = [
-        *_broken("exceeds", replay.controls, problem.control_names, "other control", exceeded),
+        *_broken("exceeds", replay.controls, problem.control_names, "other control", bound_text),
         *_broken("leaves the bounds on", replay.states, names, "other state", lambda name, size, i: name),
         *_broken("violates", replay.terms, terms, "other constraint", lambda name, size, i: f"{name} by {size}"),
         *_broken("misses the end by", replay.end, names, "other state", lambda name, size, i: f"{size} in {name}"),
@@ -173,42 +171,35 @@ def _proven(result: Outcome) -> str:
 
 
 def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
-    """Say which bins are zero, and what remains between them."""
-    problem, sentences = comparison.problem, list[str]()
-    bands = (problem.control_stop, problem.control_names), (problem.state_stop, problem.state_names)
-    for of_states, (stopped, names) in enumerate(bands):
-        if stopped.any():
-            sentences.append(
-                _removed_bins(problem, stopped, names, problem.state_samples if of_states else problem.horizon)
-            )
-            sentences.append(_between_the_bins(comparison, "state_stopband_peak" if of_states else "stopband_peak"))
+    """Say which bins are zero, components with the same bins together, and what remains between them."""
+    problem, sentences, scale = comparison.problem, list[str](), frequency_scale(comparison.problem)
+    for stopped, names, length, field in (
+        (problem.control_stop, problem.control_names, problem.horizon, "stopband_peak"),
+        (problem.state_stop, problem.state_names, problem.state_samples, "state_stopband_peak"),
+    ):
+        sharing = dict[tuple[tuple[int, int], ...], list[str]]()
+        for i, name in enumerate(names):
+            runs = tuple(stopped_runs(stopped[:, i]))
+            if runs:
+                sharing.setdefault(runs, []).append(short_name(name))
+        parts = list[str]()
+        for runs, components in sharing.items():
+            spans = [tuple(number(scale.factor * 2 * np.pi * k / length, 4) for k in run) for run in runs]
+            frequencies = listed([low if low == high else f"{low} to {high}" for low, high in spans])
+            parts.append(f"{runs_in_words(runs)} of {listed(components)} ({frequencies} {scale.unit})")
+        if not parts:
+            continue
+        sentences.append(
+            f"On a horizon of {length} samples, these DFT bins and their mirror images are zero: {'; '.join(parts)}."
+        )
+        shown, own = comparison.shown_filter, comparison.constrained_measures
+        filtered = None if shown is None else getattr(shown.replay.measures, field)
+        peaks = [] if own is None else [f"{number(getattr(own, field), 3)} with the constraint"]
+        without = number(getattr(comparison.classical_measures, field), 3)
+        peaks.append(f"{without} without {'it' if peaks else 'the constraint'}")
+        peaks += [] if filtered is None else [f"{number(filtered, 3)} after filtering"]
+        sentences.append(
+            "Zero at these bins is not zero between them: the zero-padded spectrum, which looks between, still peaks "
+            f"at {listed(peaks)}."
+        )
     return sentences
-
-
-def _removed_bins(problem: OptimalControlProblem, stopped: Mask, names: tuple[str, ...], length: int) -> str:
-    """Return which bins of which components are zero; components with the same bins are named together."""
-    scale, sharing = frequency_scale(problem), dict[tuple[tuple[int, int], ...], list[str]]()
-    for i, name in enumerate(names):
-        runs = tuple(stopped_runs(stopped[:, i]))
-        if runs:
-            sharing.setdefault(runs, []).append(short_name(name))
-    parts = list[str]()
-    for runs, components in sharing.items():
-        spans = [tuple(number(scale.factor * 2 * np.pi * k / length, 4) for k in run) for run in runs]
-        frequencies = listed([low if low == high else f"{low} to {high}" for low, high in spans])
-        parts.append(f"{runs_in_words(runs)} of {listed(components)} ({frequencies} {scale.unit})")
-    return f"On a horizon of {length} samples, these DFT bins and their mirror images are zero: {'; '.join(parts)}."
-
-
-def _between_the_bins(comparison: ComparisonOutcome, field: str) -> str:
-    shown, own = comparison.shown_filter, comparison.constrained_measures
-    filtered = None if shown is None else getattr(shown.replay.measures, field)
-    parts = [] if own is None else [f"{number(getattr(own, field), 3)} with the constraint"]
-    parts.append(
-        f"{number(getattr(comparison.classical_measures, field), 3)} without {'it' if parts else 'the constraint'}"
-    )
-    parts += [] if filtered is None else [f"{number(filtered, 3)} after filtering"]
-    return (
-        "Zero at these bins is not zero between them: the zero-padded spectrum, which looks between, still peaks at "
-        f"{listed(parts)}."
-    )
