@@ -25,7 +25,7 @@ COMMANDS = {
     "list": "show",
     "show": "show",
     "solve": "solve",
-    "compare": "compare",
+    "compare": "solve",
     "sweep": "sweep",
     "minimum-time": "sweep",
     "explore": "explore",

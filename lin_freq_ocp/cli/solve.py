@@ -1,7 +1,8 @@
-"""The commands lin-freq-ocp solve, certify and rerun.
+"""The commands lin-freq-ocp solve, certify, rerun and compare.
 
 solve finds an answer with its certificate, and writes the files of --save, --csv, --plot, --proof and --dump; certify
-checks the maximum principle for any trajectory; rerun repeats a dumped run.
+checks the maximum principle for any trajectory; rerun repeats a dumped run; compare sets filtering afterwards against
+solving with the constraint.
 """
 
 from __future__ import annotations
@@ -17,15 +18,20 @@ from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, solve, with_explanation
 from lin_freq_ocp.base.atomic import replacing
-from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.cli import console
-from lin_freq_ocp.cli.problems import build, require_writable
+from lin_freq_ocp.cli.problems import build, require_folder, require_writable
 from lin_freq_ocp.files.reading import FileTable
 from lin_freq_ocp.files.run_file import dumping_errors
 from lin_freq_ocp.files.solution_files import kind_of_file, load_trajectory
-from lin_freq_ocp.files.summary import certificate_summary, result_summary
+from lin_freq_ocp.files.summary import (
+    certificate_summary,
+    comparison_summary,
+    failed_comparison_summary,
+    result_summary,
+)
 from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -200,3 +206,65 @@ def rerun_command(file: str, as_json: bool) -> int:
     if comparison.error is not None:
         return console.error_status(comparison.error)
     return console.NOT_PROVEN if comparison.result is None else console.exit_status(comparison.result)
+
+
+@click.command("compare")
+@console.problem_argument
+@console.settings_option
+@click.option(
+    "--filters", help="Some of brickwall,butterworth,zero_phase,moving_average,clipped,ZV,ZVD,EI; default all."
+)
+@click.option("--out", "folder", type=click.Path(path_type=Path), help="Write an HTML report and its figures here.")
+@console.backend_option
+@click.option("--time-limit", type=float, help="Seconds for all solves together; default 30 over modes.")
+@click.option("--start", metavar="FILE", help="Over modes: begin with the trajectory in this .npz, .csv or .mat.")
+@console.json_option
+def compare_command(
+    problem: str,
+    settings: tuple[str, ...],
+    filters: str | None,
+    folder: Path | None,
+    backend: str,
+    time_limit: float | None,
+    start: str | None,
+    as_json: bool,
+) -> int:
+    """Compare filtering a classical optimal control with solving under the frequency constraint."""
+    from lin_freq_ocp.api.compare import compare  # here, as the other commands need no filters
+
+    description = build(problem, settings)
+    if folder is not None:
+        require_folder(folder)
+    begin = None if start is None else load_trajectory(start, description)[0]
+    names = None if filters is None else [name.strip() for name in filters.split(",")]
+    try:
+        with console.progress(f"comparing {description.name or problem}"):
+            comparison = compare(description, names, backend, time_limit, begin)
+    except SolveError as error:
+        if not as_json or error.result is None:
+            raise
+        console.print_json(failed_comparison_summary(error.result))
+        return console.exit_status(error.result)
+    if as_json:
+        console.print_json(comparison_summary(comparison))
+    else:
+        from lin_freq_ocp.pages.report.tables import comparison_table, moves_rows, terminal_table
+
+        console.print_lines(str(comparison.constrained))
+        console.print_conflict(comparison.constrained)
+        console.print_table(comparison_table(comparison))
+        if comparison.moves is not None:
+            console.print_table(
+                terminal_table("Shortest moves at the same residual vibration", moves_rows(comparison.moves))
+            )
+    status = console.exit_status(comparison.constrained)
+    if folder is None or comparison.constrained.interrupted:
+        return status
+
+    def save_report() -> None:
+        with console.progress("drawing the report"):
+            page = comparison.save(folder)
+        if not as_json:
+            console.say(f"report: {page}")
+
+    return console.write_files(status, save_report)

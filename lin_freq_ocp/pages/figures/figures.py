@@ -95,8 +95,10 @@ def four_panels(data: PlotData, with_states: bool = False) -> Figure:
         spectrum_panel(figure.add_subplot(grid[j, 1]), data, control, next(letters))
     for column, shown in enumerate(views):
         ax = figure.add_subplot(grid[controls, column] if len(views) == 2 else grid[controls, :])
-        panel = phase_panel if len(shown) == 2 else time_panel
-        panel(ax, data, *shown, next(letters))
+        if len(shown) == 2:
+            phase_panel(ax, data, shown[0], shown[1], next(letters))
+        else:
+            time_panel(ax, data, shown[0], next(letters))
     for k, group in enumerate(groups):
         row, alone = controls + view_rows + k // 2, k == len(groups) - 1 and not k % 2
         ax = figure.add_subplot(grid[row, :] if alone else grid[row, k % 2])

@@ -40,7 +40,7 @@ def time_panel(ax: Axes, data: PlotData, signal: ProblemSignal, letter: str = ""
     for bound in signal.bounds:
         if np.isfinite(bound).any():
             values = np.where(np.isfinite(bound), bound, np.nan)
-            draw(np.arange(len(values)), values, color=look.BOUND, linewidth=1.2, zorder=2)
+            draw(np.arange(float(len(values))), values, color=look.BOUND, linewidth=1.2, zorder=2)
     limits = [(line, look.BOUND, look.SOFT if line.soft else "-") for line in signal.row_bounds]
     for line, color, style in [*limits, *((one, look.REFERENCE, look.REFERENCE_LINE) for one in signal.references)]:
         marker = "D" if np.isfinite(line.values).sum() <= 1 else ""  # of a single time
@@ -48,7 +48,7 @@ def time_panel(ax: Axes, data: PlotData, signal: ProblemSignal, letter: str = ""
         draw(line.at, line.values, color=color, zorder=2, **shape)
     for trace in data.showing(signal):
         values = trace.of(signal)
-        draw(np.arange(len(values)), values, **trace.style.of_line())
+        draw(np.arange(float(len(values))), values, **trace.style.of_line())
     seen = data.view(signal)
     ax.set_ylim(seen.low, seen.high)
     ax.margins(x=0.015)

@@ -9,7 +9,7 @@ import lin_freq_ocp as lfo
 from helpers.rounded_products import KINDS, exact_optimum, rounded_product
 from lin_freq_ocp.certificate.reach import Region
 from lin_freq_ocp.problem.costs.quadratic import is_semidefinite
-from lin_freq_ocp.proof.convex import convex_problem, raised_by
+from lin_freq_ocp.proof.proof import convex_problem, raised_by
 
 
 def problem_of(Q):
