@@ -31,21 +31,16 @@ def list_command() -> int:
 def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     """Show what a library problem or a problem file is, and its parameters for --set with their defaults."""
     from lin_freq_ocp.cli.problems import build, is_file, parsed_settings  # here, for list, which needs no files
-    from lin_freq_ocp.files.problem_file import (
-        about_function,
-        description_summary,
-        parameters_of_file,
-        parameters_of_function,
-    )
+    from lin_freq_ocp.files import problem_file
 
     given = parsed_settings(settings)
     shown = build(problem, settings)
     if is_file(problem):
-        about, parameters = "", parameters_of_file(Path(problem), given)
+        about, parameters = "", problem_file.parameters_of_file(Path(problem), given)
     else:
         function = library.by_name(problem)
-        about, parameters = about_function(function), parameters_of_function(function, given)
-    summary = description_summary(shown, about, parameters)
+        about, parameters = problem_file.about_function(function), problem_file.parameters_of_function(function, given)
+    summary = problem_file.description_summary(shown, about, parameters)
     if as_json:
         console.print_json(summary)
         return console.PROVEN

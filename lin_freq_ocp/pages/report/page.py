@@ -34,17 +34,8 @@ from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS
 from lin_freq_ocp.pages.figures.loop import loop_figure
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.pages.figures.plot_data import PlotData
-from lin_freq_ocp.pages.report import proof
+from lin_freq_ocp.pages.report import proof, tables
 from lin_freq_ocp.pages.report.findings import FILTERING, finding, stop_band_meaning
-from lin_freq_ocp.pages.report.tables import (
-    CONDITION_DIGITS,
-    NOT_MEANINGFUL,
-    comparison_rows,
-    moves_caption,
-    moves_rows,
-    moves_title,
-    worst_location,
-)
 from lin_freq_ocp.pages.units import rough
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.solving.outcome import Outcome
@@ -85,7 +76,7 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
     if data.outputs:
         yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
     if comparison.moves is not None:
-        title, caption = moves_title(comparison.moves), moves_caption(comparison.moves)
+        title, caption = tables.moves_title(comparison.moves), tables.moves_caption(comparison.moves)
         yield "vibration", title, caption, moves_figure(comparison.moves)
     held, vibrations = held_figure(data), vibrations_figure(data) if comparison.moves is None else None
     if held is not None:
@@ -130,17 +121,17 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
         finding=finding(comparison),
         tiles=tiles(comparison),
         drawings={drawing.name: drawing for drawing in drawings},
-        table=comparison_rows(comparison),
-        moves=None if comparison.moves is None else moves_rows(comparison.moves),
+        table=tables.comparison_rows(comparison),
+        moves=None if comparison.moves is None else tables.moves_rows(comparison.moves),
         filtering=FILTERING,
-        not_meaningful=NOT_MEANINGFUL,
+        not_meaningful=tables.NOT_MEANINGFUL,
         meaning=stop_band_meaning(comparison),
         verdict=[] if certificate is None else proof.verdict(certificate, problem),
         search=proof.search_sentences(result),
         conditions=() if certificate is None else certificate.conditions,
-        condition_digits=CONDITION_DIGITS.items(),
+        condition_digits=tables.CONDITION_DIGITS.items(),
         number=number,
-        worst_location=worst_location,
+        worst_location=tables.worst_location,
         problem=problem,
         result=result,
         comparison=comparison,
