@@ -10,7 +10,7 @@ import traceback
 import warnings
 import zipfile
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from os import PathLike
@@ -120,7 +120,7 @@ def read_run(path: str | PathLike[str]) -> RunRecord:
         folder = Path(name)
         _unpack(path, folder)
         with reading.naming_file(path):
-            run = _run(folder / RUN)
+            run = _read_record(folder / RUN)
             problem = read_problem(folder / PROBLEM)
             solution = load_solution(folder / SOLUTION) if (folder / SOLUTION).exists() else None
             if solution is not None:
@@ -146,6 +146,10 @@ def environment(backend: str | None = None) -> FileTable:
     needed = [re.split(r"[^\w.-]", need, maxsplit=1)[0] for need in required]
     solver = (backend or "").partition(":")[2]
     names = [PACKAGE, *needed, *([solver, f"{solver}py"] if solver else [])]
+    packages: FileTable = {}
+    for name in names:
+        with suppress(PackageNotFoundError):
+            packages[name] = version(name)
     blas = {
         " ".join(str(pool.get(k)) for k in ("internal_api", "version", "architecture")) for pool in threadpool_info()
     }
@@ -153,16 +157,9 @@ def environment(backend: str | None = None) -> FileTable:
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "system": platform.system(),
         "processor": platform.machine(),
-        "packages": {name: found for name in names if (found := _version(name)) is not None},
+        "packages": packages,
         "blas": sorted(blas),
     }
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
 
 
 def _unpack(path: Path, folder: Path) -> None:
@@ -188,7 +185,7 @@ def _unpack(path: Path, folder: Path) -> None:
         raise ProblemError(str(path), f"unreadable ({error})", "a file that lin-freq-ocp solve --dump wrote") from None
 
 
-def _run(path: Path) -> FileTable:
+def _read_record(path: Path) -> FileTable:
     with reading.naming_file(path):
         run = reading.parsed_json("JSON syntax", path.read_bytes(), infinite=True)
         reading.require_keys("run", run, ("schema", "options", "environment", "summary", "error"))
