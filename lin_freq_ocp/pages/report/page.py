@@ -10,13 +10,11 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -36,6 +34,7 @@ from lin_freq_ocp.pages.figures.modes import adjoint_figure, smallest_adjoint, s
 from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.report import proof, tables
 from lin_freq_ocp.pages.report.findings import FILTERING, finding, stop_band_meaning
+from lin_freq_ocp.pages.templates import render_template
 from lin_freq_ocp.pages.units import rough
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.solving.outcome import Outcome
@@ -116,6 +115,7 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
     problem, certificate = comparison.problem, comparison.constrained.certificate
     constrained, result = has_frequency_constraint(problem), comparison.constrained
     return render_template(
+        "report",
         "page.html.jinja",
         title=problem.name or "Optimal control problem",
         finding=finding(comparison),
@@ -145,7 +145,6 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
             _how("with the constraint" if constrained else "the problem", result),
         ],
         sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
-        version=version("lin-freq-ocp"),
     )
 
 
@@ -201,6 +200,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         amounts = [step.excess.get(name, 0.0) for step in loop.steps]
         violations.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
     page = render_template(
+        "report",
         "loop.html.jinja",
         title=loop.problem.name or "Control loop",
         finding=sentence,
@@ -210,7 +210,6 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         excess=violations,
         facts=problem_facts(loop.problem, loop.problem.gap),
         problem=loop.problem,
-        version=version("lin-freq-ocp"),
     )
     return save_page(folder, page, [drawing])
 
@@ -248,18 +247,6 @@ def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
     with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
     return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
-
-
-def render_template(template: str, **values: object) -> str:
-    """Return a page from its template."""
-    environment = Environment(
-        loader=PackageLoader("lin_freq_ocp.pages.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(template).render(**values)
 
 
 def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
