@@ -94,7 +94,7 @@ class Angles:
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Halve boxes until the bound is that of the best local optimum found near them, and judge it."""
-        search = _Search(problem, self.gap, now(), request)
+        search = _TrainSearch(problem, self.gap, now(), request)
         message, interrupted = "", False
         try:
             message = search.run()
@@ -103,7 +103,7 @@ class Angles:
         return search.outcome(message, interrupted)
 
 
-class _Search:
+class _TrainSearch:
     """One search: the boxes, and the best train found."""
 
     def __init__(self, problem: OptimalControlProblem, gap: float, started: float, request: Request):
