@@ -72,12 +72,9 @@ class AngleBound:
         self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
         self.size = self._price * (2 * self._amplitude**2 + abs(self._offset))
         patterns = [one for one in product((dynamics.step, -dynamics.step), repeat=d) if _stays_in_limits(one, limits)]
-        middle = np.full((len(patterns), d), QUARTER / 2)
-        self.boxes = self._bound_boxes(
-            AngleBoxes(
-                np.array(patterns).reshape(len(patterns), d), middle, middle.copy(), np.full(len(patterns), -np.inf)
-            )
-        )
+        steps, middle = np.array(patterns).reshape(len(patterns), d), np.full((len(patterns), d), QUARTER / 2)
+        whole = AngleBoxes(steps, middle, middle.copy(), np.full(len(patterns), -np.inf))
+        self.boxes = self._bound_boxes(whole)
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
 
     def at(self, steps: Array, angles: Array) -> tuple[float, Array, Array, Array]:

@@ -50,6 +50,8 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
+Progress = Callable[[float], None] | None  # told the share of a level that is done
+
 
 @dataclass(frozen=True, eq=False)
 class ValueBound:
@@ -184,11 +186,7 @@ def _first_boxes(stages: PricedProblem, t: int, lattice: Lattice) -> Boxes:
 
 
 def _backward(
-    stages: PricedProblem,
-    level: list[_Task],
-    tolerance: float,
-    deadline: float,
-    progress: Callable[[float], None] | None,
+    stages: PricedProblem, level: list[_Task], tolerance: float, deadline: float, progress: Progress
 ) -> list[_Done]:
     """Return V_t and boxes for all times."""
     last = _last(stages.costs, level[-1].lattice)
