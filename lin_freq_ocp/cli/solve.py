@@ -8,6 +8,7 @@ solving with the constraint.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +21,6 @@ from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, solve, with_explanation
 from lin_freq_ocp.base.atomic import replacing
 from lin_freq_ocp.base.errors import ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.problems import build, require_folder, require_writable
 from lin_freq_ocp.files.reading import FileTable
@@ -34,9 +34,7 @@ from lin_freq_ocp.files.summary import (
 )
 from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.problem.hybrid.forms import linear_along
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import start_of
-from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.enclosure import require_checker
 from lin_freq_ocp.solving.certify import certify
 
@@ -162,33 +160,26 @@ def certify_command(
     trajectory, multipliers = load_trajectory(solution, description)
     with console.progress("certifying"):
         certificate = certify(description, trajectory, multipliers, tolerance)
+    status, descent = console.certificate_status(certificate), certificate.descent
     if as_json:
         console.print_json(certificate_summary(description, certificate))
-    else:
-        console.print_certificate(description, certificate)
-        _print_multipliers(description, trajectory, certificate)
-    return console.certificate_status(certificate)
-
-
-def _print_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> None:
-    """Print whether the multipliers are unique, or the direction that excludes any, and the conditions at borders."""
-    descent = certificate.descent
+        return status
+    console.print_certificate(description, certificate)
     if certificate.rounded is not None:
         console.say(f"rounding    {certificate.rounded}")
     if certificate.borders is not None:
         console.say(f"borders     {certificate.borders}")
-    if descent is not None:
-        control = problem.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]
+    if descent is not None:  # a direction that excludes multipliers
+        control = description.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]
         proven = "no normal multipliers exist" if certificate.borders is None else "no local minimum"
         console.say(
             f"descent     {proven}: along a verified direction, which changes {control} most at "
             f"t = {descent.steepest}, the cost falls by {-descent.slope:.3g} per unit"
         )
     elif certificate.pmp == "satisfied":
-        try:
-            console.say(f"multipliers {uniqueness(linear_along(problem, trajectory), trajectory)}")
-        except UnsupportedError:  # too many to count in a moment
-            return
+        with suppress(UnsupportedError):  # too many to count in a moment
+            console.say(f"multipliers {uniqueness(linear_along(description, trajectory), trajectory)}")
+    return status
 
 
 @click.command("rerun")
