@@ -86,21 +86,21 @@ def _spectrogram(ax: Axes, loop: LoopRecord, j: int) -> None:
     """Draw |DFT| of Hann windows of a control over their middle times, in dB of the largest value."""
     control, step = loop.controls[:, j], loop.problem.sampling_time
     length = min(LONGEST_WINDOW, max(len(control) // 8, LEAST_WINDOW), len(control))
-    frames = np.lib.stride_tricks.sliding_window_view(control, length) * signal.get_window(
-        "hann", length, fftbins=False
-    )
+    title, (times, label) = f"Spectrogram of {short_name(loop.problem.control_names[j])}", _clock(loop, len(control))
+    unit = "frequency [rad/sample]" if step is None else "frequency [Hz]"
+    if not length:  # no step has a control
+        look.style_axes(ax, title, label, unit)
+        return
+    windows = np.lib.stride_tricks.sliding_window_view(control, length)
+    frames = windows * signal.get_window("hann", length, fftbins=False)
     spectra = np.abs(fft.rfft(frames, axis=1))
     largest = float(spectra.max(initial=0.0)) or 1.0
     decibels = 20 * np.log10(np.maximum(spectra / largest, 10 ** (-DECIBELS / 20)))
-    times, label = _clock(loop, len(control))
     frequencies = np.arange(spectra.shape[1]) / length * (2 * np.pi if step is None else 1 / step)
-    middle = times[: len(frames)] + (times[length - 1] if length else 0.0) / 2
+    middle = times[: len(frames)] + times[length - 1] / 2
     drawn = ax.pcolormesh(middle, frequencies, decibels.T, shading="nearest", cmap="cividis", rasterized=True)
     ax.set_ylim(0, frequencies[-1])
     bar = ax.figure.colorbar(drawn, ax=ax, pad=0.02)
     bar.set_label("dB", fontsize=look.LABEL_SIZE, color=look.INK)
-    title = f"Spectrogram of {short_name(loop.problem.control_names[j])}"
-    unit = "frequency [rad/sample]" if step is None else "frequency [Hz]"
-    look.style_axes(
-        ax, title, label, unit, [look.Note(f"Hann windows of {length} samples; 0 dB: {number(largest, 3)}")]
-    )
+    note = look.Note(f"Hann windows of {length} samples; 0 dB: {number(largest, 3)}")
+    look.style_axes(ax, title, label, unit, [note])
