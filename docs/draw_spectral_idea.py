@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
 from lin_freq_ocp.methods.spectral.structure import Structure
-from lin_freq_ocp.pages.figures.plot_data import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, new_figure, style_axes
+from lin_freq_ocp.pages.figures.look import BAND, BOUND, COMPONENTS, GRID, INK, MUTED, Note, new_figure, style_axes
 
 HORIZON, SAMPLING_TIME = 60, 0.1  # 31 bins, four eigenvalues well apart, and few samples at a bound
 CONTROL, STATE = COMPONENTS[0], COMPONENTS[1]  # colours of the force and of the position; lines and markers differ too

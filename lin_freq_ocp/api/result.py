@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from lin_freq_ocp.proof.proof import Proof
 
 
-class Record(Protocol):
+class DataclassRecord(Protocol):
     """A dataclass."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[object]]]
 
 
-Shown = TypeVar("Shown", bound=Record)
+Shown = TypeVar("Shown", bound=DataclassRecord)
 
 
-def shown_as(cls: type[Shown], record: Record) -> Shown:
+def shown_as(cls: type[Shown], record: DataclassRecord) -> Shown:
     """Return the fields of a record as a subclass with the methods that users call."""
     return cls(**{field.name: getattr(record, field.name) for field in fields(cls)})
 

@@ -168,21 +168,17 @@ def _complaint(result: Result) -> str:
     if result.status == Status.UNBOUNDED:
         return f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
     if result.status == Status.LIMIT:
-        return f"{name}: stopped before the answer was accurate ({result.message}); {_best_point_text(result)}."
+        figures = {"cost": result.cost, "lower bound": result.lower_bound, "gap": result.gap}
+        texts = [f"{what} {'unknown' if value is None else format(value, '.6g')}" for what, value in figures.items()]
+        best = f"the best point is in .result: {', '.join(texts)}"
+        if result.trajectory is None:
+            bound = "" if result.lower_bound is None else f", lower bound {result.lower_bound:.6g}"
+            best = f"no point was found{bound}"
+        return f"{name}: stopped before the answer was accurate ({result.message}); {best}."
     return (
         f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
         "solution; what it found is in .result. Try another backend or method."
     )
-
-
-def _best_point_text(result: Result) -> str:
-    """Return the cost, bound and gap of the best point before a limit."""
-    if result.trajectory is None:
-        bound = "" if result.lower_bound is None else f", lower bound {result.lower_bound:.6g}"
-        return f"no point was found{bound}"
-    figures = {"cost": result.cost, "lower bound": result.lower_bound, "gap": result.gap}
-    texts = [f"{name} {'unknown' if value is None else format(value, '.6g')}" for name, value in figures.items()]
-    return f"the best point is in .result: {', '.join(texts)}"
 
 
 def with_explanation(
@@ -207,7 +203,7 @@ def report_progress(
     if given is not None or not in_notebook():
         yield given
         return
-    line = Line()
+    line = ProgressLine()
 
     def report(*args: Given.args, **kwargs: Given.kwargs) -> None:
         line.show(words(*args, **kwargs))
@@ -225,7 +221,7 @@ class Handle(Protocol):
         """Show something else in its place."""
 
 
-class Line:
+class ProgressLine:
     """A line below the cell that runs: quick calls never show it, and it is emptied in the end."""
 
     def __init__(self):

@@ -152,8 +152,8 @@ def _solve_parts(
                     raise KeyboardInterrupt
         return
 
-    def lost_part(part: Mapping[str, Change], reason: str) -> Part:
-        return Part({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part})
+    def lost_part(part: Mapping[str, Change], reason: str) -> SolvedPart:
+        return SolvedPart({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part})
 
     task = partial(_solve_in_worker, again.problem, again.name, time_limit)
     work = Work(task, lost_part, lambda part: part.interrupted)
@@ -177,7 +177,7 @@ def _solve_in_worker(
     time_limit: float | None,
     changes: Mapping[str, Change],
     attempt: int,
-) -> Part:
+) -> SolvedPart:
     """Solve a part in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
     with one_blas_thread():
         return solve_part(Repeated(problem, method), changes, time_limit)
@@ -250,14 +250,14 @@ class Item:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class SolvedPart:
     """Items by their keys, and whether Ctrl-C came before all were solved."""
 
     items: Mapping[str, Item]
     interrupted: bool = False
 
 
-def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> Part:
+def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> SolvedPart:
     """Solve problems one after another, each from the one before; what fails is an item of its own."""
     items, interrupted = dict[str, Item](), False
     try:
@@ -267,7 +267,7 @@ def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float
                 items[key] = _solve_single(again, changes[key], time_limit)
     except KeyboardInterrupt:
         interrupted = True
-    return Part({key: items[key] for key in changes if key in items}, interrupted)
+    return SolvedPart({key: items[key] for key in changes if key in items}, interrupted)
 
 
 def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:

@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.hamiltonian import Extremal
-from lin_freq_ocp.certificate.reach import Deviations, Enclosure, Pair, nearby_bounds, reachable_bounds, stated_bounds
+from lin_freq_ocp.certificate.reach import Deviations, Pair, Region, nearby_bounds, reachable_bounds, stated_bounds
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.costs.quadratic import least_rise
@@ -145,7 +145,7 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     return numerical if numerical.value - proven.value > allowed else proven
 
 
-def optimum_box(extremal: Extremal, allowed: float) -> Enclosure:
+def optimum_box(extremal: Extremal, allowed: float) -> Region:
     """Return a box that every trajectory lies in that costs no more than this one and ``allowed``, if one is known.
 
     Else what can be reached. ``allowed`` is more than rounding of the cost.
@@ -188,7 +188,7 @@ def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
     return not stage.any() and end == 0
 
 
-def _evaluate(extremal: Extremal, curvatures: Pair, box: Enclosure, cost: float, kind: str) -> tuple[Bound, Deviations]:
+def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, kind: str) -> tuple[Bound, Deviations]:
     """Return D over a box, and what it loses on every component."""
     x, u = extremal.trajectory.x, extremal.trajectory.u
     slopes = extremal.eta_before - extremal.in_x, -extremal.in_u
@@ -246,10 +246,10 @@ def _stage_curvatures(extremal: Extremal) -> Pair | None:
     return np.vstack([stage[:, :n], terminal]), stage[:, n:]
 
 
-def _cut_sets(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Enclosure:
+def _cut_sets(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Region:
     """Return the stated sets, cut at ``largest`` in components without curvature whose bounds are farther away."""
     stated, pairs = stated_bounds(problem), list[Pair]()
     for (lower, upper), curvature, size in zip((stated.x, stated.u), curvatures, largest, strict=True):
         low, high = (lower < -size) & (curvature <= 0), (upper > size) & (curvature <= 0)
         pairs.append((np.where(low, np.minimum(-size, upper), lower), np.where(high, np.maximum(size, lower), upper)))
-    return Enclosure(pairs[0], pairs[1], np.inf, follows_from)
+    return Region(pairs[0], pairs[1], np.inf, follows_from)

@@ -27,7 +27,7 @@ Pair = tuple[Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Enclosure:
+class Region:
     """A box (lower, upper) around every optimum: x (T+1, n), u (T, m).
 
     An optimum lies in it or costs at least ``level``; inf: it lies in the box. ``follows_from`` says why, in words.
@@ -59,24 +59,24 @@ class Deviations:
     left: float
 
 
-def stated_bounds(problem: OptimalControlProblem) -> Enclosure:
+def stated_bounds(problem: OptimalControlProblem) -> Region:
     """Return the problem's own sets."""
     x, u = problem.state_tube, problem.control_tube
-    return Enclosure((x.lower, x.upper), (u.lower, u.upper), np.inf, "the stated sets")
+    return Region((x.lower, x.upper), (u.lower, u.upper), np.inf, "the stated sets")
 
 
-def reachable_bounds(problem: OptimalControlProblem) -> Enclosure:
+def reachable_bounds(problem: OptimalControlProblem) -> Region:
     """Return the stated sets, cut by what the bounded controls can reach from the initial set."""
     stated = stated_bounds(problem)
     reach = _forward_reach(problem, *stated.u)
     if reach is None:
         return stated
-    return Enclosure(_intersection(stated.x, reach), stated.u, np.inf, f"{stated.follows_from}, forward reach")
+    return Region(_intersection(stated.x, reach), stated.u, np.inf, f"{stated.follows_from}, forward reach")
 
 
 def nearby_bounds(
     problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float, allowed: float
-) -> Enclosure | None:
+) -> Region | None:
     """Return a box around all trajectories that cost no more than the given trajectory, or None if none follows.
 
     A bound D adds up what l_t loses on every component. Of a feasible trajectory at distances d that costs no more,
@@ -111,7 +111,7 @@ def nearby_bounds(
         if not np.isfinite(radius).all():
             return None
         pairs.append(_intersection((box.lower, box.upper), (signal - radius, signal + radius)))
-    return Enclosure(pairs[0], pairs[1], cost, "what costs no more than the trajectory")
+    return Region(pairs[0], pairs[1], cost, "what costs no more than the trajectory")
 
 
 def _intersection(bounds: Pair, others: Pair) -> Pair:

@@ -18,23 +18,14 @@ import click
 from lin_freq_ocp import __version__
 from lin_freq_ocp.base.errors import BandWarning, SolveError
 from lin_freq_ocp.base.interrupts import INTERRUPTED, leave_silently, let_commands_decide
-from lin_freq_ocp.cli.console import (
-    BAD_INPUT,
-    NOT_PROVEN,
-    complain,
-    err,
-    error_message,
-    error_status,
-    exit_status,
-    fit_console,
-)
+from lin_freq_ocp.cli import console
 
 # The commands, in the order of the help, and their modules.
 COMMANDS = {
     "list": "show",
     "show": "show",
     "solve": "solve",
-    "compare": "compare",
+    "compare": "solve",
     "sweep": "sweep",
     "minimum-time": "sweep",
     "explore": "explore",
@@ -96,23 +87,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _status(arguments: Sequence[str] | None) -> int:
-    fit_console()
+    console.fit_console()
     try:
         return cli.main(None if arguments is None else list(arguments), "lin-freq-ocp", standalone_mode=False) or 0
     except click.ClickException as error:
         error.show()
-        return BAD_INPUT
+        return console.BAD_INPUT
     except (click.Abort, KeyboardInterrupt):
         return INTERRUPTED
     except SolveError as error:
-        complain(error)
-        return NOT_PROVEN if error.result is None else exit_status(error.result)
+        console.complain(error)
+        return console.NOT_PROVEN if error.result is None else console.exit_status(error.result)
     except Exception as error:
-        if error_status(error) != INTERRUPTED:
-            complain(error_message(error))
-        return error_status(error)
+        if console.error_status(error) != INTERRUPTED:
+            console.complain(console.error_message(error))
+        return console.error_status(error)
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: object, **more: object) -> None:
     kind = "" if issubclass(category, BandWarning) else f" ({category.__name__})"
-    err.print(f"warning: {message}{kind}", markup=False, highlight=False, soft_wrap=True)
+    console.err.print(f"warning: {message}{kind}", markup=False, highlight=False, soft_wrap=True)

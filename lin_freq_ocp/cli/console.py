@@ -9,9 +9,8 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 import click
@@ -20,6 +19,7 @@ from rich import box
 from rich.cells import cell_len
 from rich.console import Console, ConsoleDimensions, Group, RenderableType
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.padding import Padding
 from rich.table import Column, Table
 from rich.text import Text
@@ -224,19 +224,25 @@ def fit_table(table: Table, width: int, spare: Sequence[str] = ()) -> Renderable
     Columns with the ``spare`` headings are left out, the first one first. If that is not enough, the others are shown
     in several tables, each with the first column.
     """
-    widths = [_width(column) for column in table.columns]
-    if sum(column.natural for column in widths) + 3 * len(widths) + 1 <= width:
+    widths = [_measure_column(column) for column in table.columns]
+    if sum(column.maximum for column in widths) + 3 * len(widths) + 1 <= width:
         return table
     shown, left_out = list(range(len(widths))), list[str]()
     headings = [_plain(column.header) for column in table.columns]
     for heading in spare:
-        if _least(widths, shown) <= width:
+        if _least_width(widths, shown) <= width:
             break
         shown.remove(headings.index(heading))
         left_out.append(heading)
-    if _least(widths, shown) > width:
-        widths[0] = _Width(max(widths[0].least, min(widths[0].natural, FIRST)), widths[0].natural)
-    parts = [_part(table, columns, widths, width) for columns in _chunks(widths, shown, width)]
+    if _least_width(widths, shown) > width:
+        widths[0] = widths[0].with_minimum(min(widths[0].maximum, FIRST))
+    first, *others = shown
+    chunks = [[first]]  # the columns of each table: the first, and as many others as there is room for, at least one
+    for i in others:
+        if len(chunks[-1]) > 1 and _least_width(widths, [*chunks[-1], i]) > width:
+            chunks.append([first])
+        chunks[-1].append(i)
+    parts = [_columns_table(table, columns, widths, width) for columns in chunks]
     for part in parts[1:]:
         part.title = None
     for part in parts[:-1]:
@@ -246,77 +252,54 @@ def fit_table(table: Table, width: int, spare: Sequence[str] = ()) -> Renderable
     return Group(*parts)
 
 
-def _width(column: Column) -> _Width:
-    """Return how wide a column is; a heading may be broken between words in any column."""
+def _measure_column(column: Column) -> Measurement:
+    """Return the least width of a column, of its longest word or all of a number, and that without a line break.
+
+    A heading may be broken between words in any column.
+    """
     cells, heading = [_plain(cell) for cell in column.cells], _plain(column.header)
     natural = max((cell_len(cell) for cell in [heading, *cells]), default=0)
     words = [len(text) - len(text.lstrip()) + cell_len(word) for text in [heading, *cells] for word in text.split()]
     least = min(max(words, default=0), LONGEST_WORD)
     if column.justify == "right":
         least = max([least, *(cell_len(cell) for cell in cells)])
-    return _Width(least, natural)
-
-
-@dataclass(frozen=True)
-class _Width:
-    """Width of a column without any line break, and its least: the longest word, or all of a number."""
-
-    least: int
-    natural: int
+    return Measurement(least, natural)
 
 
 def _plain(cell: RenderableType) -> str:
     return cell.plain if isinstance(cell, Text) else str(cell)
 
 
-def _least(widths: Sequence[_Width], columns: Sequence[int]) -> int:
-    return sum(widths[i].least for i in columns) + BETWEEN * (len(columns) - 1)
+def _least_width(widths: Sequence[Measurement], columns: Sequence[int]) -> int:
+    return sum(widths[i].minimum for i in columns) + BETWEEN * (len(columns) - 1)
 
 
-def _part(table: Table, columns: Sequence[int], widths: Sequence[_Width], width: int) -> Table:
+def _columns_table(table: Table, columns: Sequence[int], widths: Sequence[Measurement], width: int) -> Table:
     """Return some columns of a table, without lines between them, each as wide as it can be."""
-    part = Table(title=table.title, caption=table.caption, box=box.SIMPLE_HEAD, padding=0)
+    headers = [table.columns[i].copy() for i in columns]
+    room, wanted = max(width - _least_width(widths, columns), 0), sum(widths[i].span for i in columns)
+    for i, column in zip(columns, headers, strict=True):
+        share = min(widths[i].span, room * widths[i].span // wanted) if wanted else 0
+        column.width, column.overflow = min(widths[i].minimum + share, width), "fold"
+    part = Table(*headers, title=table.title, caption=table.caption, box=box.SIMPLE_HEAD, padding=0)
     part.pad_edge, part.show_edge, part.collapse_padding = False, False, False
-    room = max(width - _least(widths, columns), 0)
-    wanted = sum(widths[i].natural - widths[i].least for i in columns)
-    for i in columns:
-        column, more = table.columns[i], widths[i].natural - widths[i].least
-        share = min(more, room * more // wanted) if wanted else 0
-        part.add_column(
-            column.header,
-            justify=column.justify,
-            style=column.style,
-            overflow="fold",
-            width=min(widths[i].least + share, width),
-        )
     cells = [list(table.columns[i].cells) for i in columns]
     for row, here in zip(table.rows, zip(*cells, strict=True), strict=True):
         part.add_row(*here, style=row.style, end_section=row.end_section)
     return part
 
 
-def _chunks(widths: Sequence[_Width], columns: Sequence[int], width: int) -> list[list[int]]:
-    """Return the columns of each table: the first, and as many of the others as there is room for, at least one."""
-    first, *others = columns
-    chunks = [[first]]
-    for i in others:
-        if len(chunks[-1]) > 1 and _least(widths, [*chunks[-1], i]) > width:
-            chunks.append([first])
-        chunks[-1].append(i)
-    return chunks
-
-
-def terms(rows: Sequence[tuple[str, str]], width: int) -> RenderableType:
-    """Return terms with their texts beside them, or below them where there is not the room."""
-    if width >= ROOMY:
+def print_terms(rows: Iterable[tuple[str, str]]) -> None:
+    """Print terms on stdout with their texts beside them, or below them where there is not the room."""
+    if out.width >= ROOMY:
         grid = Table.grid(padding=(0, 2))
         grid.add_column(no_wrap=True)
         grid.add_column()
         for term, text in rows:
             grid.add_row(Text(term, style="bold"), Text(text))
-        return grid
-    lines = list[RenderableType]()
+        out.print(grid)
+        return
     for term, text in rows:
-        lines.append(Text(term, style="bold"))
-        lines += [Padding(Text(text), (0, 0, 0, INDENT))] if text else []
-    return Group(*lines)
+        out.print(Text(term, style="bold"))
+        if text:
+            out.print(Padding(Text(text), (0, 0, 0, INDENT)))

@@ -12,18 +12,7 @@ import click
 from rich.text import Text
 
 from lin_freq_ocp import library
-from lin_freq_ocp.cli.console import (
-    PROVEN,
-    first_line_of,
-    json_option,
-    out,
-    print_json,
-    print_lines,
-    problem_argument,
-    say,
-    settings_option,
-    terms,
-)
+from lin_freq_ocp.cli import console
 
 LONGEST_VALUE = 50  # characters of a value that are shown
 
@@ -31,39 +20,34 @@ LONGEST_VALUE = 50  # characters of a value that are shown
 @click.command("list")
 def list_command() -> int:
     """List the library's problems and what each shows."""
-    out.print(terms([(name, first_line_of(builder)) for name, builder in library.PROBLEMS.items()], out.width))
-    return PROVEN
+    console.print_terms((name, console.first_line_of(builder)) for name, builder in library.PROBLEMS.items())
+    return console.PROVEN
 
 
 @click.command("show")
-@problem_argument
-@settings_option
-@json_option
+@console.problem_argument
+@console.settings_option
+@console.json_option
 def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     """Show what a library problem or a problem file is, and its parameters for --set with their defaults."""
     from lin_freq_ocp.cli.problems import build, is_file, parsed_settings  # here, for list, which needs no files
-    from lin_freq_ocp.files.problem_file import (
-        about_function,
-        description_summary,
-        parameters_of_file,
-        parameters_of_function,
-    )
+    from lin_freq_ocp.files import problem_file
 
     given = parsed_settings(settings)
     shown = build(problem, settings)
     if is_file(problem):
-        about, parameters = "", parameters_of_file(Path(problem), given)
+        about, parameters = "", problem_file.parameters_of_file(Path(problem), given)
     else:
         function = library.by_name(problem)
-        about, parameters = about_function(function), parameters_of_function(function, given)
-    summary = description_summary(shown, about, parameters)
+        about, parameters = problem_file.about_function(function), problem_file.parameters_of_function(function, given)
+    summary = problem_file.description_summary(shown, about, parameters)
     if as_json:
-        print_json(summary)
-        return PROVEN
-    print_lines(str(shown))
-    out.print(Text(f"{about}\n" if about else ""))
-    out.print(terms([(fact["what"], fact["words"]) for fact in summary["facts"]], out.width))
-    out.print(Text("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n"))
+        console.print_json(summary)
+        return console.PROVEN
+    console.print_lines(str(shown))
+    console.out.print(Text(f"{about}\n" if about else ""))
+    console.print_terms((fact["what"], fact["words"]) for fact in summary["facts"])
+    console.out.print(Text("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n"))
     rows = list[tuple[str, str]]()
     for parameter in parameters:  # with its default as it is written after --set, and the value that is set instead
         texts = [as_toml(value) for value in (parameter.default, parameter.value)]
@@ -71,8 +55,8 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
         rows.append(
             (f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})"), parameter.about)
         )
-    out.print(terms(rows, out.width))
-    return PROVEN
+    console.print_terms(rows)
+    return console.PROVEN
 
 
 @click.command("init")
@@ -82,8 +66,8 @@ def init_command(file: Path) -> int:
     from lin_freq_ocp.files.problem_file import init_problem_file
 
     init_problem_file(file)
-    say(f"wrote {file}; next: lin-freq-ocp solve {file}")
-    return PROVEN
+    console.say(f"wrote {file}; next: lin-freq-ocp solve {file}")
+    return console.PROVEN
 
 
 def as_toml(value: object) -> str:

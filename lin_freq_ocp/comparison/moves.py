@@ -182,30 +182,20 @@ def boxes_of(problem: OptimalControlProblem) -> tuple[PlantBox, ...]:
     return tuple(box for term, box in terms if term.kind.of == "controls")
 
 
-def zero_vibration(K: float) -> Array:
-    """Return the amplitudes of ZV, not scaled."""
-    return np.array([1.0, K])
-
-
-def zero_derivative(K: float) -> Array:
-    """Return the amplitudes of ZVD, not scaled."""
-    return np.array([1.0, 2 * K, K**2])
-
-
-def extra_insensitive(K: float) -> Array:
-    """Return the amplitudes of EI, not scaled."""
-    V = INSENSITIVITY
-    return np.array([(1 + V) / 4, (1 - V) / 2 * K, (1 + V) / 4 * K**2])
-
-
-SHAPERS: dict[str, Callable[[float], Array]] = {"ZV": zero_vibration, "ZVD": zero_derivative, "EI": extra_insensitive}
+# The amplitudes of each shaper over K^0, K^1, ..., not scaled.
+SHAPERS: dict[str, Sequence[float]] = {
+    "ZV": (1.0, 1.0),
+    "ZVD": (1.0, 2.0, 1.0),
+    "EI": ((1 + INSENSITIVITY) / 4, (1 - INSENSITIVITY) / 2, (1 + INSENSITIVITY) / 4),
+}
 
 
 def impulses(name: str, box: PlantBox) -> Array:
     """Return the impulses of a shaper for the middle of a box of modes, on the samples; their sum is one."""
     frequency, damping = (box.low + box.high) / 2
     root = float(np.sqrt(1 - damping**2))
-    amplitudes = SHAPERS[name](float(np.exp(-np.pi * damping / root)))
+    K, factors = float(np.exp(-np.pi * damping / root)), np.array(SHAPERS[name])
+    amplitudes = factors * K ** np.arange(len(factors))
     half_period = 1 / (2 * frequency * root * box.sampling_time)
     at = np.rint(half_period * np.arange(len(amplitudes))).astype(int)
     found = np.zeros(at[-1] + 1)

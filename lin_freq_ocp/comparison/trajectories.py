@@ -52,7 +52,7 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
-class Signal:
+class ProblemSignal:
     """One control or state of a problem."""
 
     problem: OptimalControlProblem
@@ -185,7 +185,7 @@ def _mask_levels(problem: OptimalControlProblem, kind: str, C: Array | None, D: 
 
 
 @dataclass(frozen=True, eq=False)
-class Output(Signal):
+class Output(ProblemSignal):
     """Output ``index`` of y = C x + D u, whose spectrum is constrained; it has no bounds over time."""
 
     outputs: OutputSpectrum
@@ -237,17 +237,17 @@ class Output(Signal):
         return None if C is None else C[self.index], None if D is None else D[self.index]
 
 
-def controls_of(problem: OptimalControlProblem) -> list[Signal]:
+def controls_of(problem: OptimalControlProblem) -> list[ProblemSignal]:
     """Return all controls."""
-    return [Signal(problem, j, is_state=False) for j in range(problem.control_dim)]
+    return [ProblemSignal(problem, j, is_state=False) for j in range(problem.control_dim)]
 
 
-def states_of(problem: OptimalControlProblem) -> list[Signal]:
+def states_of(problem: OptimalControlProblem) -> list[ProblemSignal]:
     """Return all states."""
-    return [Signal(problem, i, is_state=True) for i in range(problem.state_dim)]
+    return [ProblemSignal(problem, i, is_state=True) for i in range(problem.state_dim)]
 
 
-def outputs_of(problem: OptimalControlProblem) -> list[Signal]:
+def outputs_of(problem: OptimalControlProblem) -> list[ProblemSignal]:
     """Return the outputs whose spectrum is constrained."""
     families = entries_of(problem.output_spectrum)
     found = [Output(problem, i, True, family) for family in families for i in range(len(family.output_names))]
@@ -345,16 +345,16 @@ class MeasuredTrajectory:
             return None
         return mode_sequence(self.problem, self.trajectory) if self.sequence is None else self.sequence
 
-    def largest(self, signal: Signal) -> float:
+    def largest(self, signal: ProblemSignal) -> float:
         """Return the largest magnitude of a signal over time."""
         return float(np.abs(signal.of(self.trajectory)).max())
 
-    def peak_times(self, signal: Signal) -> list[int]:
+    def peak_times(self, signal: ProblemSignal) -> list[int]:
         """Return the times at which the magnitude of a signal is the largest, up to SAME_PEAK."""
         size = np.abs(signal.of(self.trajectory))
         return [int(t) for t in np.flatnonzero(size >= (1 - SAME_PEAK) * size.max())]
 
-    def stopband_peak(self, signal: Signal) -> float | None:
+    def stopband_peak(self, signal: ProblemSignal) -> float | None:
         """Return the largest magnitude of the zero-padded spectrum within the stopped bins of a signal."""
         return stopband_peak(signal.of(self.trajectory)[: signal.samples, None], signal.stop[:, None])
 

@@ -96,7 +96,7 @@ def explain(
         (clock, clock() + positive_number(name, limit)) for name, (clock, limit) in limits.items() if limit is not None
     ]
     with one_blas_thread():  # several would use up the processor time while they wait for each other
-        search = _Search(problem, ends)
+        search = _VariantSolver(problem, ends)
         result = search.solved(problem)
         if result.status != Status.INFEASIBLE:
             raise UnsupportedError(f"explain: this problem was not proven infeasible, it ended as '{result.status}'.")
@@ -105,7 +105,7 @@ def explain(
     return Explanation(tuple(block.name for block in family), search.sure, cures)
 
 
-class _Search:
+class _VariantSolver:
     """Solves variants of one problem; ``sure`` until one stays undecided or the time is over."""
 
     def __init__(self, problem: OptimalControlProblem, ends: list[tuple[Callable[[], float], float]]):

@@ -82,7 +82,7 @@ class Tables:
         return [self.item.write(f"{location}[{i}]", entry) for i, entry in enumerate(entries)] or None
 
 
-class Record:
+class TableRecord:
     """A table whose keys are the arguments of a constructor.
 
     Parameters
@@ -170,7 +170,7 @@ class Kinds:
 
     def __init__(self, what: str, default: str | None = None):
         self._what, self._default = what, default
-        self.records: dict[str, Record] = {}
+        self.records: dict[str, TableRecord] = {}
 
     def read(self, location: str, given: FileValue) -> FileValue:
         """Return the object of a table."""

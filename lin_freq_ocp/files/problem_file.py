@@ -20,21 +20,13 @@ import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import write_bytes, writing
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.base.phrases import split_unit
+from lin_freq_ocp.files import reading
 from lin_freq_ocp.files.problem_tables import PROBLEM, problem_from_tables
-from lin_freq_ocp.files.reading import (
-    FileTable,
-    FileValue,
-    naming_file,
-    npz_bytes,
-    opened_npz,
-    read_text,
-    require_file,
-    require_keys,
-)
+from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.files.summary import finite, head
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.frequency_response import read_response
@@ -86,7 +78,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
     """
     path = Path(path)
     tables = read_tables(path)
-    with naming_file(path):
+    with reading.naming_file(path):
         try:
             return problem_from_tables(_resolve(_merge(tables, overrides or {}), path.parent))
         except ProblemError:
@@ -101,26 +93,22 @@ def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:
     """Return the tables with every reference replaced by its array; only files inside ``folder`` are read."""
     if isinstance(value, Mapping):
         if "npz" in value:
-            return _load_reference(field, value, folder)
+            reading.require_keys(field, value, required=("npz", "key"))
+            path, key = _path_inside(f"{field}.npz", value["npz"], folder), value["key"]
+            with reading.opened_npz(f"{field}.npz", path) as arrays:
+                if key not in arrays.files:
+                    expected = f"the name of an array in {path.name}: {', '.join(arrays.files)}"
+                    raise ProblemError(f"{field}.key", brief(key), expected, suggestion(key, arrays.files))
+                array = arrays[key]
+            if array.dtype.kind not in "iuf":
+                raise ProblemError(field, f"{array.dtype} in {path.name}", "an array of real numbers")
+            return array
         if set(value) == {"csv"}:
             return read_response(_path_inside(f"{field}.csv", value["csv"], folder))
         return {key: _resolve(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
         return [_resolve(entry, folder, f"{field}[{i}]") for i, entry in enumerate(value)]
     return value
-
-
-def _load_reference(field: str, reference: Mapping[str, FileValue], folder: Path) -> FileValue:
-    require_keys(field, reference, required=("npz", "key"))
-    path, key = _path_inside(f"{field}.npz", reference["npz"], folder), reference["key"]
-    with opened_npz(f"{field}.npz", path) as arrays:
-        if key not in arrays.files:
-            expected = f"the name of an array in {path.name}: {', '.join(arrays.files)}"
-            raise ProblemError(f"{field}.key", brief(key), expected, suggestion(key, arrays.files))
-        array = arrays[key]
-    if array.dtype.kind not in "iuf":
-        raise ProblemError(field, f"{array.dtype} in {path.name}", "an array of real numbers")
-    return array
 
 
 def _path_inside(field: str, name: FileValue, folder: Path) -> Path:
@@ -154,11 +142,11 @@ def _merge(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -
 
 def read_tables(path: Path) -> FileTable:
     """Return the tables of a TOML file; ProblemError if it is no such file."""
-    require_file(str(path), path)
+    reading.require_file(str(path), path)
     if (size := path.stat().st_size) > MOST_BYTES:
         advice = 'Put large arrays into an .npz beside it, as {npz = "data.npz", key = "A"}; write_problem does so.'
         raise ProblemError(str(path), f"{size} bytes", f"a TOML file of at most {MOST_BYTES} bytes", advice)
-    text = read_text(path)
+    text = reading.read_text(path)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # not only TOMLDecodeError: also numbers of thousands of digits
@@ -224,13 +212,10 @@ def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]
     """Return the contents of the files of ``write_problem``, by their names, the arrays first."""
     arrays: dict[str, ArrayLike] = {}
     beside = Path(name).stem + ARRAYS_SUFFIX
-    text = _ROW.sub(_put_on_one_line, tomli_w.dumps(_store(PROBLEM.write("", problem), beside, arrays)))
-    return ({beside: npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
-
-
-def _put_on_one_line(row: re.Match[str]) -> str:
-    """Put a row of numbers on one line; strings have no line breaks, but escapes."""
-    return "[" + " ".join(row[1].split()).removesuffix(",") + "]"
+    text = tomli_w.dumps(_store(PROBLEM.write("", problem), beside, arrays))
+    # Rows of numbers on one line; strings have no line breaks, but escapes
+    text = _ROW.sub(lambda row: f"[{' '.join(row[1].split()).removesuffix(',')}]", text)
+    return ({beside: reading.npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
 
 
 def _store(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field: str = "") -> FileValue:
@@ -259,7 +244,7 @@ class Parameter:
 
 def description_summary(problem: OptimalControlProblem, about: str, parameters: list[Parameter]) -> FileTable:
     """Return the JSON object of ``lin-freq-ocp show --json``."""
-    states, bounds = problem.state_boxes, (problem.initial_box, problem.terminal_box)
+    states, ends = problem.state_boxes, {"initial": problem.initial_box, "terminal": problem.terminal_box}
     return finite(
         {
             **head(problem),
@@ -267,7 +252,7 @@ def description_summary(problem: OptimalControlProblem, about: str, parameters: 
             "facts": [{"what": what, "words": words} for what, words in problem_facts(problem, problem.gap)],
             "states": [
                 _signal_facts(name, states, i)
-                | {"initial": _end_bounds(bounds[0], i), "terminal": _end_bounds(bounds[1], i)}
+                | {end: [float(box.lower[i]), float(box.upper[i])] for end, box in ends.items()}
                 for i, name in enumerate(problem.state_names)
             ],
             "controls": [_signal_facts(name, problem.control_tube, j) for j, name in enumerate(problem.control_names)],
@@ -277,22 +262,12 @@ def description_summary(problem: OptimalControlProblem, about: str, parameters: 
 
 
 def _signal_facts(name: str, bounds: Box, i: int) -> FileTable:
+    """Return name, unit and bounds of a signal; a bound that depends on time is a list."""
     plain_name, unit = split_unit(name)
-    return {
-        "name": plain_name,
-        "unit": unit or None,
-        "lower": _over_time(bounds.lower[:, i]),
-        "upper": _over_time(bounds.upper[:, i]),
-    }
-
-
-def _over_time(bounds: Array) -> float | list[float]:
-    """Return a bound, or one per time if it depends on time."""
-    return bounds.tolist() if (bounds != bounds[0]).any() else float(bounds[0])
-
-
-def _end_bounds(end: Box, i: int) -> list[float]:
-    return [float(end.lower[i]), float(end.upper[i])]
+    facts: FileTable = {"name": plain_name, "unit": unit or None}
+    for side, values in (("lower", bounds.lower[:, i]), ("upper", bounds.upper[:, i])):
+        facts[side] = values.tolist() if (values != values[0]).any() else float(values[0])
+    return facts
 
 
 def parameters_of_function(function: Callable[..., object], settings: Mapping[str, FileValue]) -> list[Parameter]:

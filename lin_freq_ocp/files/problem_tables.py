@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_integer, real_array
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.codec import Kinds, Record, Tables, Value, checked_value, nonzero
+from lin_freq_ocp.files.codec import Kinds, TableRecord, Tables, Value, checked_value, nonzero
 from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import defined, formula_from_text, require_formula, with_definitions
@@ -70,18 +70,35 @@ def _mode_values(mode: AffineMode) -> FileTable:
 def _from_formulas(
     f: FileValue, control_dim: FileValue, let: FileValue = None, domain: FileValue = (), **labels: FileValue
 ) -> PiecewiseSmoothDynamics:
-    n, m = _dimensions(f, control_dim)
-    mode = _parse_formulas("dynamics", SmoothMode(f, domain=domain), _definitions(let, n, m), n, m)
+    (mode,), n, m = _parse_modes({"dynamics": SmoothMode(f, domain=domain)}, control_dim, let)
     return PiecewiseSmoothDynamics.from_formulas(mode.f, n, m, domain=mode.domain, **labels)
 
 
 def _from_modes(
     modes: list[SmoothMode], control_dim: FileValue, let: FileValue = None, **labels: FileValue
 ) -> PiecewiseSmoothDynamics:
-    n, m = _dimensions(modes[0].f, control_dim)
-    known = _definitions(let, n, m)
-    parsed = [_parse_formulas(f"dynamics.modes[{i}]", mode, known, n, m) for i, mode in enumerate(modes)]
-    return PiecewiseSmoothDynamics(parsed, n, m, **labels)
+    by_location = {f"dynamics.modes[{i}]": mode for i, mode in enumerate(modes)}
+    return PiecewiseSmoothDynamics(*_parse_modes(by_location, control_dim, let), **labels)
+
+
+def _parse_modes(
+    modes: Mapping[str, SmoothMode], control_dim: FileValue, let: FileValue
+) -> tuple[list[SmoothMode], int, int]:
+    """Return modes, by their location, with their texts parsed, n, and m; their class refuses other values."""
+    f = next(iter(modes.values())).f
+    n, m = max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
+    known, parsed = defined("dynamics.let", {} if let is None else let, (n, m)), list[SmoothMode]()
+    for location, mode in modes.items():
+        formulas: FileTable = {}
+        for key in FORMULA_KEYS:
+            given = getattr(mode, key)
+            if isinstance(given, (str, list)):
+                formulas[key] = [
+                    formula_from_text(f"{location}.{key}[{i}]", text, (n, m), known) if isinstance(text, str) else text
+                    for i, text in enumerate([given] if isinstance(given, str) else given)
+                ]
+        parsed.append(replace(mode, **formulas))
+    return parsed, n, m
 
 
 def _response(
@@ -110,44 +127,15 @@ def _complex(field: str, real: FileValue, imaginary: FileValue) -> ComplexArray:
 
 
 def _response_values(dynamics: FrequencyResponse) -> FileTable:
-    known = dynamics.offset if dynamics.offset.any() else None
-    return {
-        "G_real": dynamics.G.real,
-        "G_imag": dynamics.G.imag,
-        "offset_real": None if known is None else known.real,
-        "offset_imag": None if known is None else known.imag,
-        "disturbance": dynamics.disturbance,
-        "mode": dynamics.mode,
-        "sampling_time": dynamics.sampling_time,
-        "state_names": dynamics.state_names,
-        "control_names": dynamics.control_names,
-    }
+    table: FileTable = {"G_real": dynamics.G.real, "G_imag": dynamics.G.imag}
+    if dynamics.offset.any():
+        table |= {"offset_real": dynamics.offset.real, "offset_imag": dynamics.offset.imag}
+    keys = ("disturbance", "mode", "sampling_time", "state_names", "control_names")
+    return table | {key: getattr(dynamics, key) for key in keys}
 
 
 def _labels(sampling_time: object = None, state_names: object = None, control_names: object = None) -> None:
     """Declare the arguments that all dynamics share."""
-
-
-def _dimensions(f: object, control_dim: FileValue) -> tuple[int, int]:
-    """Return n, the number of formulas, and m."""
-    return max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
-
-
-def _definitions(let: FileValue, n: int, m: int) -> dict[str, Formula]:
-    return defined("dynamics.let", {} if let is None else let, (n, m))
-
-
-def _parse_formulas(location: str, mode: SmoothMode, known: Mapping[str, Formula], n: int, m: int) -> SmoothMode:
-    """Return the mode with its texts parsed; its class refuses other values."""
-    parsed: FileTable = {}
-    for key in FORMULA_KEYS:
-        given = getattr(mode, key)
-        if isinstance(given, (str, list)):
-            parsed[key] = [
-                formula_from_text(f"{location}.{key}[{i}]", text, (n, m), known) if isinstance(text, str) else text
-                for i, text in enumerate([given] if isinstance(given, str) else given)
-            ]
-    return replace(mode, **parsed)
 
 
 def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
@@ -169,35 +157,33 @@ def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     return names | {"let": definitions or None, "modes": modes}
 
 
-def _smooth_mode_values(mode: SmoothMode) -> FileTable:
-    return {key: getattr(mode, key) or None for key in ("name", *FORMULA_KEYS)}
+AFFINE_MODE = TableRecord(AffineMode, own=MODE, values=_mode_values, offset=nonzero(1))
+SMOOTH_MODE = TableRecord(
+    SmoothMode, values=lambda mode: {key: getattr(mode, key) or None for key in ("name", *FORMULA_KEYS)}
+)
 
-
-AFFINE_MODE = Record(AffineMode, own=MODE, values=_mode_values, offset=nonzero(1))
-SMOOTH_MODE = Record(SmoothMode, values=_smooth_mode_values)
-
-LINEAR = Record(
+LINEAR = TableRecord(
     _linear,
     like=LinearDynamics,
     offset=nonzero(1),
     continuous=checked_value(lambda given: isinstance(given, bool), "true or false"),
 )
-PIECEWISE_AFFINE = Record(PiecewiseAffineDynamics, modes=Tables(AFFINE_MODE, single=False))
-SMOOTH_MODES = Record(
+PIECEWISE_AFFINE = TableRecord(PiecewiseAffineDynamics, modes=Tables(AFFINE_MODE, single=False))
+SMOOTH_MODES = TableRecord(
     _from_modes,
     like=_labels,
     classes=(PiecewiseSmoothDynamics,),
     values=_smooth_values,
     modes=Tables(SMOOTH_MODE, single=False),
 )
-SMOOTH = Record(_from_formulas, like=_labels)
+SMOOTH = TableRecord(_from_formulas, like=_labels)
 
-RESPONSE = Record(_response, like=_labels, classes=(FrequencyResponse,), values=_response_values)
-MEASURED = Record(FrequencyResponse.from_table, own="dynamics")
+RESPONSE = TableRecord(_response, like=_labels, classes=(FrequencyResponse,), values=_response_values)
+MEASURED = TableRecord(FrequencyResponse.from_table, own="dynamics")
 
-PULSE_TRAIN = Record(PulseTrain)
+PULSE_TRAIN = TableRecord(PulseTrain)
 
-RECORDS: dict[type, Record] = {
+RECORDS: dict[type, TableRecord] = {
     FrequencyResponse: RESPONSE,
     PulseTrain: PULSE_TRAIN,
     LinearDynamics: LINEAR,
@@ -209,17 +195,10 @@ RECORDS: dict[type, Record] = {
 def _read_dynamics(location: str, given: FileValue) -> Dynamics:
     keys = given if isinstance(given, Mapping) else {}
     modes = keys.get("modes")
-    if "table" in keys:
-        return MEASURED.read(location, given)
-    if "G_real" in keys:
-        return RESPONSE.read(location, given)
-    if "f" in keys:
-        return SMOOTH.read(location, given)
-    if "orders" in keys:
-        return PULSE_TRAIN.read(location, given)
-    if isinstance(modes, list) and any(isinstance(mode, Mapping) and "f" in mode for mode in modes):
-        return SMOOTH_MODES.read(location, given)
-    return (PIECEWISE_AFFINE if "modes" in keys else LINEAR).read(location, given)
+    smooth = isinstance(modes, list) and any(isinstance(mode, Mapping) and "f" in mode for mode in modes)
+    with_modes = SMOOTH_MODES if smooth else PIECEWISE_AFFINE
+    kinds = {"table": MEASURED, "G_real": RESPONSE, "f": SMOOTH, "orders": PULSE_TRAIN, "modes": with_modes}
+    return next((record for key, record in kinds.items() if key in keys), LINEAR).read(location, given)
 
 
 def _write_dynamics(location: str, value: Dynamics) -> FileTable:
@@ -237,16 +216,16 @@ SCHEMA = 2  # version of the layout; earlier ones are read, as what was added si
 
 SETS = Kinds("set", default="box")
 SETS.records |= {
-    "box": Record(Box, classes=(Box, Point, Everything)),
-    "polyhedron": Record(Polyhedron),
-    "ball": Record(Ball),
-    "ellipsoid": Record(Ellipsoid),
-    "second_order_cone": Record(SecondOrderCone),
-    "intersection": Record(Intersection, sets=Tables(SETS, single=False)),
-    "finite_set": Record(FiniteSet),
-    "linked_ends": Record(LinkedEnds),
-    "periodic": Record(Periodic),
-    "soft": Record(Soft, renamed={"soft_set": "set"}, soft_set=SETS),
+    "box": TableRecord(Box, classes=(Box, Point, Everything)),
+    "polyhedron": TableRecord(Polyhedron),
+    "ball": TableRecord(Ball),
+    "ellipsoid": TableRecord(Ellipsoid),
+    "second_order_cone": TableRecord(SecondOrderCone),
+    "intersection": TableRecord(Intersection, sets=Tables(SETS, single=False)),
+    "finite_set": TableRecord(FiniteSet),
+    "linked_ends": TableRecord(LinkedEnds),
+    "periodic": TableRecord(Periodic),
+    "soft": TableRecord(Soft, renamed={"soft_set": "set"}, soft_set=SETS),
 }
 SET_TABLES = Tables(SETS)
 
@@ -276,7 +255,7 @@ END_SET = Value(_read_end, _write_end)
 BINS = checked_value(lambda given: isinstance(given, (list, np.ndarray)), "a list of whole numbers")
 
 
-class _Band(Record):
+class _Band(TableRecord):
     """A kind of band: its edges from ``first`` on are these arguments, in rad/sample or, with _hz, in Hz."""
 
     def __init__(self, make: Callable[..., Band], *edges: str, first: int = 0):
@@ -324,21 +303,21 @@ NO_LOWER = checked_value(lambda given: False, "an upper limit", NO_LOWER_MASK)
 SPECTRUM = Kinds("frequency constraint")
 SPECTRUM.records |= BANDS.records
 SPECTRUM.records |= {
-    "magnitude_bound": Record(
+    "magnitude_bound": TableRecord(
         MagnitudeBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS, at_least=NO_LOWER
     ),
-    "energy_bound": Record(EnergyBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS),
-    "linear_constraint": Record(LinearConstraint),
-    "residual_vibration": Record(ResidualVibration),
+    "energy_bound": TableRecord(EnergyBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS),
+    "linear_constraint": TableRecord(LinearConstraint),
+    "residual_vibration": TableRecord(ResidualVibration),
 }
 BOUNDS = Kinds("mask or energy bound")
 BOUNDS.records |= {kind: SPECTRUM.records[kind] for kind in ("magnitude_bound", "energy_bound")}
-SPECTRUM.records["spectrogram"] = Record(Spectrogram, bound=BOUNDS)
-OUTPUTS = Record(OutputSpectrum, own="output_spectrum", required=["constraints"], constraints=Tables(SPECTRUM))
+SPECTRUM.records["spectrogram"] = TableRecord(Spectrogram, bound=BOUNDS)
+OUTPUTS = TableRecord(OutputSpectrum, own="output_spectrum", required=["constraints"], constraints=Tables(SPECTRUM))
 
 NORM_COSTS = Kinds("cost")
 NORM_COSTS.records |= {
-    kind: Record(make, **dict.fromkeys(("x", "u", "terminal", "x_ref", "u_ref"), nonzero(2)))
+    kind: TableRecord(make, **dict.fromkeys(("x", "u", "terminal", "x_ref", "u_ref"), nonzero(2)))
     for kind, make in {"L1": L1Cost, "Linf": LInfCost}.items()
 }
 
@@ -355,7 +334,7 @@ def _cost_values(cost: Cost) -> FileTable:
     return terms | {"norms": cost.norms}
 
 
-COST = Record(
+COST = TableRecord(
     _cost,
     like=QuadraticCost,
     values=_cost_values,
@@ -370,7 +349,7 @@ def _row_values(rows: StageRows) -> FileTable:
     return {"name": rows.name, "C": C, "D": D, "e": rows.e, "penalty": rows.penalty}
 
 
-STAGE_ROWS = Record(StageRows, own="stage_rows", required=["e"], values=_row_values)
+STAGE_ROWS = TableRecord(StageRows, own="stage_rows", required=["e"], values=_row_values)
 
 
 def _problem(schema: int, **fields: FileValue) -> OptimalControlProblem:
@@ -394,7 +373,7 @@ def _problem_values(problem: OptimalControlProblem) -> FileTable:
     return fields
 
 
-PROBLEM = Record(
+PROBLEM = TableRecord(
     _problem,
     like=OptimalControlProblem,
     values=_problem_values,

@@ -14,7 +14,7 @@ from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from io import SEEK_END, BytesIO
 from pathlib import Path
-from typing import IO, Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
@@ -128,17 +128,12 @@ def _require_modest_npz(field: str, stream: BinaryIO) -> None:
                 if array.read(len(NPY_MAGIC)) != NPY_MAGIC:
                     raise ProblemError(field, f"{entry.filename}, which is no array", "an .npz file of plain arrays")
                 array.seek(0)
-                shape, size = _declared_size(array)
-                if size > entry.file_size - array.tell() or min(shape, default=0) < 0:
+                first = np.lib.format.read_magic(array) == (1, 0)
+                read_header = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+                shape, _, dtype = read_header(array)  # which leaves the stream after the header
+                declared = math.prod(shape) * dtype.itemsize
+                if declared > entry.file_size - array.tell() or min(shape, default=0) < 0:
                     raise ProblemError(field, f"{entry.filename} of shape {brief(shape)}", "as many numbers as it says")
-
-
-def _declared_size(array: IO[bytes]) -> tuple[tuple[int, ...], int]:
-    """Return the shape and the bytes that the header of an .npy declares, and leave the stream behind it."""
-    first = np.lib.format.read_magic(array) == (1, 0)
-    read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(array)
-    return shape, math.prod(shape) * dtype.itemsize
 
 
 def npz_bytes(arrays: Mapping[str, ArrayLike]) -> bytes:
@@ -209,13 +204,7 @@ def at_location(location: str, *own: str) -> Generator[None]:
     try:
         yield
     except ProblemError as error:
-        field = _field_at(error.field, location, own) if location else error.field
+        rests = [error.field.removeprefix(name) for name in (location, *own)]
+        replaced = (location + rest for rest in rests if rest != error.field and rest[:1] in ("", ".", "["))
+        field = next(replaced, f"{location}.{error.field}") if location else error.field
         raise ProblemError(field, error.got, error.expected, error.advice) from None
-
-
-def _field_at(field: str, location: str, own: tuple[str, ...]) -> str:
-    for name in (location, *own):
-        rest = field.removeprefix(name)
-        if rest != field and rest[:1] in ("", ".", "["):
-            return location + rest
-    return f"{location}.{field}"

@@ -10,7 +10,7 @@ import traceback
 import warnings
 import zipfile
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from os import PathLike
@@ -22,18 +22,9 @@ from threadpoolctl import threadpool_info
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import write_bytes
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.files import reading
 from lin_freq_ocp.files.problem_file import ARRAYS_SUFFIX, problem_files, read_problem
-from lin_freq_ocp.files.reading import (
-    DAMAGED,
-    LARGE,
-    FileTable,
-    naming_file,
-    parsed_json,
-    require_file,
-    require_keys,
-    require_modest,
-    require_schema,
-)
+from lin_freq_ocp.files.reading import LARGE, FileTable
 from lin_freq_ocp.files.solution_files import SavedSolution, load_solution, solution_bytes
 from lin_freq_ocp.files.summary import result_summary
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -128,12 +119,12 @@ def read_run(path: str | PathLike[str]) -> RunRecord:
     with TemporaryDirectory() as name:
         folder = Path(name)
         _unpack(path, folder)
-        with naming_file(path):
-            run = _run(folder / RUN)
+        with reading.naming_file(path):
+            run = _read_record(folder / RUN)
             problem = read_problem(folder / PROBLEM)
             solution = load_solution(folder / SOLUTION) if (folder / SOLUTION).exists() else None
             if solution is not None:
-                with naming_file(folder / SOLUTION):
+                with reading.naming_file(folder / SOLUTION):
                     problem.require(solution.trajectory)
     return RunRecord(problem, run["options"], run["summary"], solution, run["error"], run["environment"])
 
@@ -155,6 +146,10 @@ def environment(backend: str | None = None) -> FileTable:
     needed = [re.split(r"[^\w.-]", need, maxsplit=1)[0] for need in required]
     solver = (backend or "").partition(":")[2]
     names = [PACKAGE, *needed, *([solver, f"{solver}py"] if solver else [])]
+    packages: FileTable = {}
+    for name in names:
+        with suppress(PackageNotFoundError):
+            packages[name] = version(name)
     blas = {
         " ".join(str(pool.get(k)) for k in ("internal_api", "version", "architecture")) for pool in threadpool_info()
     }
@@ -162,25 +157,20 @@ def environment(backend: str | None = None) -> FileTable:
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "system": platform.system(),
         "processor": platform.machine(),
-        "packages": {name: found for name in names if (found := _version(name)) is not None},
+        "packages": packages,
         "blas": sorted(blas),
     }
 
 
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
-
-
 def _unpack(path: Path, folder: Path) -> None:
     """Write the files that belong to a run to the folder; others are ignored."""
-    require_file(str(path), path)
+    reading.require_file(str(path), path)
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
-            require_modest(str(path), len(entries), sum(entry.file_size for entry in entries), path.stat().st_size)
+            reading.require_modest(
+                str(path), len(entries), sum(entry.file_size for entry in entries), path.stat().st_size
+            )
             present = {entry.filename: entry for entry in entries}
             for name in (PROBLEM, ARRAYS, SOLUTION, RUN):
                 if name in present and present[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -191,16 +181,16 @@ def _unpack(path: Path, folder: Path) -> None:
                     raise ProblemError(f"{path.name}: {name}", "nothing", "this file in the archive")
     except ProblemError:
         raise
-    except DAMAGED as error:
+    except reading.DAMAGED as error:
         raise ProblemError(str(path), f"unreadable ({error})", "a file that lin-freq-ocp solve --dump wrote") from None
 
 
-def _run(path: Path) -> FileTable:
-    with naming_file(path):
-        run = parsed_json("JSON syntax", path.read_bytes(), infinite=True)
-        require_keys("run", run, ("schema", "options", "environment", "summary", "error"))
-        require_schema(run["schema"], SCHEMA)
-        require_keys("options", run["options"], optional=OPTIONS)
+def _read_record(path: Path) -> FileTable:
+    with reading.naming_file(path):
+        run = reading.parsed_json("JSON syntax", path.read_bytes(), infinite=True)
+        reading.require_keys("run", run, ("schema", "options", "environment", "summary", "error"))
+        reading.require_schema(run["schema"], SCHEMA)
+        reading.require_keys("options", run["options"], optional=OPTIONS)
         for key, kinds in OPTIONS.items():
             if key in run["options"] and not isinstance(run["options"][key], kinds):
                 raise ProblemError(f"options.{key}", brief(run["options"][key]), "an option of solve")

@@ -25,19 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.atomic import write_bytes, write_text
 from lin_freq_ocp.base.errors import ProblemError, suggestion
-from lin_freq_ocp.files.reading import (
-    FileArray,
-    FileTable,
-    FileValue,
-    naming_file,
-    npz_bytes,
-    opened_npz,
-    parsed_json,
-    read_bytes,
-    read_text,
-    require_modest,
-    require_schema,
-)
+from lin_freq_ocp.files import reading
+from lin_freq_ocp.files.reading import FileArray, FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -61,11 +50,9 @@ TABLE, MATLAB, ARCHIVE = ".csv", ".mat", ".npz"
 
 def load_trajectory(path: str | PathLike[str], problem: OptimalControlProblem) -> tuple[Trajectory, Multipliers | None]:
     """Read a .csv, a .mat, or, with any other suffix, an .npz; only an .npz can have multipliers."""
-    suffix = Path(path).suffix.lower()
-    if suffix == TABLE:
-        return read_csv(path, problem), None
-    if suffix == MATLAB:
-        return read_mat(path, problem), None
+    read = {TABLE: read_csv, MATLAB: read_mat}.get(Path(path).suffix.lower())
+    if read is not None:
+        return read(path, problem), None
     saved = load_solution(path)
     return saved.trajectory, saved.multipliers
 
@@ -78,11 +65,9 @@ def save_trajectory(
     summary: Mapping[str, object],
 ) -> None:
     """Write the trajectory to a .csv or a .mat, or all to an .npz, also without a suffix."""
-    suffix = kind_of_file(path)
-    if suffix == TABLE:
-        save_csv(path, problem, trajectory)
-    elif suffix == MATLAB:
-        save_mat(path, problem, trajectory)
+    save = {TABLE: save_csv, MATLAB: save_mat}.get(kind_of_file(path))
+    if save is not None:
+        save(path, problem, trajectory)
     else:
         save_solution(path, trajectory, multipliers, summary)
 
@@ -137,7 +122,7 @@ def solution_bytes(trajectory: Trajectory, multipliers: Multipliers | None, summ
         fields |= {FAMILY + name: weights for name, weights in multipliers.stage.items()}
         fields |= {FREQUENCIES + name: found for name, found in multipliers.frequencies.items()}
         fields |= {} if multipliers.weights is None else {WEIGHTS: multipliers.weights}
-    return npz_bytes(fields | {"schema": SCHEMA, "summary": json.dumps(dict(summary))})
+    return reading.npz_bytes(fields | {"schema": SCHEMA, "summary": json.dumps(dict(summary))})
 
 
 def load_solution(path: str | PathLike[str]) -> SavedSolution:
@@ -164,21 +149,29 @@ def load_solution(path: str | PathLike[str]) -> SavedSolution:
     2
     """
     path = Path(path)
-    with opened_npz(str(path), path) as archive:
+    with reading.opened_npz(str(path), path) as archive:
         arrays: dict[str, FileArray] = {name: archive[name] for name in archive.files}
-    with naming_file(path):
-        require_schema(arrays["schema"].tolist() if "schema" in arrays else SCHEMA, SCHEMA)
-        trajectory = Trajectory(*(_number_array(arrays, name, 2) for name in ("x", "u")))
-        multipliers = _multipliers(arrays)
-        if multipliers is not None:
-            shapes, expected = (
-                (multipliers.eta.shape, multipliers.nu.shape),
-                (trajectory.x[1:].shape, trajectory.u.shape),
+    with reading.naming_file(path):
+        reading.require_schema(arrays["schema"].tolist() if "schema" in arrays else SCHEMA, SCHEMA)
+        trajectory, multipliers = Trajectory(*(_number_array(arrays, name, 2) for name in ("x", "u"))), None
+        if any(name in arrays for name in DIMENSIONS_OF_MULTIPLIERS):
+            fields = {name: _number_array(arrays, name, count) for name, count in DIMENSIONS_OF_MULTIPLIERS.items()}
+            eta_C = float(fields.pop("eta_C"))
+            weights = _number_array(arrays, WEIGHTS, 2) if WEIGHTS in arrays else None
+            stage, frequencies = (  # by the names of families and masks, each an array of its own
+                {
+                    key.removeprefix(prefix): _number_array(arrays, key, *dims)
+                    for key in arrays
+                    if key.startswith(prefix)
+                }
+                for prefix, dims in ((FAMILY, (2,)), (FREQUENCIES, (1, 2)))
             )
-            if shapes != expected:
-                wanted = f"eta {expected[0]}, nu {expected[1]}, as the trajectory has it"
-                raise ProblemError("multipliers", f"eta {shapes[0]}, nu {shapes[1]}", wanted)
-        summary = parsed_json("summary", str(arrays["summary"])) if "summary" in arrays else {}
+            multipliers = Multipliers(eta_C, **fields, stage=stage, weights=weights, frequencies=frequencies)
+            eta, nu = trajectory.x[1:].shape, trajectory.u.shape
+            if (multipliers.eta.shape, multipliers.nu.shape) != (eta, nu):
+                got = f"eta {multipliers.eta.shape}, nu {multipliers.nu.shape}"
+                raise ProblemError("multipliers", got, f"eta {eta}, nu {nu}, as the trajectory has it")
+        summary = reading.parsed_json("summary", str(arrays["summary"])) if "summary" in arrays else {}
         if not isinstance(summary, dict):
             raise ProblemError("summary", brief(summary), "a JSON object")
         return SavedSolution(trajectory, multipliers, summary)
@@ -192,18 +185,6 @@ def _number_array(arrays: Mapping[str, FileArray], name: str, *dimensions: int) 
         expected = f"numbers in {' or '.join(map(str, dimensions))} dimensions"
         raise ProblemError(name, f"{array.dtype} of shape {array.shape}", expected)
     return array
-
-
-def _multipliers(arrays: Mapping[str, FileArray]) -> Multipliers | None:
-    if not any(name in arrays for name in DIMENSIONS_OF_MULTIPLIERS):
-        return None
-    fields = {name: _number_array(arrays, name, count) for name, count in DIMENSIONS_OF_MULTIPLIERS.items()}
-    stage = {name.removeprefix(FAMILY): _number_array(arrays, name, 2) for name in arrays if name.startswith(FAMILY)}
-    placed = {name: _number_array(arrays, name, 1, 2) for name in arrays if name.startswith(FREQUENCIES)}
-    frequencies = {name.removeprefix(FREQUENCIES): found for name, found in placed.items()}
-    weights = _number_array(arrays, WEIGHTS, 2) if WEIGHTS in arrays else None
-    eta_C = float(fields.pop("eta_C"))
-    return Multipliers(eta_C, **fields, stage=stage, weights=weights, frequencies=frequencies)
 
 
 def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Trajectory:
@@ -237,8 +218,8 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     True
     """
     path = Path(path)
-    text = read_text(path)
-    with naming_file(path):
+    text = reading.read_text(path)
+    with reading.naming_file(path):
         table = _parse_table(text)
         states = [table.find(name, problem.state_names) for name in problem.state_names]
         controls = [table.find(name, problem.control_names) for name in problem.control_names]
@@ -386,7 +367,7 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     from scipy.io import loadmat  # slow to import
 
     path = Path(path)
-    content = read_bytes(path)
+    content = reading.read_bytes(path)
     try:
         _require_modest_mat(str(path), content)
         stream: FileValue = BytesIO(content)
@@ -396,7 +377,7 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     except Exception as error:  # loadmat raises errors of many kinds for damaged files
         advice = "In MATLAB: save(name, 'x', 'u', 't', '-v7')."
         raise ProblemError(str(path), f"{error}", "a .mat file of version 5 or 7", advice) from None
-    with naming_file(path):
+    with reading.naming_file(path):
         if "u" not in variables:
             there = [name for name in variables if not name.startswith("__")]
             got = f"nothing (there is {', '.join(there) or 'no variable'})"
@@ -433,8 +414,8 @@ def _require_modest_mat(field: str, content: bytes) -> None:
             while rest and not unpacker.eof:
                 unpacked += len(unpacker.decompress(rest, PIECE))
                 rest = unpacker.unconsumed_tail
-                require_modest(field, entries, unpacked, len(content))
-        require_modest(field, entries, 0, len(content))
+                reading.require_modest(field, entries, unpacked, len(content))
+        reading.require_modest(field, entries, 0, len(content))
         offset += size
 
 

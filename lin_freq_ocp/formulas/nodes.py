@@ -17,20 +17,8 @@ from numpy.typing import NDArray
 
 from lin_freq_ocp.base.arrays import Array, brief, positive_integer, real_array
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.formulas.operations import (
-    MAXIMUM,
-    MINIMUM,
-    NORM,
-    OPERATIONS,
-    POWER,
-    PRODUCT,
-    QUOTIENT,
-    SUM,
-    VARIABLE,
-    Node,
-    Notation,
-    scalar_functions,
-)
+from lin_freq_ocp.formulas import operations
+from lin_freq_ocp.formulas.operations import Node, Notation
 
 LARGEST_POWER = 16  # a larger exponent is more often an error; products of powers still make it
 LONGEST_SHOWN = 300  # characters of a part of a formula that people are shown; a longer one is cut to three dots
@@ -72,7 +60,7 @@ class Formula(Node):
     @property
     def constant(self) -> float | None:
         """Return the value of a formula without variables, else None."""
-        return self.data[-1] if self.kind == SUM and not self.arguments else None
+        return self.data[-1] if self.kind == operations.SUM and not self.arguments else None
 
     def node(self, kind: str, arguments: tuple[Formula, ...], data: tuple[float, ...] = ()) -> Formula:
         """Return a formula of the same signals."""
@@ -93,25 +81,25 @@ class Formula(Node):
                 return _sum(self, {b: a.constant}, 0.0)
         if other is self:
             return self**2
-        return self.node(PRODUCT, (self, other))
+        return self.node(operations.PRODUCT, (self, other))
 
     def __truediv__(self, other: Formula | float) -> Formula:
         divisor = other.constant if isinstance(other, Formula) else _number("/", other)
         if isinstance(other, Formula) and divisor is None:
             _require_same(self, other)
-            return self.node(QUOTIENT, (self, other))
+            return self.node(operations.QUOTIENT, (self, other))
         if not divisor:
             raise ProblemError("formula", "a quotient by 0", "a number other than zero")
         return self * (1 / divisor)
 
     def __rtruediv__(self, other: float) -> Formula:
-        return self.node(QUOTIENT, (_sum(self, {}, _number("/", other)), self))
+        return self.node(operations.QUOTIENT, (_sum(self, {}, _number("/", other)), self))
 
     def __pow__(self, exponent: Formula | float) -> Formula:
         if isinstance(exponent, Formula) or exponent not in range(2, LARGEST_POWER + 1):
             expected = f"a whole number from 2 to {LARGEST_POWER}"
             raise ProblemError("formula", f"the power {brief(exponent)}", expected, "np.sqrt is the square root.")
-        return self.node(POWER, (self,), (float(exponent),))
+        return self.node(operations.POWER, (self,), (float(exponent),))
 
     def __neg__(self) -> Formula:
         return self * -1.0
@@ -123,7 +111,7 @@ class Formula(Node):
         return -self + other
 
     def __abs__(self) -> Formula:
-        return self.node(MAXIMUM, (self, -self))
+        return self.node(operations.MAXIMUM, (self, -self))
 
     def _compare(self, other: object) -> bool:
         advice = f"Python's max and min, and comparisons, decide here and now. {FUNCTIONS}"
@@ -137,7 +125,7 @@ class Formula(Node):
         raise ProblemError("formula", "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
 
     def __float__(self) -> float:
-        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(scalar_functions())}"
+        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(operations.scalar_functions())}"
         raise ProblemError("formula", "what takes numbers only, as math.sin", expected, FUNCTIONS)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
@@ -145,7 +133,7 @@ class Formula(Node):
 
     def __getattr__(self, name: str) -> Callable[[], Formula]:
         """Return what makes a function of the formula: np.exp of it, or of an array of formulas, calls its ``exp``."""
-        if name in scalar_functions():
+        if name in operations.scalar_functions():
             return lambda: self.node(name, (self,))
         raise AttributeError(f"a formula has no attribute {name!r}")
 
@@ -179,7 +167,7 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
     """
     n, m = positive_integer("states", states), positive_integer("controls", controls)
     made = np.empty(n + m, dtype=object)
-    made[:] = [Formula((n, m), VARIABLE, (), (float(i),)) for i in range(n + m)]
+    made[:] = [Formula((n, m), operations.VARIABLE, (), (float(i),)) for i in range(n + m)]
     return made[:n], made[n:]
 
 
@@ -209,7 +197,7 @@ def norm(components: Formula | Sequence[Formula | float] | NDArray[np.object_]) 
     like = next((one for one in listed if isinstance(one, Formula)), None)
     if like is None:
         raise ProblemError("norm", brief(components), "formulas made of lfo.signals(n, m)")
-    return like.node(NORM, tuple(as_formula(like, "norm", one) for one in listed))
+    return like.node(operations.NORM, tuple(as_formula(like, "norm", one) for one in listed))
 
 
 def maximum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula:
@@ -237,7 +225,7 @@ def maximum(*arguments: Formula | float, names: Sequence[str] | None = None) -> 
     >>> print(lfo.maximum(x[0], u[0]))
     Formula(max(x_0, u_0))
     """
-    return extreme(MAXIMUM, arguments, names)
+    return extreme(operations.MAXIMUM, arguments, names)
 
 
 def minimum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula:
@@ -263,7 +251,7 @@ def minimum(*arguments: Formula | float, names: Sequence[str] | None = None) -> 
     >>> print(lfo.minimum(x[0], u[0]))
     Formula(min(x_0, u_0))
     """
-    return extreme(MINIMUM, arguments, names)
+    return extreme(operations.MINIMUM, arguments, names)
 
 
 def extreme(kind: str, arguments: Sequence[Formula | float], given: Sequence[str] | None) -> Formula:
@@ -319,14 +307,14 @@ def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> 
         arguments = tuple(made[argument] for argument in one.arguments)
         if all(new is old for new, old in zip(arguments, one.arguments, strict=True)):
             made[one] = one
-        elif one.kind == SUM:  # sums within sums are taken up, products by numbers are sums
-            total = one.node(SUM, (), (one.data[-1],))
+        elif one.kind == operations.SUM:  # sums within sums are taken up, products by numbers are sums
+            total = one.node(operations.SUM, (), (one.data[-1],))
             for factor, argument in zip(one.data[:-1], arguments, strict=True):
                 total = total + argument * factor
             made[one] = total
-        elif one.kind == PRODUCT:
+        elif one.kind == operations.PRODUCT:
             made[one] = arguments[0] * arguments[1]
-        elif one.kind == QUOTIENT and arguments[1].constant != 0:
+        elif one.kind == operations.QUOTIENT and arguments[1].constant != 0:
             made[one] = arguments[0] / arguments[1]
         else:
             made[one] = replace(one, arguments=arguments)
@@ -335,7 +323,7 @@ def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> 
 
 def translated(formulas: Sequence[Formula], origin: Array) -> list[Formula]:
     """Return the formulas as functions of x - origin, origin (n,), and u."""
-    variables = [one for one in in_order(formulas) if one.kind == VARIABLE and one.data[0] < len(origin)]
+    variables = [one for one in in_order(formulas) if one.kind == operations.VARIABLE and one.data[0] < len(origin)]
     return rebuilt(formulas, {one: one + float(origin[int(one.data[0])]) for one in variables})
 
 
@@ -350,7 +338,7 @@ def written(formula: Formula, notation: Notation, longest: float = float("inf"))
     def text(node: Formula, parts: list[str]) -> str:
         cut = {i for i, part in enumerate(parts) if len(part) > longest}
         parts = ["..." if i in cut else part for i, part in enumerate(parts)]
-        return "..." if len(parts) > longest / 2 else OPERATIONS[node.kind].text(node, parts, notation, cut)
+        return "..." if len(parts) > longest / 2 else operations.OPERATIONS[node.kind].text(node, parts, notation, cut)
 
     return evaluated([formula], text)[0]
 
@@ -364,14 +352,14 @@ def _sum(like: Formula, factors: Mapping[Formula, float], constant: float) -> Fo
     """Return sum factor * formula + constant; sums within it are taken up."""
     flat: dict[Formula, float] = {}
     for one, factor in factors.items():
-        inner = zip(one.arguments, one.data[:-1], strict=True) if one.kind == SUM else [(one, 1.0)]
-        constant += factor * one.data[-1] if one.kind == SUM else 0.0
+        inner = zip(one.arguments, one.data[:-1], strict=True) if one.kind == operations.SUM else [(one, 1.0)]
+        constant += factor * one.data[-1] if one.kind == operations.SUM else 0.0
         for part, weight in inner:
             flat[part] = flat.get(part, 0.0) + factor * weight
     kept = {one: factor for one, factor in flat.items() if factor}
     if list(kept.values()) == [1.0] and not constant:
         return next(iter(kept))
-    return like.node(SUM, tuple(kept), (*kept.values(), constant))
+    return like.node(operations.SUM, tuple(kept), (*kept.values(), constant))
 
 
 def as_formula(like: Formula, operator: str, given: Formula | float) -> Formula:

@@ -18,19 +18,8 @@ import numpy as np
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.base.phrases import plural
-from lin_freq_ocp.formulas.nodes import (
-    FUNCTIONS,
-    LONGEST_SHOWN,
-    Formula,
-    as_formula,
-    evaluated,
-    extreme,
-    in_order,
-    norm,
-    shown,
-    signals,
-    written,
-)
+from lin_freq_ocp.formulas import nodes
+from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, OPERATIONS, SUM, VARIABLE, Notation, scalar_functions
 
 LONGEST_FORMULA = 100_000  # characters of one formula
@@ -52,7 +41,7 @@ def function_names() -> tuple[str, ...]:
 
 def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
     """Return x_0 .. and u_0 .. by name."""
-    x, u = signals(*dimensions)
+    x, u = nodes.signals(*dimensions)
     return {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
 
 
@@ -60,13 +49,13 @@ def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> t
     """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
     if callable(given):
         try:
-            given = given(*signals(*dimensions))
+            given = given(*nodes.signals(*dimensions))
         except LinFreqOCPError:
             raise
         except Exception as error:  # any error of a function that was not made for formulas
             got = f"{first_line(error)}, from the function"
             expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
-            advice = f"It is called once, with lfo.signals. {FUNCTIONS} lfo.from_casadi takes those of CasADi."
+            advice = f"It is called once, with lfo.signals. {nodes.FUNCTIONS} lfo.from_casadi takes those of CasADi."
             raise ProblemError(field, got, expected, advice) from error
     if isinstance(given, (Formula, str)):
         given = [given]
@@ -76,7 +65,7 @@ def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> t
     for i, one in enumerate(given):
         if isinstance(one, str):
             one = formula_from_text(f"{field}[{i}]", one, dimensions)
-        formula = one if isinstance(one, Formula) else as_formula(zero, f"{field}[{i}]", one)
+        formula = one if isinstance(one, Formula) else nodes.as_formula(zero, f"{field}[{i}]", one)
         if formula.dimensions != dimensions:
             expected = f"{plural(dimensions[0], 'state')} and {plural(dimensions[1], 'control')}"
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
@@ -104,10 +93,10 @@ def formula_from_text(
     try:
         with np.errstate(all="ignore"):
             zero = Formula(dimensions, SUM, (), (0.0,))
-            formula = as_formula(zero, "formula", _Reader(text, known).read(tree.body))
+            formula = nodes.as_formula(zero, "formula", _Reader(text, known).read(tree.body))
     except ProblemError as error:
         raise ProblemError(field, error.got, error.expected, error.advice) from None
-    if not all(np.isfinite(one.data).all() for one in in_order([formula])):
+    if not all(np.isfinite(one.data).all() for one in nodes.in_order([formula])):
         raise ProblemError(field, brief(text), "coefficients that are finite numbers")
     return formula
 
@@ -185,9 +174,9 @@ class _Reader:
         if name in ("max", "min") and len(arguments) > 1:
             if constant:
                 return max(numbers) if name == "max" else min(numbers)
-            return extreme(MAXIMUM if name == "max" else MINIMUM, arguments, None)
+            return nodes.extreme(MAXIMUM if name == "max" else MINIMUM, arguments, None)
         if name == "norm" and not constant:
-            return norm(list(arguments))
+            return nodes.norm(list(arguments))
         if len(arguments) == 1 and name == "abs":
             return abs(arguments[0])
         if len(arguments) == 1 and name in functions:
@@ -223,7 +212,7 @@ def require_formula(one: Formula, field: str = "formula") -> None:
 
 def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
     """Return a formula for people, with rounded numbers and the given names of states and controls, shortened."""
-    return written(one, shown(labels), LONGEST_SHOWN)
+    return nodes.written(one, nodes.shown(labels), nodes.LONGEST_SHOWN)
 
 
 LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat
@@ -241,7 +230,7 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
 
     Formulas are those of ``signals``, without other functions.
     """
-    order = in_order(formulas)
+    order = nodes.in_order(formulas)
     uses = Counter(argument for one in order for argument in one.arguments) + Counter(formulas)
 
     def length(one: Formula, arguments: list[int]) -> int:
@@ -249,7 +238,7 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
         numbers = 0 if one.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in one.data)
         return 4 + numbers + sum(arguments) + 2 * len(arguments)
 
-    long = max(evaluated(formulas, length), default=0) > LONGEST_TEXT
+    long = max(nodes.evaluated(formulas, length), default=0) > LONGEST_TEXT
     shared = {one for one, count in uses.items() if count > 1} if long else set()
     writer = _Writer(shared)
     for one in order:

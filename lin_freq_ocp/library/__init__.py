@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle as ball_and_paddle
-from lin_freq_ocp.library.elliptic_rendezvous import elliptic_rendezvous as elliptic_rendezvous
 from lin_freq_ocp.library.flexible import crane as crane
 from lin_freq_ocp.library.flexible import flexible_joint_arm as flexible_joint_arm
 from lin_freq_ocp.library.flexible import flexible_satellite as flexible_satellite
@@ -30,6 +29,7 @@ from lin_freq_ocp.library.power_electronics import pulse_pattern as pulse_patter
 from lin_freq_ocp.library.swing_up import cart_pole as cart_pole
 from lin_freq_ocp.library.swing_up import pendulum_swing_up as pendulum_swing_up
 from lin_freq_ocp.library.swing_up import planar_quadrotor as planar_quadrotor
+from lin_freq_ocp.library.vehicles import elliptic_rendezvous as elliptic_rendezvous
 from lin_freq_ocp.library.vehicles import quadcopter as quadcopter
 from lin_freq_ocp.library.vehicles import quarter_car as quarter_car
 from lin_freq_ocp.library.walls import cart_between_walls as cart_between_walls

@@ -1,4 +1,4 @@
-"""What the problems of the library share: symmetric bounds, stop bands, costs without 1/2, checked flags."""
+"""What the problems of the library share: sampled plants, symmetric bounds, stop bands, costs without 1/2, flags."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import brief, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import Band, notch, stop_band
 from lin_freq_ocp.problem.spectrum.base import Constraints, FrequencyConstraint
@@ -26,6 +27,12 @@ def symmetric(parameter: str, bounds: float | Sequence[float | None] | None) -> 
     if (limit < 0).any():
         raise ProblemError(parameter, brief(bounds), "bounds of zero or above, or None for no bound")
     return Box(-limit, limit)
+
+
+def sampled_plant(A: ArrayLike, B: ArrayLike, sampling_time: float, states: str, controls: str) -> LinearDynamics:
+    """Return dx/dt = A x + B u, sampled by a zero-order hold; names are in one text, "angle [rad], rate [rad/s]"."""
+    names = {"state_names": states.split(", "), "control_names": controls.split(", ")}
+    return LinearDynamics.from_continuous(A, B, sampling_time, **names)
 
 
 def notch_at(frequency: float, width_hz: float | None, component: str | None = None) -> Band | None:

@@ -8,12 +8,10 @@ from math import pi, sqrt
 import numpy as np
 from scipy.linalg import eigh
 
-from lin_freq_ocp.base.arrays import Array, positive_number
-from lin_freq_ocp.library.common import notch_at, symmetric
+from lin_freq_ocp.base.arrays import positive_number
+from lin_freq_ocp.library.common import notch_at, sampled_plant, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.bands import notch
 
 GRAVITY = 9.81  # m/s^2
 
@@ -77,14 +75,11 @@ def crane(
     """
     length = positive_number("cable_length", cable_length)
     swing_frequency = sqrt(GRAVITY / length)  # rad/s
+    A = [[0, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1], [0, 0, -(swing_frequency**2), 0]]
+    B = [[0], [1], [0], [-1 / length]]
+    states = "position [m], speed [m/s], swing [rad], swing rate [rad/s]"
     return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            [[0, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1], [0, 0, -(swing_frequency**2), 0]],
-            [[0], [1], [0], [-1 / length]],
-            sampling_time,
-            state_names=["position [m]", "speed [m/s]", "swing [rad]", "swing rate [rad/s]"],
-            control_names=["acceleration [m/s^2]"],
-        ),
+        dynamics=sampled_plant(A, B, sampling_time, states, "acceleration [m/s^2]"),
         horizon=horizon,
         cost=QuadraticCost(R=1.0),
         control_set=symmetric("acceleration_bound", acceleration_bound),
@@ -161,14 +156,11 @@ def flexible_joint_arm(
     of_motor, of_link = ratio * STIFFNESS_PER_MOTOR, ratio * STIFFNESS_PER_LINK
     resonance = sqrt(of_motor + of_link)  # rad/s, without friction
     friction = FRICTION_PER_MOTOR
+    A = [[0, 0, 1, 0], [0, 0, 0, 1], [0, of_link, 0, 0], [0, -of_motor - of_link, -friction, -friction]]
+    B = [[0], [0], [0], [1]]
+    states = "link angle [rad], torsion [rad], link speed [rad/s], torsion rate [rad/s]"
     return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            [[0, 0, 1, 0], [0, 0, 0, 1], [0, of_link, 0, 0], [0, -of_motor - of_link, -friction, -friction]],
-            [[0], [0], [0], [1]],
-            sampling_time,
-            state_names=["link angle [rad]", "torsion [rad]", "link speed [rad/s]", "torsion rate [rad/s]"],
-            control_names=["torque [rad/s^2]"],
-        ),
+        dynamics=sampled_plant(A, B, sampling_time, states, "torque [rad/s^2]"),
         horizon=horizon,
         cost=QuadraticCost(R=1.0),
         control_set=symmetric("torque_bound", torque_bound),
@@ -238,42 +230,24 @@ def flexible_satellite(
     >>> lfo.library.flexible_satellite().horizon
     250
     """
+    A, B = np.zeros((6, 6)), np.zeros((6, 1))
+    A[:3, 3:] = np.eye(3)
+    A[3:, :3] = -np.linalg.solve(MASS, STIFFNESS)
+    A[3:, 3:] = -np.linalg.solve(MASS, DAMPING)
+    B[3:, 0] = np.linalg.solve(MASS, [1, 0, 0])
+    positions = "angle [rad], mode 1 [sqrt(kg) m], mode 2 [sqrt(kg) m]"
+    rates = "rate [rad/s], mode 1 rate [sqrt(kg) m/s], mode 2 rate [sqrt(kg) m/s]"
+    # The two frequencies of the undamped satellite, hub free, in rad/s; its third is 0
+    frequencies = np.sqrt(np.asarray(eigh(STIFFNESS, MASS, eigvals_only=True))[1:])
+    bands = [notch_at(frequency, notch_width_hz, f"mode {i}") for i, frequency in enumerate(frequencies, start=1)]
     return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            *_satellite_model(),
-            sampling_time,
-            state_names=[
-                *("angle [rad]", "mode 1 [sqrt(kg) m]", "mode 2 [sqrt(kg) m]"),
-                *("rate [rad/s]", "mode 1 rate [sqrt(kg) m/s]", "mode 2 rate [sqrt(kg) m/s]"),
-            ],
-            control_names=["torque [N m]"],
-        ),
+        dynamics=sampled_plant(A, B, sampling_time, f"{positions}, {rates}", "torque [N m]"),
         horizon=horizon,
         cost=QuadraticCost(R=1.0),
         control_set=symmetric("torque_bound", torque_bound),
         state_set=symmetric("rate_bound", [None, None, None, rate_bound, None, None]),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        state_spectrum=None
-        if notch_width_hz is None
-        else [
-            notch(centre_hz=frequency / (2 * pi), width_hz=notch_width_hz, component=f"mode {i}")
-            for i, frequency in enumerate(_free_frequencies(), start=1)
-        ],
+        state_spectrum=[band for band in bands if band is not None] or None,
         name="flexible_satellite",
     )
-
-
-def _satellite_model() -> tuple[Array, Array]:
-    A, B = np.zeros((6, 6)), np.zeros((6, 1))
-    A[:3, 3:] = np.eye(3)
-    A[3:, :3] = -np.linalg.solve(MASS, STIFFNESS)
-    A[3:, 3:] = -np.linalg.solve(MASS, DAMPING)
-    B[3:, 0] = np.linalg.solve(MASS, [1, 0, 0])
-    return A, B
-
-
-def _free_frequencies() -> Array:
-    """Return the two frequencies of the undamped satellite, hub free, in rad/s; its third is 0."""
-    squared = np.asarray(eigh(STIFFNESS, MASS, eigvals_only=True))
-    return np.sqrt(squared[1:])

@@ -7,10 +7,9 @@ from math import pi, sqrt
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, positive_integer, positive_number, shaped
-from lin_freq_ocp.library.common import notch_at, symmetric
+from lin_freq_ocp.base.arrays import positive_integer, positive_number, shaped
+from lin_freq_ocp.library.common import notch_at, sampled_plant, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import low_pass, notch
 
@@ -64,12 +63,8 @@ def double_integrator(
     200
     """
     return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            [[0, 1], [0, 0]],
-            [[0], [1]],
-            sampling_time,
-            state_names=["position [m]", "speed [m/s]"],
-            control_names=["acceleration [m/s^2]"],
+        dynamics=sampled_plant(
+            [[0, 1], [0, 0]], [[0], [1]], sampling_time, "position [m], speed [m/s]", "acceleration [m/s^2]"
         ),
         horizon=horizon,
         cost=QuadraticCost(R=1.0),
@@ -142,18 +137,15 @@ def scanner(
     250
     """
     T = positive_integer("horizon", horizon)
-    frequency = 2 * pi * positive_number("resonance_hz", resonance_hz)
+    w = 2 * pi * positive_number("resonance_hz", resonance_hz)  # rad/s
+    A = [[0, 1e3], [-1e-3 * w**2, -2 * DAMPING_RATIO * w]]
+    B = [[0], [1e-3 * w**2]]  # in um and mm/s, of which 1 mm/s = 1000 um/s
     line = STROKE / 2 * (1 - 4 * np.abs(np.arange(T + 1) / T - 0.5))
     bands = [low_pass(cutoff_hz=cutoff_hz)] if cutoff_hz is not None else []
     if notch_width_hz is not None:
         bands.append(notch(centre_hz=resonance_hz, width_hz=notch_width_hz))
     return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            *_scanner_model(frequency),
-            sampling_time,
-            state_names=["position [um]", "speed [mm/s]"],
-            control_names=["drive [um]"],
-        ),
+        dynamics=sampled_plant(A, B, sampling_time, "position [um], speed [mm/s]", "drive [um]"),
         horizon=T,
         cost=QuadraticCost(
             Q=np.diag([TRACKING_WEIGHT, 0.0]),
@@ -168,13 +160,6 @@ def scanner(
         control_spectrum=bands or None,
         name="scanner",
     )
-
-
-def _scanner_model(frequency: float) -> tuple[Array, Array]:
-    """Return the matrices in um and mm/s, of which 1 mm/s = 1000 um/s, for the resonance in rad/s."""
-    A = np.array([[0, 1e3], [-1e-3 * frequency**2, -2 * DAMPING_RATIO * frequency]])
-    B = np.array([[0], [1e-3 * frequency**2]])
-    return A, B
 
 
 MASSES = 4  # of 1 kg each
@@ -233,17 +218,17 @@ def mass_chain(
     >>> lfo.library.mass_chain().horizon
     400
     """
+    coupling = 2 * np.eye(MASSES) - np.eye(MASSES, k=1) - np.eye(MASSES, k=-1)
+    A, B = np.zeros((2 * MASSES, 2 * MASSES)), np.zeros((2 * MASSES, 2))
+    A[:MASSES, MASSES:] = np.eye(MASSES)
+    A[MASSES:, :MASSES] = -positive_number("stiffness", stiffness) * coupling
+    A[MASSES:, MASSES:] = -shaped("damping", damping, ()) * coupling
+    B[MASSES, 0] = B[-1, 1] = 1
+    names = [
+        f"{what} {i} [{unit}]" for what, unit in (("position", "m"), ("speed", "m/s")) for i in range(1, MASSES + 1)
+    ]
     return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            *_chain_model(stiffness, damping),
-            sampling_time,
-            state_names=[
-                f"{what} {i} [{unit}]"
-                for what, unit in (("position", "m"), ("speed", "m/s"))
-                for i in range(1, MASSES + 1)
-            ],
-            control_names=["first force [N]", "last force [N]"],
-        ),
+        dynamics=sampled_plant(A, B, sampling_time, ", ".join(names), "first force [N], last force [N]"),
         horizon=horizon,
         cost=QuadraticCost(Q=0.1, R=0.1, P=terminal_weight),
         control_set=symmetric("force_bound", force_bound),
@@ -257,16 +242,6 @@ def mass_chain(
         ],
         name="mass_chain",
     )
-
-
-def _chain_model(stiffness: float, damping: float) -> tuple[Array, Array]:
-    coupling = 2 * np.eye(MASSES) - np.eye(MASSES, k=1) - np.eye(MASSES, k=-1)
-    A, B = np.zeros((2 * MASSES, 2 * MASSES)), np.zeros((2 * MASSES, 2))
-    A[:MASSES, MASSES:] = np.eye(MASSES)
-    A[MASSES:, :MASSES] = -positive_number("stiffness", stiffness) * coupling
-    A[MASSES:, MASSES:] = -shaped("damping", damping, ()) * coupling
-    B[MASSES, 0] = B[-1, 1] = 1
-    return A, B
 
 
 MASS_1, MASS_2 = 1.0, 1.0  # kg
@@ -325,14 +300,11 @@ def two_mass_spring(
     """
     k = positive_number("stiffness", stiffness)
     flexible = sqrt(k * (1 / MASS_1 + 1 / MASS_2))  # rad/s
+    A = [[0, 0, 1, 0], [0, 0, 0, 1], [0, k / MASS_1, 0, 0], [0, -(flexible**2), 0, 0]]
+    B = [[0], [0], [1 / MASS_1], [-1 / MASS_1]]
+    states = "position [m], deflection [m], speed [m/s], deflection rate [m/s]"
     return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            [[0, 0, 1, 0], [0, 0, 0, 1], [0, k / MASS_1, 0, 0], [0, -(flexible**2), 0, 0]],
-            [[0], [0], [1 / MASS_1], [-1 / MASS_1]],
-            sampling_time,
-            state_names=["position [m]", "deflection [m]", "speed [m/s]", "deflection rate [m/s]"],
-            control_names=["force [N]"],
-        ),
+        dynamics=sampled_plant(A, B, sampling_time, states, "force [N]"),
         horizon=horizon,
         cost=QuadraticCost(R=1.0),
         control_set=symmetric("force_bound", force_bound),

@@ -8,12 +8,11 @@ from math import exp, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number
+from lin_freq_ocp.base.arrays import brief, positive_integer, positive_number
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas.nodes import Formula, norm
-from lin_freq_ocp.library.common import Spectrum, control_band, symmetric
+from lin_freq_ocp.library.common import Spectrum, control_band, sampled_plant, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -70,25 +69,6 @@ def pendulum(
     >>> lfo.library.pendulum().horizon
     240
     """
-    return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            *_pendulum_model(parameters),
-            sampling_time,
-            state_names=["position [m]", "angle [rad]", "speed [m/s]", "angular speed [rad/s]"],
-            control_names=["force [N]"],
-        ),
-        horizon=horizon,
-        cost=QuadraticCost(R=2.0),  # sum of u_t^2: the paper's cost has no 1/2
-        control_set=symmetric("control_bound", control_bound),
-        state_set=symmetric("state_bounds", state_bounds),
-        initial_state=initial_state,
-        terminal_state=terminal_state,
-        control_spectrum=None if cutoff is None else low_pass(cutoff),
-        name="pendulum",
-    )
-
-
-def _pendulum_model(parameters: str) -> tuple[Array, Array]:
     M, m, length = CART_MASS, PENDULUM_MASS, HALF_LENGTH
     J = 4 / 3 * m * length**2
     pivot = J + m * length**2
@@ -104,7 +84,18 @@ def _pendulum_model(parameters: str) -> tuple[Array, Array]:
     A[3, 1] = m * GRAVITY * length * (m + M) / (pivot * mass)
     B[2, 0] = 1 / mass
     B[3, 0] = -m * length / (pivot * mass)
-    return A, B
+    states = "position [m], angle [rad], speed [m/s], angular speed [rad/s]"
+    return OptimalControlProblem(
+        dynamics=sampled_plant(A, B, sampling_time, states, "force [N]"),
+        horizon=horizon,
+        cost=QuadraticCost(R=2.0),  # sum of u_t^2: the paper's cost has no 1/2
+        control_set=symmetric("control_bound", control_bound),
+        state_set=symmetric("state_bounds", state_bounds),
+        initial_state=initial_state,
+        terminal_state=terminal_state,
+        control_spectrum=None if cutoff is None else low_pass(cutoff),
+        name="pendulum",
+    )
 
 
 def norm_dynamics(

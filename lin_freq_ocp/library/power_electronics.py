@@ -189,7 +189,10 @@ def _triangles(count: int, inner: Array, slope: float, excess: Array) -> list[tu
     A single piece w ~ e/s_0 is off by up to alpha |1 - s/s_0| at the voltage r + s: by I_ref (1 - a) max |1 - s/s_0|.
     """
     breaks = np.concatenate([inner[:1], inner, inner[-1:]])
-    lines = [_line(breaks[j : j + 2], j % 2 == 1, slope, excess) for j in range(count + 1)]
+    lines = list[Array]()
+    for j in range(count + 1):  # between q_j and q_{j+1}: 0 on the line and positive to the right
+        above, below = breaks[j : j + 2] if j % 2 else breaks[j : j + 2][::-1]
+        lines.append(slope * above * (VOLTAGE_ABOVE_POLE - below * ONE) - (above - below) * excess)
     found: list[tuple[Array, list[Array]]] = []
     for j in range(1, count + 1):
         rows = [-lines[j - 1]] if j > 1 else []  # the first and the last line are bounds on v
@@ -198,12 +201,6 @@ def _triangles(count: int, inner: Array, slope: float, excess: Array) -> list[tu
         ratio = excess / breaks[j] if above else slope * ONE + (excess - slope * VOLTAGE_ABOVE_POLE) / breaks[j]
         found.append((ratio, [-excess, *rows] if above else rows))
     return found
-
-
-def _line(ends: Array, first_above: bool, slope: float, excess: Array) -> Array:
-    """Return the line between q_j and q_{j+1}, as what is 0 on it and positive to the right."""
-    above, below = ends if first_above else ends[::-1]
-    return slope * above * (VOLTAGE_ABOVE_POLE - below * ONE) - (above - below) * excess
 
 
 def _affine_mode(name: str, row: Array, rows: list[Array]) -> AffineMode:

@@ -23,13 +23,13 @@ Signals = NDArray[np.object_]
 Rates = Callable[[Sequence[Formula], Signals], Sequence[Formula]]
 
 
-def sampled(rates: Rates, step: float) -> Callable[[Signals, Signals], list[Formula]]:
-    """Return the map over one period with u held: a step of the classical Runge-Kutta method on dx/dt = rates(x, u)."""
+def _sampled_dynamics(rates: Rates, step: float, states: list[str], controls: list[str]) -> PiecewiseSmoothDynamics:
+    """Return dx/dt = rates(x, u) over a period with constant u, by one step of the classical Runge-Kutta method."""
 
     def moved(x: Sequence[Formula], slope: Sequence[Formula], seconds: float) -> list[Formula]:
         return [a + seconds * b for a, b in zip(x, slope, strict=True)]
 
-    def successor(x: Signals, u: Signals) -> list[Formula]:
+    def runge_kutta_step(x: Signals, u: Signals) -> list[Formula]:
         first = rates(list(x), u)
         second = rates(moved(list(x), first, step / 2), u)
         third = rates(moved(list(x), second, step / 2), u)
@@ -37,12 +37,7 @@ def sampled(rates: Rates, step: float) -> Callable[[Signals, Signals], list[Form
         slopes = zip(x, first, second, third, fourth, strict=True)
         return [one + (a + 2 * b + 2 * c + d) * (step / 6) for one, a, b, c, d in slopes]
 
-    return successor
-
-
-def _sampled_dynamics(rates: Rates, step: float, states: list[str], controls: list[str]) -> PiecewiseSmoothDynamics:
-    count = len(states), len(controls)
-    return PiecewiseSmoothDynamics.from_formulas(sampled(rates, step), *count, step, states, controls)
+    return PiecewiseSmoothDynamics.from_formulas(runge_kutta_step, len(states), len(controls), step, states, controls)
 
 
 def pendulum_swing_up(

@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, brief, positive_integer, positive_number, real_array
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.library.common import symmetric
+from lin_freq_ocp.library.common import sampled_plant, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -205,12 +205,8 @@ def printer_move(
         raise ProblemError("uncertainty", brief(uncertainty), "a number from 0 to below 1")
     frequency = [centre * (1 - float(spread)), centre * (1 + float(spread))]
     return OptimalControlProblem(
-        dynamics=LinearDynamics.from_continuous(
-            [[0, 1], [0, 0]],
-            [[0], [1]],
-            sampling_time,
-            state_names=["position [m]", "speed [m/s]"],
-            control_names=["acceleration [m/s^2]"],
+        dynamics=sampled_plant(
+            [[0, 1], [0, 0]], [[0], [1]], sampling_time, "position [m], speed [m/s]", "acceleration [m/s^2]"
         ),
         horizon=horizon,
         cost=QuadraticCost(R=1.0),
@@ -314,7 +310,7 @@ def wave_energy(
 
 
 @dataclass(frozen=True, eq=False)
-class Coefficients:
+class ConverterCoefficients:
     """Of the converter at frequencies (k,): 1/Z in m/s/N, excitation in N/m, and where they are known (else zero)."""
 
     admittance: ComplexArray
@@ -322,7 +318,7 @@ class Coefficients:
     valid: Mask
 
 
-def coefficients_at(frequencies: Array, least_damping: float) -> Coefficients:
+def coefficients_at(frequencies: Array, least_damping: float) -> ConverterCoefficients:
     """Return the coefficients at frequencies in Hz, linear between those of the file; infinite ones are not known."""
     text = files("lin_freq_ocp.library").joinpath("wavebot.csv").read_text("utf-8")
     table = np.loadtxt(text.splitlines(), delimiter=",", skiprows=4)
@@ -332,4 +328,4 @@ def coefficients_at(frequencies: Array, least_damping: float) -> Coefficients:
     A, B, real, imaginary = (np.interp(w, known, column) for column in table[:, 1:].T)
     w = np.where(valid, w, 1.0)
     Z = 1j * w * (MASS + A) + np.maximum(B, positive_number("least_damping", least_damping)) + STIFFNESS / (1j * w)
-    return Coefficients(np.where(valid, 1 / Z, 0.0), np.where(valid, real + 1j * imaginary, 0.0), valid)
+    return ConverterCoefficients(np.where(valid, 1 / Z, 0.0), np.where(valid, real + 1j * imaginary, 0.0), valid)

@@ -28,8 +28,7 @@ from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.proof.lines import Text, exact, line, rows
-from lin_freq_ocp.proof.statement import multiplier_lines, stack_signals
+from lin_freq_ocp.proof.statement import Text, exact, line, multiplier_lines, rows, stack_signals
 
 Balls = list[arb]
 
@@ -72,21 +71,23 @@ def dual_of(problem: OptimalControlProblem, at: Trajectory, multipliers: Multipl
     """Return the dual of multipliers, in the precision of balls; terms stand at their frequencies."""
     point = dual_point(problem, at, multipliers)
     free = np.flatnonzero(problem.state_tube.fixed[-1])
-    moved, eta = steer_adjoint(Recursion(problem.linear.A, exact_slopes(problem, point)), point.eta, free)
+    moved, eta = steer_adjoint(problem.linear.A, exact_slopes(problem, point), point.eta, free)
     end = [point.mu[-1, i].hex() for i in range(problem.state_dim)]
     for i, change in zip(free.tolist(), moved, strict=True):
         mantissa, exponent = (change + float(point.mu[-1, i])).mid().man_exp()
         end[i] = exact(int(mantissa), int(exponent))
     drift = np.abs(eta - point.eta).max(axis=0) > DRIFT * np.abs(point.eta).max(axis=0)
-    return Dual(problem, point, Text(json.dumps(end)), bool(drift.any()) and _all_slopes_cost(problem, point.normal))
+    # The file can give the adjoint itself where a slope in any state costs something finite, by bounds or curvature
+    bounded = np.isfinite(problem.state_tube.lower) & np.isfinite(problem.state_tube.upper)
+    costs = bounded | (point.normal & curvatures(problem, 1.0)[1])
+    return Dual(problem, point, Text(json.dumps(end)), bool(drift.any() and costs.all()))
 
 
-def _all_slopes_cost(problem: OptimalControlProblem, normal: bool) -> bool:
-    """Whether a slope in any state costs something finite: by its bounds or its curvature."""
-    tube, cost, n = problem.state_tube, problem.quadratic, problem.state_dim
-    bounded = np.isfinite(tube.lower) & np.isfinite(tube.upper)
-    curved = np.broadcast_to(cost.stage_hessians().diagonal(axis1=1, axis2=2)[:, :n] > 0, bounded[:-1].shape)
-    return bool((bounded | (normal & np.vstack([curved, np.diagonal(cost.P) > 0]))).all())
+def curvatures(problem: OptimalControlProblem, eta_C: float) -> tuple[Mask, Mask]:
+    """Return which components the cost curves: (x, u) of each stage, (1 or T, n + m), and x, (T+1, n)."""
+    curved = eta_C * problem.quadratic.stage_hessians().diagonal(axis1=1, axis2=2) > 0
+    in_x = np.broadcast_to(curved[:, : problem.state_dim], (problem.horizon, problem.state_dim))
+    return curved, np.vstack([in_x, eta_C * np.diagonal(problem.quadratic.P) > 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +107,7 @@ class DualPoint:
 def dual_point(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> DualPoint:
     """Return what a proof says of multipliers; the terms of the problem stand at their frequencies."""
     n = problem.state_dim
-    curved = multipliers.eta_C * problem.quadratic.stage_hessians().diagonal(axis1=1, axis2=2) > 0  # (1 or T, n + m)
-    at_end = multipliers.eta_C * np.diagonal(problem.quadratic.P) > 0
-    in_x = np.vstack([np.broadcast_to(curved[:, :n], (problem.horizon, n)), at_end])
+    curved, in_x = curvatures(problem, multipliers.eta_C)
     x, mu = project_on_bounds(problem.state_tube, trajectory.x, multipliers.mu, in_x)
     u, _ = project_on_bounds(problem.control_tube, trajectory.u, multipliers.nu, curved[:, n:])
     weights = [
@@ -210,34 +209,28 @@ def _add_signal(slopes: list[Balls], signal: Array) -> None:
             slope[i] += value
 
 
-@dataclass(frozen=True, eq=False)
-class Recursion:
-    """eta_{t-1} = A_t' eta_t - s_t for t = T .. 1; ``slopes`` are s_0 .. s_T."""
+def run_adjoint(A: Array, slopes: Sequence[Balls], begin: arb_mat) -> tuple[arb_mat, Array]:
+    """Run eta_{t-1} = A_t' eta_t - s_t for t = T-1 .. 1 from eta_{T-1}, columns (n, k); s_t acts on the first one.
 
-    A: Array  # (n, n) or (T, n, n)
-    slopes: Sequence[Balls]
-
-    def run(self, begin: arb_mat) -> tuple[arb_mat, Array]:
-        """Return eta_0, (n, k), and of its first column all eta_t as floats, (T, n), from eta_{T-1} of columns (n, k).
-
-        Slopes act on the first column.
-        """
-        T, n = len(self.slopes) - 1, begin.nrows()
-        turned = self.A.T if self.A.ndim == 2 else np.swapaxes(self.A, 1, 2)
-        constant = arb_mat(turned.tolist()) if self.A.ndim == 2 else None
-        eta, found = begin, np.empty((T, n))
-        found[T - 1] = [float(eta[i, 0]) for i in range(n)]
-        for t in range(T - 1, 0, -1):
-            eta = (arb_mat(turned[t].tolist()) if constant is None else constant) * eta
-            for i, slope in enumerate(self.slopes[t]):
-                eta[i, 0] -= slope
-            found[t - 1] = [float(eta[i, 0]) for i in range(n)]
-        return eta, found
+    A is (n, n) or (T, n, n), and slopes are s_0 .. s_T. Return eta_0, (n, k), and of its first column all eta_t as
+    floats, (T, n).
+    """
+    T, n = len(slopes) - 1, begin.nrows()
+    turned = A.T if A.ndim == 2 else np.swapaxes(A, 1, 2)
+    constant = arb_mat(turned.tolist()) if A.ndim == 2 else None
+    eta, found = begin, np.empty((T, n))
+    found[T - 1] = [float(eta[i, 0]) for i in range(n)]
+    for t in range(T - 1, 0, -1):
+        eta = (arb_mat(turned[t].tolist()) if constant is None else constant) * eta
+        for i, slope in enumerate(slopes[t]):
+            eta[i, 0] -= slope
+        found[t - 1] = [float(eta[i, 0]) for i in range(n)]
+    return eta, found
 
 
-def steer_adjoint(recursion: Recursion, eta: Array, free: Indices) -> tuple[Balls, Array]:
+def steer_adjoint(A: Array, slopes: Sequence[Balls], eta: Array, free: Indices) -> tuple[Balls, Array]:
     """Return d, (free,), as exact numbers, and the adjoint with mu_T + d as floats, (T, n)."""
-    n, last = eta.shape[1], recursion.slopes[-1]
+    n, last = eta.shape[1], slopes[-1]
     begin = arb_mat(n, 1 + len(free))
     for i in range(n):
         begin[i, 0] = -last[i]
@@ -245,7 +238,7 @@ def steer_adjoint(recursion: Recursion, eta: Array, free: Indices) -> tuple[Ball
         begin[i, 1 + k] = -1
     sizes = np.abs(eta).max(axis=0)
     weights = [arb(1.0 / size) if size > 0 else arb(1) for size in sizes.tolist()]
-    first, _ = recursion.run(begin)
+    first, _ = run_adjoint(A, slopes, begin)
     rows = [
         (weight, [part[i, j] for j in range(1 + len(free))], float(goal[i]))
         for part, goal in ((first, eta[0]), (begin, eta[-1]))
@@ -260,7 +253,7 @@ def steer_adjoint(recursion: Recursion, eta: Array, free: Indices) -> tuple[Ball
         alone[i, 0] = -last[i]
     for d, i in zip(found, free.tolist(), strict=True):
         alone[i, 0] -= d
-    return found, recursion.run(alone)[1]
+    return found, run_adjoint(A, slopes, alone)[1]
 
 
 def precision(A: Array, horizon: int) -> int:
@@ -278,33 +271,17 @@ def growth(A: Array, horizon: int) -> float:
 
     A is (n, n) or (T, n, n). Logarithms are added up, as the product itself may overflow.
     """
-    return _growth_of_powers(A, horizon) if A.ndim == 2 else _growth_of_products(A)
-
-
-def _growth_of_powers(A: Array, horizon: int) -> float:
-    """Return the growth of powers of one matrix, by squaring."""
-    power, logarithm, largest, steps = np.array(A), 0.0, 0.0, 1
-    while steps <= horizon:
-        size = float(np.linalg.norm(power))
-        if size == 0:
-            break
-        logarithm, power = logarithm + np.log2(size), power / size
-        largest = max(largest, logarithm * min(horizon / steps, 2.0))
-        power, logarithm, steps = power @ power, 2 * logarithm, 2 * steps
-    return largest
-
-
-def _growth_of_products(A: Array) -> float:
-    """Return the growth of products, by the largest rise of the logarithm of a product from time 0 on."""
-    product, logarithm, least, largest = np.eye(A.shape[-1]), 0.0, 0.0, 0.0
-    for matrix in A:
-        product = matrix @ product
-        size = float(np.linalg.norm(product))
-        if size == 0:
-            return largest
+    logarithm, least, largest, steps = 0.0, 0.0, 0.0, 1
+    product = np.array(A) if A.ndim == 2 else np.array(A[0])
+    while steps <= horizon and (size := float(np.linalg.norm(product))):
         logarithm, product = logarithm + np.log2(size), product / size
-        least = min(least, logarithm)
-        largest = max(largest, logarithm - least)
+        if A.ndim == 2:  # the power of ``steps``, squared next
+            largest = max(largest, logarithm * min(horizon / steps, 2.0))
+            product, logarithm, steps = product @ product, 2 * logarithm, 2 * steps
+        else:  # the product from time 0 on, of which the largest rise counts
+            least = min(least, logarithm)
+            largest = max(largest, logarithm - least)
+            product, steps = A[min(steps, len(A) - 1)] @ product, steps + 1
     return largest
 
 

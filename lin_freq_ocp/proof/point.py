@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.dual import growth, precision
-from lin_freq_ocp.proof.lines import line, rows
+from lin_freq_ocp.proof.statement import line, rows
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 
@@ -43,7 +43,7 @@ LEVEL_MARGINS = 4  # by which the level of a soft mask is above the largest valu
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class InteriorPoint:
     """Controls from an initial state, with the mode at every time and the levels of masks over all frequencies."""
 
     start: Array  # x_0, (n,)
@@ -60,7 +60,7 @@ class Point:
 
 def points(
     problem: OptimalControlProblem, outcome: Outcome, at: Trajectory, margins: Sequence[float] = MARGINS
-) -> Iterator[tuple[Point, Trajectory]]:
+) -> Iterator[tuple[InteriorPoint, Trajectory]]:
     """Yield points farther and farther from all limits, with their trajectories; nothing if none is strictly inside."""
     inner = None
     for margin in margins:
@@ -79,7 +79,7 @@ def points(
                     above = min(peak.found * (1 + LEVEL_MARGINS * margin), peak.ratio * (1 + margin))
                     levels.append(1.0 if term.hard else max(1.0, above))
             start, u = problem.state_tube.project(found.x)[0], problem.control_tube.project(found.u)
-            yield Point(start, u, [0] * problem.horizon, levels), found
+            yield InteriorPoint(start, u, [0] * problem.horizon, levels), found
 
 
 def interpolate(at: Trajectory, inner: Trajectory, share: float) -> Trajectory:

@@ -2,6 +2,13 @@
 
 A lower bound follows from the multipliers, or from those of the leaves of a search tree; an upper one from a point
 strictly inside all inequalities. The checker runs in this process on the lines: the file is never whole in memory.
+
+A checker wants quadratic costs whose Hessians are semidefinite exactly, and not only up to rounding. A matrix such as
+C'C has been rounded: its least eigenvalue may be -1e-17 and not 0, and no cost is bounded below over free states then.
+A Hessian that the package takes for semidefinite is stated with its diagonal larger by the least multiple of a rounding
+with which it is so exactly: the problem of the proof is that one. Its cost J+ is nowhere below the given J, and in a
+box above it by no more than ``raised_by``. So an upper bound of J+ is one of J, and a lower one of J+ less this is one
+of J.
 """
 
 from __future__ import annotations
@@ -14,30 +21,83 @@ from types import SimpleNamespace
 import numpy as np
 from flint import arb, ctx
 
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import cost_is_never_negative, optimum_box
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
-from lin_freq_ocp.certificate.reach import Enclosure as Region
-from lin_freq_ocp.certificate.reach import stated_bounds
+from lin_freq_ocp.certificate.reach import Region, stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale
-from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE
+from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE, RADIUS_MARGIN
+from lin_freq_ocp.problem.costs.quadratic import CONVEXITY_TOLERANCE, CostSum, is_semidefinite
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.proof.convex import LARGER_RISE, convex_problem, raised_by
 from lin_freq_ocp.proof.dual import Dual, dual_of, precision
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.lfo_check import Failed, check
-from lin_freq_ocp.proof.lines import line
-from lin_freq_ocp.proof.point import Point, points
-from lin_freq_ocp.proof.statement import problem_lines
+from lin_freq_ocp.proof.point import InteriorPoint, points
+from lin_freq_ocp.proof.statement import line, problem_lines
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
+
+LEAST_RISE = 2.0**-52  # of a diagonal that is tried
+LARGER_RISE = 2.0**-46  # with less, a slope along the least eigenvector may cost much; with more, states far away do
+RISE_STEP = 4.0  # between rises of the diagonal that are tried
+
+
+def convex_problem(problem: OptimalControlProblem, least: float = 0.0) -> OptimalControlProblem:
+    """Return the problem with Hessians that are symmetric and semidefinite exactly; itself if they are so.
+
+    The diagonals of Hessians that are not diagonal are larger by this part of them, at least.
+    """
+    cost, n = problem.quadratic, problem.state_dim
+    given = cost.stage_hessians()
+    hessians, P = np.stack([_semidefinite(one, least) for one in given]), _semidefinite(cost.P, least)
+    if np.array_equal(hessians, given) and np.array_equal(P, cost.P):
+        return problem
+    stage = hessians[0] if len(hessians) == 1 else hessians
+    parts = {"Q": stage[..., :n, :n], "R": stage[..., n:, n:], "S": stage[..., :n, n:]}
+    return replace(problem, cost=CostSum([replace(cost, **parts, P=P), *problem.cost.norms]))
+
+
+def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, region: Region) -> float:
+    """Return a bound on what the cost of a raised problem is above the given one in a region; inf without one."""
+    if raised is given:
+        return 0.0
+    cost, other, total = given.quadratic, raised.quadratic, 0.0
+    x, u = (
+        np.maximum(np.abs(lower - ref), np.abs(upper - ref))
+        for (lower, upper), ref in ((region.x, cost.x_ref), (region.u, cost.u_ref))
+    )
+    stages = cost.stage_hessians(), other.stage_hessians(), np.hstack([x[:-1], u])
+    for old, new, v in (stages, (cost.P[None], other.P[None], x[-1:])):
+        change = np.maximum(np.abs(new - old), np.abs(new - np.swapaxes(old, 1, 2)))
+        with np.errstate(invalid="ignore"):  # 0 times inf: what is not raised may be anywhere
+            total += float(np.where(change > 0, change * v[:, :, None] * v[:, None, :], 0.0).sum())
+    return RADIUS_MARGIN * total / 2
+
+
+def _semidefinite(matrix: Array, least: float) -> Array:
+    """Return a symmetric matrix with the least rise of the diagonal that makes it semidefinite; itself if none does.
+
+    The rise itself is semidefinite, too, with what the rounding of entries adds.
+    """
+    symmetric, diagonal = (matrix + matrix.T) / 2, np.diag(np.diagonal(matrix))
+    if np.array_equal(matrix, diagonal):
+        return matrix
+    rise = least
+    while rise <= CONVEXITY_TOLERANCE:
+        raised = symmetric + rise * diagonal
+        if is_semidefinite(raised) and is_semidefinite(raised - matrix):
+            return raised
+        rise = max(RISE_STEP * rise, LEAST_RISE)
+    return matrix
+
 
 UNCHECKED_MARGIN = (2.0**-36,)  # distance to limits relative to sizes, of a point that is not checked
 UNCHECKED_SLACK = 1e-6  # by which the claim is wider than what the certificate says, relative to the cost
@@ -53,7 +113,7 @@ class Proof:
     problem: OptimalControlProblem
     bits: int
     claim: Enclosure
-    point: Point | None
+    point: InteriorPoint | None
     dual: Dual | TreeDual
 
     def lines(self) -> Iterator[str]:
@@ -184,19 +244,14 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
             found = proof, checked_enclosure(proof.lines())
     proof, enclosure = (bare, _confirmed_enclosure(bare, outcome)) if found is None else found
     if problem is not outcome.problem:
-        by = raised_by(outcome.problem, problem, _reachable_box(outcome.problem))
+        region, whole = stated_bounds(outcome.problem), IntervalReach(outcome.problem).whole()
+        if whole is not None:  # a box around all trajectories
+            lower, upper = np.array([stage.lower for stage in whole]), np.array([stage.upper for stage in whole])
+            x = np.where(lower > -FINITE, lower, -np.inf), np.where(upper < FINITE, upper, np.inf)
+            region = Region(x, outcome.problem.control_tube.bounds, np.inf, "forward reach")
+        by = raised_by(outcome.problem, problem, region)
         enclosure = replace(enclosure, lower=_subtract_downwards(enclosure.lower, by))
     return replace(proof, claim=_widened_claim(enclosure)), enclosure
-
-
-def _reachable_box(problem: OptimalControlProblem) -> Region:
-    """Return a box around all trajectories of a problem with modes."""
-    whole = IntervalReach(problem).whole()
-    if whole is None:
-        return stated_bounds(problem)
-    lower, upper = np.array([stage.lower for stage in whole]), np.array([stage.upper for stage in whole])
-    x = np.where(lower > -FINITE, lower, -np.inf), np.where(upper < FINITE, upper, np.inf)
-    return Region(x, problem.control_tube.bounds, np.inf, "forward reach")
 
 
 def unchecked_proof(outcome: Outcome) -> Proof:

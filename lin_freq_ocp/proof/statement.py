@@ -1,4 +1,6 @@
-"""The section PROBLEM of a proof: an optimal control problem as lines, with every number as it is.
+"""The lines of a proof, and its section PROBLEM: an optimal control problem with every number as it is.
+
+Lines are JSON objects whose real numbers are hexadecimal strings, exact to the last bit.
 
 Dynamics, cost, bounds and removed bins come first; a line is written at each time at which they change. A term h(L v)
 has a line for each group of values with a limit, or of half-spaces for each value. Its function h is in the format
@@ -17,9 +19,10 @@ from functools import singledispatch
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone, Within
@@ -27,13 +30,57 @@ from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.semi_infinite import Frequencies
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
-from lin_freq_ocp.proof.lines import Value, encode, line
 
+CHUNK = 1 << 16  # numbers turned into text at once: the text of a long signal is never whole in memory
 NORMS = {1: "1", 2: "2", np.inf: "inf"}
 
 Sizes = tuple[int, int, int]  # T, n, m
 
 Parts = Mapping[str, tuple[Array, int]]  # by field: values, constant or one per time, and their dimensions at a time
+
+
+Value = None | str | bool | int | float | Array | list[int] | list[str] | list[list[int]]
+
+
+class Text(str):
+    """A value that is JSON already."""
+
+
+def line(**fields: Value) -> str:
+    """Return a line of the file: names and integers as they are, real numbers in hexadecimal."""
+    return "{" + ", ".join(f'"{name}": {encode(value)}' for name, value in fields.items()) + "}\n"
+
+
+def encode(value: Value) -> str:
+    """Return a value as JSON; arrays and floats are real numbers."""
+    if isinstance(value, Text):
+        return value
+    if isinstance(value, np.ndarray):
+        if value.ndim > 1:
+            return "[" + ", ".join(map(encode, value)) + "]"
+        return vector(value) if value.ndim else encode(float(value))
+    return f'"{value.hex()}"' if isinstance(value, float) else json.dumps(value)
+
+
+def vector(values: Array) -> str:
+    """Return real numbers (k,) as a list; infinities are "inf" and "-inf"."""
+    return '["' + '", "'.join(map(float.hex, values.tolist())) + '"]' if len(values) else "[]"
+
+
+def rows(values: Array) -> Iterator[Text]:
+    """Yield each row of real numbers (k, size) as a list."""
+    size = values.shape[1]
+    step = max(CHUNK // max(size, 1), 1)
+    for begin in range(0, len(values), step):
+        part = values[begin : begin + step]
+        numbers = list(map(float.hex, part.ravel().tolist()))
+        for k in range(len(part)):
+            yield Text('["' + '", "'.join(numbers[k * size : (k + 1) * size]) + '"]' if size else "[]")
+
+
+def exact(mantissa: int, exponent: int) -> str:
+    """Return mantissa * 2^exponent as the text of a real number."""
+    return f"{'-' if mantissa < 0 else ''}0x{abs(mantissa):x}p{exponent:+d}"
 
 
 def problem_lines(problem: OptimalControlProblem) -> Iterator[str]:
@@ -74,7 +121,8 @@ def _modes(problem: OptimalControlProblem) -> list[tuple[str, Parts]]:
     named = {"A": (found.A, 2), "B": (found.B, 2), "d": (found.offset, 1), "G": (found.G, 2), "H": (found.H, 2)}
     named["h"] = found.h, 1
     return [
-        (name, {field: (drop_repeated_time(values[:, i]), ndim) for field, (values, ndim) in named.items()})
+        # What stands in memory once for all times is stated without its time
+        (name, {field: (of[:, i] if of.strides[0] else of[0, i], ndim) for field, (of, ndim) in named.items()})
         for i, name in enumerate(problem.dynamics.mode_names)
     ]
 
@@ -113,7 +161,7 @@ def _bound_lines(problem: OptimalControlProblem) -> Iterator[str]:
 def _stop_lines(first: int, stop: Mask, samples: int) -> Iterator[str]:
     """Yield the removed bins of components; the first of them is ``first`` of (x, u)."""
     for component in np.flatnonzero(stop.any(axis=0)).tolist():
-        bins = intervals(np.flatnonzero(stop[:, component]))
+        bins = [list(run) for run in stopped_runs(stop[:, component])]
         yield line(stop=first + component, samples=samples, bins=bins)
 
 
@@ -129,24 +177,12 @@ def changes_over_time(parts: Parts, horizon: int) -> Iterator[tuple[int, dict[st
         yield t, {name: values[t] if values.ndim > ndim else values for name, (values, ndim) in parts.items()}
 
 
-def drop_repeated_time(values: Array) -> Array:
-    """Return values (T, ...) that stand in memory once for all times without their time."""
-    return values if values.strides[0] else values[0]
-
-
 def stack_signals(of_x: Array, of_u: Array, T: int) -> Array:
     """Return (x, u), (n + m,) or (T, n + m), of vectors that are constant or one per time (of x, maybe T + 1)."""
     if of_x.ndim == of_u.ndim == 1:
         return np.concatenate([of_x, of_u])
     of_x = of_x[:T] if of_x.ndim == 2 else of_x
     return np.hstack([np.broadcast_to(part, (T, part.shape[-1])) for part in (of_x, of_u)])
-
-
-def intervals(numbers: Indices) -> list[list[int]]:
-    """Return increasing whole numbers as [first, last] of each run."""
-    ends = np.flatnonzero(np.diff(numbers) > 1)
-    firsts, lasts = np.append(0, ends + 1), np.append(ends, len(numbers) - 1)
-    return np.column_stack([numbers[firsts], numbers[lasts]]).tolist()
 
 
 def term_lines(terms: Sequence[Term], sizes: Sizes) -> Iterator[str]:

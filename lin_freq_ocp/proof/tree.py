@@ -24,12 +24,11 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.proof.dual import domain_multipliers, signal_lines
-from lin_freq_ocp.proof.lines import Text, Value, encode, line
-from lin_freq_ocp.proof.statement import multiplier_lines
+from lin_freq_ocp.proof.statement import Text, Value, encode, line, multiplier_lines
 
 
 @dataclass(frozen=True, eq=False)
-class Node:
+class WrittenNode:
     """A node of the file: what it keeps at the time of its parent's split, and the leaf's multipliers, if any."""
 
     parent: int
@@ -39,25 +38,25 @@ class Node:
     proof: ModeMultipliers | None
 
 
-def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[Node]:
+def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[WrittenNode]:
     """Return the nodes of the file, parents before their children."""
     reached, _ = reached_nodes(problem, tree)
     children: dict[int, list[int]] = {}
     for index, node in enumerate(tree.nodes):
         children.setdefault(node.parent, []).append(index)
-    found, waiting = list[Node](), [(0, -1, 0, np.arange(len(piecewise_affine(problem).modes)))]
+    found, waiting = list[WrittenNode](), [(0, -1, 0, np.arange(len(piecewise_affine(problem).modes)))]
     while waiting:
         index, parent, t, modes = waiting.pop()
         stages, below = reached[index], children.get(index, [])
         split = stages is not None and below
-        found.append(Node(parent, t, modes, stages, None if split else tree.nodes[index].proof))
+        found.append(WrittenNode(parent, t, modes, stages, None if split else tree.nodes[index].proof))
         if stages is None or not below:
             continue
         number, t = len(found) - 1, tree.nodes[below[0]].stage
         chosen = [np.flatnonzero(tree.nodes[child].allowed[t]) for child in below]
         waiting += [(child, number, t, kept) for child, kept in zip(below, chosen, strict=True)]
         left = np.setdiff1d(np.flatnonzero(stages[t].modes), np.concatenate(chosen))
-        found += [Node(number, t, np.array([i]), None, None) for i in left]
+        found += [WrittenNode(number, t, np.array([i]), None, None) for i in left]
     return found
 
 
@@ -95,7 +94,7 @@ class TreeDual:
     """The nodes of a search and the multipliers of its leaves."""
 
     problem: OptimalControlProblem
-    nodes: list[Node]
+    nodes: list[WrittenNode]
 
     def lines(self) -> Iterator[str]:
         """Yield the sections NODES and DUAL."""

@@ -37,7 +37,7 @@ from benchmark.nodes import layers, nodes
 from benchmark.record import Record, build_parser, duration
 from benchmark.relaxations import RELAXATIONS
 from helpers.checks.claimed import resolved
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, relaxed
 from lin_freq_ocp.methods.hybrid.search.mixed import SolverClaim, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
@@ -275,7 +275,7 @@ def relaxations(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], li
             relaxation = kind(problem)
             everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
             reach = relaxation.reach.from_start(everything)
-            outcome = BranchAndBound(problem, SearchLimits(gap, limit), relaxation=kind).run()
+            outcome = TreeSearch(problem, SearchLimits(gap, limit), relaxation=kind).run()
             nodes = f"{len(outcome.tree.nodes)}" + (" (stopped)" if outcome.message else "")
             root = None if reach is None or best is None else relaxed(relaxation, reach).bound
             cells.append("" if root is None else f"{100 * (best - root) / abs(best):.3g} %, {nodes}")

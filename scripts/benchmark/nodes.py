@@ -15,7 +15,7 @@ from rich.table import Table
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import branch_and_bound
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, SearchLimits, relaxed
 from lin_freq_ocp.methods.hybrid.search.node import Relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
@@ -41,7 +41,7 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
     for name, build in cases.items():
         problem = build()
         started = time.process_time()
-        outcome = BranchAndBound(problem, SearchLimits(nodes=count)).run()
+        outcome = TreeSearch(problem, SearchLimits(nodes=count)).run()
         searched = time.process_time()
         tree_bound(problem, outcome.tree)
         ended, solved = time.process_time(), max(outcome.nodes, 1)
@@ -109,7 +109,7 @@ def layers(cases: Mapping[str, Build], limit: float, gap: float, times: int = 3)
                 setattr(branch_and_bound, name, value)
             for case, build in cases.items():
                 started = time.process_time()
-                outcome = BranchAndBound(build(), SearchLimits(gap, limit), relaxation=relaxation).run()
+                outcome = TreeSearch(build(), SearchLimits(gap, limit), relaxation=relaxation).run()
                 found = time.process_time() - started, outcome.nodes
                 least[variant, case] = min(least.get((variant, case), found), found)
             for name, value in before.items():

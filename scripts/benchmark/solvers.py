@@ -38,15 +38,7 @@ from benchmark.contenders import CONTENDERS, RESOLVERS, Answer
 from benchmark.measures import Row, Runs, measured, timed
 from benchmark.memory import in_own_process
 from benchmark.record import Record, build_parser, duration
-from lin_freq_ocp.pages.figures.plot_data import (
-    CLASSICAL,
-    COMPONENTS,
-    MARKERS,
-    ROW_HEIGHT,
-    Note,
-    new_figure,
-    style_axes,
-)
+from lin_freq_ocp.pages.figures.look import CLASSICAL, COMPONENTS, MARKERS, ROW_HEIGHT, Note, new_figure, style_axes
 
 # Exponents by which times are expected to grow with the horizon; a stop band in the time domain is dense rows
 GROWTH = {"ours": 1.2}

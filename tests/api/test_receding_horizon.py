@@ -298,3 +298,11 @@ def test_a_loop_is_shown_saved_and_tabulated(tmp_path):
     assert "force [N]" in rows[0]
     assert len(loop.plot().axes) == 7  # control, spectrogram and its scale, two states, times, gaps
     assert repr(loop) == "ClosedLoop(12 steps of a problem)"
+
+
+def test_a_loop_that_stops_at_its_first_step_has_a_report(tmp_path):
+    loop = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=40)).run([0.0, 0.0], 3)
+    assert len(loop.steps) == 0
+    assert "satisfies all constraints" in loop.stopped
+    assert "0 steps" in loop.save(tmp_path / "loop").read_text(encoding="utf-8")
+    assert len(loop.plot().axes) == 6  # a spectrogram of no samples has no scale

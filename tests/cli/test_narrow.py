@@ -10,7 +10,7 @@ from rich.table import Table
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
-from lin_freq_ocp.cli.console import fit_table, terms
+from lin_freq_ocp.cli.console import fit_table, out, print_terms
 from lin_freq_ocp.pages.report.tables import certificate_table, comparison_table
 
 
@@ -63,10 +63,12 @@ def test_what_has_no_spare_columns_is_shown_in_several_tables_that_repeat_the_fi
     assert all(f"column{i}" in out and f"{i}.000000" in out for i in range(6))
 
 
-def test_terms_stand_above_their_texts_where_it_is_narrow():
+def test_terms_stand_above_their_texts_where_it_is_narrow(monkeypatch, capsys):
     rows = [("a_rather_long_name", "what it means, in words"), ("b", "more")]
-    assert printed(terms(rows, 40), 40).splitlines()[1].startswith("  what it means, in words")
-    assert printed(terms(rows, 80), 80).splitlines()[0].startswith("a_rather_long_name  what it means, in words")
+    for width, line, start in ((40, 1, "  what it means"), (80, 0, "a_rather_long_name  what it means, in words")):
+        monkeypatch.setattr(out, "width", width)
+        print_terms(rows)
+        assert capsys.readouterr().out.splitlines()[line].startswith(start)
 
 
 @pytest.mark.parametrize(

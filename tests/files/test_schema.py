@@ -24,7 +24,7 @@ from lin_freq_ocp.certificate.rays import Conflict
 from lin_freq_ocp.cli.app import cli
 from lin_freq_ocp.files import problem_tables as dynamics
 from lin_freq_ocp.files import problem_tables as tables
-from lin_freq_ocp.files.codec import Record
+from lin_freq_ocp.files.codec import TableRecord
 from lin_freq_ocp.files.problem_file import template
 from lin_freq_ocp.files.problem_tables import SETS
 from lin_freq_ocp.files.summary import comparison_summary, failed_comparison_summary, result_summary
@@ -301,7 +301,7 @@ def keys(part: str) -> set[str]:
     return set(PARTS[part]["properties"])
 
 
-def keys_of(record: Record) -> tuple[set[str], set[str]]:
+def keys_of(record: TableRecord) -> tuple[set[str], set[str]]:
     """Return all keys of a record but those that it always refuses, and the required ones."""
     return {*record.required, *record.optional} - {"at_least"}, set(record.required)
 
@@ -348,7 +348,7 @@ class Slab(lfo.sets.Polyhedron):
 
 
 def test_a_set_of_a_new_class_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setitem(SETS.records, "slab", Record(Slab))
+    monkeypatch.setitem(SETS.records, "slab", TableRecord(Slab))
     path = tmp_path / "cart.toml"
     slab = {"kind": "slab", "normal": [1.0, 0.0], "lower": None, "upper": None}
     lfo.write_problem(lfo.read_problem(written(path), {"state_set": slab}), path)

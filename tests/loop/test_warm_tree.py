@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.loop.step_problem import free_first_state
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 
 
 def wall(horizon=10):
@@ -40,7 +40,7 @@ def test_later_steps_solve_fewer_relaxations_than_from_the_plan_alone(monkeypatc
     problem = lfo.library.buck_affine(horizon=8)
     x = problem.initial_box.lower
     with_tree = lfo.RecedingHorizon(problem).run(x, 7)
-    monkeypatch.setattr(BranchAndBound, "cover_after_step", lambda search: ())
+    monkeypatch.setattr(TreeSearch, "cover_after_step", lambda search: ())
     without = lfo.RecedingHorizon(problem).run(x, 7)
     np.testing.assert_allclose(with_tree.costs, without.costs, rtol=2e-6)
     assert with_tree.nodes[0] == without.nodes[0] > 1

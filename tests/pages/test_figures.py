@@ -21,7 +21,8 @@ from lin_freq_ocp.pages.figures.figures import (
     result_figure,
     states_figure,
 )
-from lin_freq_ocp.pages.figures.plot_data import MOST_DRAWN, STYLES, thin_out, view
+from lin_freq_ocp.pages.figures.look import MOST_DRAWN, STYLES, thin_out
+from lin_freq_ocp.pages.figures.plot_data import view
 from lin_freq_ocp.pages.report import findings, proof
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts

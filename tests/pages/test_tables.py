@@ -9,7 +9,7 @@ from rich.console import Console
 
 from helpers.compared_pages import CASES, case
 from lin_freq_ocp.base.phrases import NOTHING, split_unit
-from lin_freq_ocp.pages.report.tables import certificate_rows, certificate_table, comparison_rows, comparison_table
+from lin_freq_ocp.pages.report.tables import certificate_table, comparison_rows, comparison_table, worst_location
 
 
 def test_comparison_rows_are_the_measures():
@@ -38,23 +38,23 @@ def test_comparison_rows_are_the_measures():
 
 
 @pytest.mark.parametrize("name", ["pendulum", "state band", "two controls"])
-def test_certificate_rows_are_the_conditions(name: str):
+def test_certificate_table_has_the_conditions(name: str):
     problem, certificate = case(name).problem, case(name).constrained.certificate
     assert certificate is not None
-    rows = certificate_rows(problem, certificate)
-    assert [(row.label, row.name, row.passed) for row in rows] == [
-        (one.label, one.name, one.passed) for one in certificate.conditions
-    ]
-    for row, one in zip(rows, certificate.conditions, strict=True):
-        for shown, value in ((row.residual, one.residual), (row.scale, one.scale), (row.relative, one.relative)):
+    columns = [[str(cell) for cell in column.cells] for column in certificate_table(problem, certificate).columns]
+    for *texts, verdict, place, one in zip(*columns, certificate.conditions, strict=True):
+        label, named, residual, scale, relative, _ = texts
+        assert (label, named, verdict) == (one.label, one.name, "holds" if one.passed else "fails")
+        for shown, value in ((residual, one.residual), (scale, one.scale), (relative, one.relative)):
             assert float(shown) == pytest.approx(value, rel=0.06)
+        assert place == worst_location(problem, one)
         if one.residual == 0 or one.component is None:
-            assert row.place == NOTHING
+            assert place == NOTHING
         else:
             names = problem.control_names if one.label in ("C-v", "C-vii", "S-u", "N-u") else problem.state_names
-            assert row.place.endswith(split_unit(names[one.component])[0])
-            assert str(one.time) in row.place
-            assert ("bin" in row.place) == (one.label in ("C-vi", "C-vii"))
+            assert place.endswith(split_unit(names[one.component])[0])
+            assert str(one.time) in place
+            assert ("bin" in place) == (one.label in ("C-vi", "C-vii"))
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -7,8 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.proof.lines import exact, vector
-from lin_freq_ocp.proof.statement import problem_lines
+from lin_freq_ocp.proof.statement import exact, problem_lines, vector
 
 
 def stated(problem):

@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.comparison.trajectories import Signal, measured_solution
+from lin_freq_ocp.comparison.trajectories import ProblemSignal, measured_solution
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MASK = lfo.MagnitudeBound
@@ -317,11 +317,11 @@ def test_what_a_filter_leaves_between_the_bins_is_beyond_the_mask():
 
 
 def test_a_figure_marks_where_the_spectrum_reaches_its_limit(solved):
-    signal = Signal(solved.problem, 0, is_state=False)
+    signal = ProblemSignal(solved.problem, 0, is_state=False)
     touching = signal.touching(solved.trajectory)
     assert len(touching.at)
     np.testing.assert_allclose(np.abs(spectrum(solved.trajectory.u[:, 0], touching.at)), touching.values, rtol=1e-6)
     (level,) = signal.levels
     assert (level.at.tolist(), level.values.tolist()) == ([0.6, np.pi], [1.5, 1.5])
-    assert not len(Signal(solved.problem, 1, is_state=True).touching(solved.trajectory).at)
+    assert not len(ProblemSignal(solved.problem, 1, is_state=True).touching(solved.trajectory).at)
     solved.plot()

@@ -18,7 +18,7 @@ from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import SearchLimits
 from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDER
 from lin_freq_ocp.methods.spectral.qp import BorderedQp, interior_point
@@ -113,7 +113,7 @@ def test_small_quadratic_programs_stop_when_told_to() -> None:
 
 def test_leaves_that_are_not_looked_at_in_time_prove_nothing() -> None:
     problem = lfo.library.pendulum_with_wall()
-    tree = BranchAndBound(problem, SearchLimits()).run().tree
+    tree = TreeSearch(problem, SearchLimits()).run().tree
     assert np.isfinite(tree_bound(problem, tree).value)
     assert tree_bound(problem, tree, end=-np.inf).value == -np.inf
 

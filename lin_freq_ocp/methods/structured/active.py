@@ -17,7 +17,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.structured.embedding import Answer, Embedding, End, Errors, Point, Targets
+from lin_freq_ocp.methods.structured.embedding import Answer, EmbeddedPoint, Embedding, End, Errors, Targets
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
 from lin_freq_ocp.methods.structured.kkt.system import (
     DYNAMICS,
@@ -98,7 +98,7 @@ def _refine(
         left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
         s = {i: np.maximum(left[i], 0.0) * cone.present for i, cone in system.cones.items()}
         positive = [np.maximum(part, 0.0) if i in s else part for i, part in enumerate(z)]
-        errors = embedding.measured(Point(y, positive, s, 1.0, 0.0)).errors
+        errors = embedding.measured(EmbeddedPoint(y, positive, s, 1.0, 0.0)).errors
         if errors.merit(targets) <= 1:
             return y, positive, errors
     return None

@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured.kkt.null_space import GROWTH, NullSpaceSolver, break_times, sort_rows
-from lin_freq_ocp.methods.structured.kkt.range_space import Response, fine_rows, range_space_solver
+from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, fine_rows, range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced, TwoLevel
 from lin_freq_ocp.methods.structured.kkt.system import KKTSolver
@@ -89,7 +89,7 @@ def sizes_of(stages: Stages) -> Sizes:
 
 def step_seconds(stages: Stages, loops: Loops) -> float:
     """Return an estimate of the seconds of a step, or of the set-up before it."""
-    sizes, fine = sizes_of(stages), fine_rows(Response(stages, loops))
+    sizes, fine = sizes_of(stages), fine_rows(CouplingResponse(stages, loops))
     if fine is None:
         coupled = min(sizes.seconds().values(), default=0.0)
     else:
@@ -101,7 +101,7 @@ def step_seconds(stages: Stages, loops: Loops) -> float:
 
 def choose_kkt_solver(stages: Stages, loops: Loops) -> KKTSolver:
     """Return the fastest KKT solver that fits; UnsupportedError if none does."""
-    if fine_rows(Response(stages, loops)) is not None:
+    if fine_rows(CouplingResponse(stages, loops)) is not None:
         return range_space_solver(stages, loops)
     sizes = sizes_of(stages)
     seconds = sizes.seconds()

@@ -95,7 +95,7 @@ class Answer:
 
 
 @dataclass(eq=False)
-class Point:
+class EmbeddedPoint:
     """A point of the embedding: the answer, once divided by tau."""
 
     y: Array
@@ -104,9 +104,9 @@ class Point:
     tau: float = 1.0
     kappa: float = 1.0
 
-    def moved(self, step: _Direction, length: float) -> Point:
+    def moved(self, step: _Direction, length: float) -> EmbeddedPoint:
         """Return the point after a step of some length."""
-        return Point(
+        return EmbeddedPoint(
             self.y + length * step.y,
             [a + length * b for a, b in zip(self.z, step.z, strict=True)],
             {i: s + length * step.s[i] for i, s in self.s.items()},
@@ -208,7 +208,7 @@ class Embedding:
             return replace(best, end=End.INTERRUPTED)
         raise AssertionError  # count() does not end
 
-    def _first_point(self) -> Point:
+    def _first_point(self) -> EmbeddedPoint:
         for cone in self._cones.values():
             cone.reset()
         self.step.factor()
@@ -216,9 +216,9 @@ class Embedding:
         s = _move_inside(self._cones, {i: -z[i] for i in self._cones})
         for i, part in _move_inside(self._cones, {i: z[i] for i in self._cones}).items():
             z[i] = part
-        return Point(y, z, s)
+        return EmbeddedPoint(y, z, s)
 
-    def measured(self, point: Point) -> _Measures:
+    def measured(self, point: EmbeddedPoint) -> _Measures:
         """Return the residuals of a point."""
         system, tau, kappa, h, b = self.system, point.tau, point.kappa, self._h, self._b
         Py, Atz, Ay = system.curvature(point.y), system.adjoint(point.z), system.rows(point.y)
@@ -240,7 +240,7 @@ class Embedding:
         descent = max(largest(Ay), curved) / -hy if hy < 0 else np.inf
         return _Measures(f_y, f_z, f_tau, Py, yPy, hy, bz, mu, errors, max(of_y, of_z), ray, descent)
 
-    def _conclude(self, point: Point, measures: _Measures, step: int) -> Answer | None:
+    def _conclude(self, point: EmbeddedPoint, measures: _Measures, step: int) -> Answer | None:
         """Return the answer if the point is one."""
         if measures.errors.merit(self.targets) <= 1:
             return _answer(End.OPTIMAL, point, measures, step, point.tau)
@@ -251,7 +251,7 @@ class Embedding:
             return _answer(End.UNBOUNDED, point, measures, step, -measures.hy)
         return None
 
-    def _rough_ray(self, point: Point, measures: _Measures, steps: int) -> Answer | None:
+    def _rough_ray(self, point: EmbeddedPoint, measures: _Measures, steps: int) -> Answer | None:
         """Return the ray or direction at which the iteration stalled, if it is one, for the judge to verify."""
         if self._tau_vanishes(point) and measures.ray <= ROUGH_RAY:
             return _answer(End.INFEASIBLE, point, measures, steps, -measures.bz)
@@ -260,10 +260,10 @@ class Embedding:
         return None
 
     @staticmethod
-    def _tau_vanishes(point: Point) -> bool:
+    def _tau_vanishes(point: EmbeddedPoint) -> bool:
         return point.tau < VANISHED * min(1.0, point.kappa)
 
-    def _next(self, point: Point, measures: _Measures) -> Point:
+    def _next(self, point: EmbeddedPoint, measures: _Measures) -> EmbeddedPoint:
         """Return the point after a step of predictor and correctors."""
         cones, tau, kappa = self._cones, point.tau, point.kappa
         for i, cone in cones.items():
@@ -286,7 +286,7 @@ class Embedding:
         return point.moved(step, length)
 
     def _correct(
-        self, point: Point, measures: _Measures, constant: tuple[Array, Values], aim: _Aim
+        self, point: EmbeddedPoint, measures: _Measures, constant: tuple[Array, Values], aim: _Aim
     ) -> tuple[_Direction, float]:
         """Return the direction after Gondzio's correctors, and the longest step along it."""
         step = self._direction(point, measures, constant, aim)
@@ -302,7 +302,7 @@ class Embedding:
             step, length = other, further
         return step, length
 
-    def _recentre(self, point: Point, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
+    def _recentre(self, point: EmbeddedPoint, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
         """Return the aim with outliers after such a step moved towards sigma mu."""
         low, high = aim.sigma * mu / OUTLYING, aim.sigma * mu * OUTLYING
         of_s = dict(aim.of_s)
@@ -312,7 +312,9 @@ class Embedding:
         product = (point.tau + length * step.tau) * (point.kappa + length * step.kappa)
         return _Aim(aim.sigma, of_s, aim.of_kappa - float(clip_change(np.array(product), low, high)))
 
-    def _direction(self, point: Point, measures: _Measures, constant: tuple[Array, Values], aim: _Aim) -> _Direction:
+    def _direction(
+        self, point: EmbeddedPoint, measures: _Measures, constant: tuple[Array, Values], aim: _Aim
+    ) -> _Direction:
         cones, tau, kappa, b, rest = self._cones, point.tau, point.kappa, self._b, 1 - aim.sigma
         right = [-rest * part for part in measures.f_z]
         for i, cone in cones.items():
@@ -330,7 +332,7 @@ class Embedding:
         scaled_z = {i: cone.scaled(z[i], 1) for i, cone in cones.items()}
         return _Direction(y, z, s, scaled_s, scaled_z, dtau, -(aim.of_kappa + kappa * dtau) / tau)
 
-    def _longest(self, point: Point, step: _Direction) -> float:
+    def _longest(self, point: EmbeddedPoint, step: _Direction) -> float:
         lengths = [
             cone.longest(part) for i, cone in self._cones.items() for part in (step.scaled_s[i], step.scaled_z[i])
         ]
@@ -338,7 +340,7 @@ class Embedding:
         return min([*lengths, *ends], default=np.inf)
 
 
-def _answer(end: End, point: Point, measures: _Measures, steps: int, unit: float) -> Answer:
+def _answer(end: End, point: EmbeddedPoint, measures: _Measures, steps: int, unit: float) -> Answer:
     return Answer(end, point.y / unit, [part / unit for part in point.z], measures.errors, steps)
 
 

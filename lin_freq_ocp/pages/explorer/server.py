@@ -16,20 +16,17 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib.metadata import version
 from itertools import product
 from socket import socket
 from typing import NoReturn
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.pages.explorer.session import FOLDED, GROUPS, Data, Session
 from lin_freq_ocp.pages.explorer.sliders import Slider
+from lin_freq_ocp.pages.templates import render_template
 from lin_freq_ocp.problem.description import problem_facts
 
 # Points of a solved sweep along each slider, the own value among them: all pairs of two, the others alone.
@@ -57,30 +54,16 @@ HEADERS = {
 def page(session: Session, solved: list[Data] | None = None) -> str:
     """Return the page that asks its server, or that has these solved points inside."""
     data: Data = {"sliders": [slider.data for slider in session.sliders], "points": solved}
-    return (
-        _environment()
-        .get_template("explore.html.jinja")
-        .render(
-            title=session.problem.name or "Optimal control problem",
-            facts=problem_facts(session.problem),
-            cutoff=any(slider.key == "cutoff" for slider in session.sliders),
-            live=solved is None,
-            groups=[(key, heading) for key, heading in GROUPS.items() if key not in FOLDED],
-            folded=[(key, GROUPS[key]) for key in FOLDED],
-            version=version("lin-freq-ocp"),
-            data=data,
-        )
-    )
-
-
-@cache
-def _environment() -> Environment:
-    return Environment(
-        loader=PackageLoader("lin_freq_ocp.pages.explorer"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    return render_template(
+        "explorer",
+        "explore.html.jinja",
+        title=session.problem.name or "Optimal control problem",
+        facts=problem_facts(session.problem),
+        cutoff=any(slider.key == "cutoff" for slider in session.sliders),
+        live=solved is None,
+        groups=[(key, heading) for key, heading in GROUPS.items() if key not in FOLDED],
+        folded=[(key, GROUPS[key]) for key in FOLDED],
+        data=data,
     )
 
 

@@ -26,7 +26,7 @@ from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome, Filtered
 from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, frequencies_around, vibration
-from lin_freq_ocp.comparison.trajectories import Signal, controls_of, outputs_of, replay_control, states_of
+from lin_freq_ocp.comparison.trajectories import ProblemSignal, controls_of, outputs_of, replay_control, states_of
 from lin_freq_ocp.pages.explorer.sliders import GROUP_OF, Slider, sliders_of_limits
 from lin_freq_ocp.pages.report.findings import finding
 from lin_freq_ocp.pages.report.proof import verdict
@@ -305,11 +305,11 @@ def _bound_data(values: Array) -> list[float | None]:
     return round_values(values[:1] if (values == values[0]).all() else values)
 
 
-def _time_signals(problem: OptimalControlProblem) -> list[Signal]:
+def _time_signals(problem: OptimalControlProblem) -> list[ProblemSignal]:
     return [*controls_of(problem), *states_of(problem)][:MOST_SIGNALS]
 
 
-def _spectrum_data(signal: Signal, factor: float) -> Data:
+def _spectrum_data(signal: ProblemSignal, factor: float) -> Data:
     per_bin = 2 * np.pi / signal.samples * factor
     runs = stopped_runs(signal.stop)
     last = signal.samples / 2
@@ -324,7 +324,7 @@ def _spectrum_data(signal: Signal, factor: float) -> Data:
     }
 
 
-def _frequency_signals(problem: OptimalControlProblem) -> list[Signal]:
+def _frequency_signals(problem: OptimalControlProblem) -> list[ProblemSignal]:
     """Return all controls, and the states and outputs with a limit on their spectrum."""
     limited = [state for state in states_of(problem) if state.stop.any()]
     return [*controls_of(problem), *limited, *outputs_of(problem)][:MOST_SIGNALS]

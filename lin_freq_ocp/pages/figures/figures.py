@@ -9,9 +9,7 @@ from string import ascii_lowercase
 
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter
 
@@ -21,43 +19,28 @@ from lin_freq_ocp.base.phrases import number, short_name, split_unit
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import has_frequency_constraint
-from lin_freq_ocp.comparison.trajectories import CLASSICAL, CONSTRAINED, Signal, measured_solution, solution_label
+from lin_freq_ocp.comparison.trajectories import (
+    CLASSICAL,
+    CONSTRAINED,
+    ProblemSignal,
+    measured_solution,
+    solution_label,
+)
+from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import mode_legend
 from lin_freq_ocp.pages.figures.panels import (
-    control_panel,
     frequency_axis,
     phase_panel,
     shade_stop_band,
     spectrum_panel,
-    state_panel,
     states_panel,
+    time_panel,
 )
-from lin_freq_ocp.pages.figures.plot_data import (
-    BAND,
-    BOUND,
-    COMPONENTS,
-    INK,
-    LABEL_SIZE,
-    MARKERS,
-    MUTED,
-    PAPER,
-    REFERENCE,
-    REFERENCE_LINE,
-    ROW_HEIGHT,
-    SOFT,
-    STYLES,
-    PlotData,
-    Trace,
-    legend_above,
-    legend_rows,
-    new_figure,
-    style_axes,
-    thin_out,
-)
+from lin_freq_ocp.pages.figures.plot_data import PlotData, Trace
 from lin_freq_ocp.solving.outcome import Outcome
 
 LEGEND_HEIGHT = 0.5  # inches for the legend above the panels
-STATE_ROW_HEIGHT = 0.78 * ROW_HEIGHT
+STATE_ROW_HEIGHT = 0.78 * look.ROW_HEIGHT
 
 MOST_PANELS = 6  # up to so many states have a panel each; of more, those of the same unit share one
 SMALLEST_SHOWN = 1e-6  # stage gaps below this fraction of the largest are rounding, and drawn at the lower edge
@@ -79,64 +62,60 @@ def result_data(result: Outcome) -> PlotData:
     shown = measured_solution(solution_label(result), result.problem, result)
     if shown is None:
         raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
-    return PlotData(result.problem, (Trace(shown.label, shown, STYLES[CONSTRAINED]),))
+    return PlotData(result.problem, (Trace(shown.label, shown, look.STYLES[CONSTRAINED]),))
 
 
 def comparison_data(comparison: ComparisonOutcome) -> PlotData:
     """Return the classical, the filtered and the constrained trajectory, as far as there are any."""
     filtered, solution, traces = comparison.shown_filter, comparison.constrained_solution, list[Trace]()
     if solution is None or has_frequency_constraint(comparison.problem):
-        traces.append(Trace(CLASSICAL, comparison.classical_solution, STYLES[CLASSICAL]))
+        traces.append(Trace(CLASSICAL, comparison.classical_solution, look.STYLES[CLASSICAL]))
     if filtered is not None:
-        traces.append(Trace("filtered", filtered.replay, STYLES["filtered"], filtered.replay.label, overlay=True))
+        traces.append(Trace("filtered", filtered.replay, look.STYLES["filtered"], filtered.replay.label, overlay=True))
     if solution is not None:
-        traces.append(Trace(solution.label, solution, STYLES[CONSTRAINED]))
+        traces.append(Trace(solution.label, solution, look.STYLES[CONSTRAINED]))
     return PlotData(comparison.problem, tuple(traces))
 
 
 def four_panels(data: PlotData, with_states: bool = False) -> Figure:
     """Return each control in time beside its spectrum, and two views of the states below; on request, all in time."""
-    problem = data.problem
+    problem, states = data.problem, data.states
     controls, groups = problem.control_dim, _groups_of_states(data) if with_states else []
     # Two phase portraits; where there are not two, the first state in time, unless all states follow
-    names, portraits = problem.state_names, phase_pairs(problem.state_dim)
-    views: list[tuple[int, ...]] = [*portraits, *([] if with_states or len(portraits) == 2 else [(0,)])]
+    views = [[states[i] for i in pair] for pair in phase_pairs(problem.state_dim)]
+    views += [] if with_states or len(views) == 2 else [states[:1]]
     view_rows = 1 if views else 0
-    heights = [ROW_HEIGHT] * (controls + view_rows) + [STATE_ROW_HEIGHT] * ceil(len(groups) / 2)
+    heights = [look.ROW_HEIGHT] * (controls + view_rows) + [STATE_ROW_HEIGHT] * ceil(len(groups) / 2)
     legend = _legend_handles(data, problem.state_dim > 1, bool(problem.control_band.any()), with_bounds=True)
-    figure = new_figure(sum(heights) + LEGEND_HEIGHT * legend_rows(legend) + mode_legend(data).height)
+    figure = look.new_figure(sum(heights) + LEGEND_HEIGHT * look.legend_rows(legend) + mode_legend(data).height)
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
     letters = (f"({''.join(one)})" for size in (1, 2) for one in product(ascii_lowercase, repeat=size))
-    for j, name in enumerate(problem.control_names):
-        control_panel(figure.add_subplot(grid[j, 0]), data, j, f"{next(letters)} {short_name(name)}")
-        spectrum_panel(
-            figure.add_subplot(grid[j, 1]), data, data.controls[j], f"{next(letters)} Spectrum of {short_name(name)}"
-        )
-    for column, states in enumerate(views):
+    for j, control in enumerate(data.controls):
+        time_panel(figure.add_subplot(grid[j, 0]), data, control, next(letters))
+        spectrum_panel(figure.add_subplot(grid[j, 1]), data, control, next(letters))
+    for column, shown in enumerate(views):
         ax = figure.add_subplot(grid[controls, column] if len(views) == 2 else grid[controls, :])
-        title = f"{next(letters)} {' and '.join(short_name(names[i]) for i in states)}"
-        if len(states) == 2:
-            phase_panel(ax, data, *states, title)
+        if len(shown) == 2:
+            phase_panel(ax, data, shown[0], shown[1], next(letters))
         else:
-            state_panel(ax, data, 0, title)
+            time_panel(ax, data, shown[0], next(letters))
     for k, group in enumerate(groups):
         row, alone = controls + view_rows + k // 2, k == len(groups) - 1 and not k % 2
         ax = figure.add_subplot(grid[row, :] if alone else grid[row, k % 2])
         states_panel(ax, data, group, next(letters))
-    legend_above(figure, legend, handlelength=2.6)
+    look.legend_above(figure, legend, handlelength=2.6)
     mode_legend(data).draw(figure)
     return figure
 
 
-def _groups_of_states(data: PlotData) -> list[list[int]]:
+def _groups_of_states(data: PlotData) -> list[list[ProblemSignal]]:
     """Return the states that share a panel: few have one each, of many those of the same unit, some at a time."""
-    problem = data.problem
-    if problem.state_dim <= MOST_PANELS or len(data.traces) > 1:
-        return [[i] for i in range(problem.state_dim)]
-    of_unit: dict[str, list[int]] = {}
-    for i, name in enumerate(problem.state_names):
-        of_unit.setdefault(split_unit(name)[1], []).append(i)
-    size = len(COMPONENTS)
+    if len(data.states) <= MOST_PANELS or len(data.traces) > 1:
+        return [[state] for state in data.states]
+    of_unit: dict[str, list[ProblemSignal]] = {}
+    for state in data.states:
+        of_unit.setdefault(split_unit(state.name)[1], []).append(state)
+    size = len(look.COMPONENTS)
     return [states[at : at + size] for states in of_unit.values() for at in range(0, len(states), size)]
 
 
@@ -149,21 +128,21 @@ def phase_pairs(n: int) -> list[tuple[int, int]]:
 
 def states_figure(data: PlotData) -> Figure:
     """Return every state in time, within its bounds."""
-    names = data.problem.state_names
-    figure, panels = _two_columns(len(names), STATE_ROW_HEIGHT, mode_legend(data).height)
-    for i, (name, ax) in enumerate(zip(names, panels, strict=True)):
-        state_panel(ax, data, i, short_name(name))
-    legend_above(figure, _legend_handles(data, with_bounds=True), handlelength=2.6)
+    height = LEGEND_HEIGHT + mode_legend(data).height
+    figure, panels = look.panel_grid(len(data.states), STATE_ROW_HEIGHT, height, columns=2)
+    for state, ax in zip(data.states, panels, strict=True):
+        time_panel(ax, data, state)
+    look.legend_above(figure, _legend_handles(data, with_bounds=True), handlelength=2.6)
     mode_legend(data).draw(figure)
     return figure
 
 
-def spectra_figure(data: PlotData, signals: Sequence[Signal]) -> Figure:
+def spectra_figure(data: PlotData, signals: Sequence[ProblemSignal]) -> Figure:
     """Return the spectra of some states or outputs (there must be one)."""
-    figure, panels = _two_columns(len(signals), ROW_HEIGHT)
+    figure, panels = look.panel_grid(len(signals), look.ROW_HEIGHT, LEGEND_HEIGHT, columns=2)
     for signal, ax in zip(signals, panels, strict=True):
-        spectrum_panel(ax, data, signal, f"Spectrum of {short_name(signal.name)}")
-    legend_above(figure, _legend_handles(data, with_band=True), handlelength=2.6)
+        spectrum_panel(ax, data, signal)
+    look.legend_above(figure, _legend_handles(data, with_band=True), handlelength=2.6)
     return figure
 
 
@@ -172,15 +151,15 @@ def gap_figure(data: PlotData, certificate: Certificate) -> Figure | None:
     gaps = certificate.stage_gaps
     if gaps is None or not np.isfinite(gaps).all():
         return None
-    figure = new_figure(0.85 * ROW_HEIGHT)
+    figure = look.new_figure(0.85 * look.ROW_HEIGHT)
     ax = figure.add_subplot()
     allowed = certificate.allowed_gap
     floor = max(SMALLEST_SHOWN * max(float(gaps.max()), ROUNDING * allowed), float(gaps[gaps > 0].min(initial=allowed)))
     times, low = data.time.factor * np.arange(len(gaps)), gaps < floor
-    color, at_floor = STYLES[CONSTRAINED].color, np.full(int(low.sum()), floor)
-    ax.plot(*thin_out(times[~low], gaps[~low]), "o", color=color, markersize=3.2, markeredgewidth=0)
-    ax.plot(*thin_out(times[low], at_floor), "v", color=color, markersize=4, markerfacecolor="none")
-    ax.axhline(allowed, color=MUTED, linewidth=1.1, linestyle=(0, (5, 2)))
+    color, at_floor = look.STYLES[CONSTRAINED].color, np.full(int(low.sum()), floor)
+    ax.plot(*look.thin_out(times[~low], gaps[~low]), "o", color=color, markersize=3.2, markeredgewidth=0)
+    ax.plot(*look.thin_out(times[low], at_floor), "v", color=color, markersize=4, markerfacecolor="none")
+    ax.axhline(allowed, color=look.MUTED, linewidth=1.1, linestyle=(0, (5, 2)))
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(floor / 4, 60 * max(allowed, float(gaps.max())))
@@ -191,12 +170,12 @@ def gap_figure(data: PlotData, certificate: Certificate) -> Figure | None:
         xycoords=("axes fraction", "data"),
         xytext=(-4, 3),
         textcoords="offset points",
-        fontsize=LABEL_SIZE,
-        color=MUTED,
+        fontsize=look.LABEL_SIZE,
+        color=look.MUTED,
         ha="right",
         va="bottom",
     )
-    style_axes(ax, "Gap per stage", data.time.label, "part of the gap [cost]")
+    look.style_axes(ax, "Gap per stage", data.time.label, "part of the gap [cost]")
     return figure
 
 
@@ -210,23 +189,22 @@ def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
         )
     ]
     kinds = [kind for kind in kinds if kind[1]]
-    figure = new_figure(0.85 * ROW_HEIGHT * len(kinds))
-    for row, (price, components, what, length) in enumerate(kinds):
-        ax = figure.add_subplot(len(kinds), 1, row + 1)
+    figure, panels = look.panel_grid(len(kinds), 0.85 * look.ROW_HEIGHT)
+    for ax, (price, components, what, length) in zip(panels, kinds, strict=True):
         frequency = data.frequency.factor * 2 * np.pi * np.arange(len(price)) / length
         for i, one in enumerate(components):
             shade_stop_band(ax, one.stop, length, data.frequency.factor)
-            x, y = thin_out(frequency[one.stop], price[one.stop, one.index])  # one stem per stopped bin
-            color, marker = COMPONENTS[i % len(COMPONENTS)], MARKERS[i % len(MARKERS)]
+            x, y = look.thin_out(frequency[one.stop], price[one.stop, one.index])  # one stem per stopped bin
+            color, marker = look.COMPONENTS[i % len(look.COMPONENTS)], look.MARKERS[i % len(look.MARKERS)]
             ax.vlines(x, 0, y, color=color, linewidth=1.0, alpha=0.7)
             ax.plot(x, y, label=short_name(one.name), marker=marker, linestyle="none", color=color, markersize=5)
         highest = float(price[:, [one.index for one in components]].max())
         ax.set_ylim(0, 1.08 * highest or 1.0)
         if len(components) > 1:
-            ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK)
+            ax.legend(fontsize=look.LABEL_SIZE, frameon=False, labelcolor=look.INK)
         units = {split_unit(one.name)[1] for one in components}
         unit = f" [cost per {units.pop()}]" if len(units) == 1 and "" not in units else " [cost per unit]"
-        style_axes(ax, f"Price of each removed {what} bin", data.frequency.label, f"|dJ* / d bin|{unit}")
+        look.style_axes(ax, f"Price of each removed {what} bin", data.frequency.label, f"|dJ* / d bin|{unit}")
         frequency_axis(ax, data)
         stopped = frequency[np.any([one.stop for one in components], axis=0)]
         margin = 0.12 * (stopped[-1] - stopped[0]) or 0.12 * stopped[0]
@@ -236,39 +214,26 @@ def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
     return figure
 
 
-def _two_columns(count: int, height: float, below: float = 0.0) -> tuple[Figure, list[Axes]]:
-    """Return a figure and so many panels in two columns; a single one takes both."""
-    rows = ceil(count / 2)
-    figure = new_figure(height * rows + LEGEND_HEIGHT + below)
-    columns = min(count, 2)
-    return figure, [figure.add_subplot(rows, columns, i + 1) for i in range(count)]
-
-
 def _legend_handles(
     data: PlotData, with_ends: bool = False, with_band: bool = False, with_bounds: bool = False
 ) -> list[Artist]:
-    handles = list[Artist]()
-
-    def add(label: str, **style: object) -> None:
-        handles.append(Line2D([], [], linewidth=1.2, label=label))
-        handles[-1].set(**style)
-
+    handles, entry = list[Artist](), look.legend_line
     for trace in data.traces:
         style, label = trace.style, f"{trace.label} ({trace.detail})" if trace.detail else trace.label
-        add(label, color=style.color, linestyle=style.line, linewidth=style.width + 0.3)
+        handles.append(entry(label, color=style.color, linestyle=style.line, linewidth=style.width + 0.3))
     signals = [*data.controls, *data.states, *data.outputs]
     rows = [line for one in signals for line in one.row_bounds] if with_bounds else []
     levels = [line for one in signals for line in one.levels] if with_band else []
     boxes = [bound for one in [*data.controls, *data.states] for bound in one.bounds] if with_bounds else []
     if any((np.abs(bound) < NO_BOUND).any() for bound in boxes) or any(not line.soft for line in [*rows, *levels]):
-        add("bound", color=BOUND)
+        handles.append(entry("bound", color=look.BOUND))
     if any(line.soft for line in [*rows, *levels]):
-        add("soft bound", color=BOUND, linestyle=SOFT)
+        handles.append(entry("soft bound", color=look.BOUND, linestyle=look.SOFT))
     if with_bounds and any(one.references for one in signals):
-        add("reference", color=REFERENCE, linestyle=REFERENCE_LINE)
+        handles.append(entry("reference", color=look.REFERENCE, linestyle=look.REFERENCE_LINE))
     if with_band:
-        handles.append(Patch(facecolor=BAND, label="stopped or bounded bins" if levels else "stop band"))
+        handles.append(Patch(facecolor=look.BAND, label="stopped or bounded bins" if levels else "stop band"))
     if with_ends:
-        add("start", linestyle="none", marker="o", color=INK, markerfacecolor=PAPER)
-        add("end", linestyle="none", marker="s", color=INK, markerfacecolor=INK)
+        handles.append(entry("start", linestyle="none", marker="o", color=look.INK, markerfacecolor=look.PAPER))
+        handles.append(entry("end", linestyle="none", marker="s", color=look.INK, markerfacecolor=look.INK))
     return handles

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter
 
@@ -20,41 +19,23 @@ from lin_freq_ocp.certificate.hybrid.smooth import Kink
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.trajectories import NO_MODE
-from lin_freq_ocp.pages.figures.plot_data import (
-    AXIS_MARGIN,
-    COMPONENTS,
-    FILTERED,
-    GRID,
-    HATCHES,
-    INK,
-    LABEL_SIZE,
-    MUTED,
-    NOTE_SIZE,
-    PAPER,
-    ROW_HEIGHT,
-    TICK_SIZE,
-    TINTS,
-    WIDTH,
-    Note,
-    PlotData,
-    Span,
-    legend_above,
-    new_figure,
-    plain,
-    spans,
-    style_axes,
-    thin_out,
-)
+from lin_freq_ocp.pages.figures import look
+from lin_freq_ocp.pages.figures.plot_data import PlotData, Span, spans
 from lin_freq_ocp.pages.report.proof import ETA
 
-CHARACTER = 0.52 * NOTE_SIZE / 72  # inches: about the width of a character of a note
+CHARACTER = 0.52 * look.NOTE_SIZE / 72  # inches: about the width of a character of a note
 # Inches: what a legend may take, and about the width of one of its characters.
-LEGEND_WIDTH, LEGEND_CHARACTER = WIDTH - 0.3, 1.12 * CHARACTER
+LEGEND_WIDTH, LEGEND_CHARACTER = look.WIDTH - 0.3, 1.12 * CHARACTER
 LONGEST_NAME = 32  # characters of a mode's name in a picture
 STRIP_HEIGHT = 0.3  # inches: height of a strip, and the room between strips
 BAR = 0.02  # width of the bar of an interval, relative to the time axis
 # The marker of what the adjoint equation requires.
-REQUIRED: dict[str, object] = {"color": INK, "markersize": 6.5, "markerfacecolor": PAPER, "markeredgewidth": 1.4}
+REQUIRED: dict[str, object] = {
+    "color": look.INK,
+    "markersize": 6.5,
+    "markerfacecolor": look.PAPER,
+    "markeredgewidth": 1.4,
+}
 MARKED = 60  # up to so many values are points on their line
 
 
@@ -97,18 +78,18 @@ class ModeLegend:
         legend = figure.legend(
             handles=[_paint(Patch(), mode) for mode in self.modes],
             labels=["mode"] * len(self.modes),
-            title=None if in_one_row else plain(self.whose),
-            title_fontsize=LABEL_SIZE + 0.5,
+            title=None if in_one_row else look.plain(self.whose),
+            title_fontsize=look.LABEL_SIZE + 0.5,
             alignment="left",
             loc="outside lower left",
             ncols=columns,
             frameon=False,
-            fontsize=LABEL_SIZE + 0.5,
-            labelcolor=INK,
+            fontsize=look.LABEL_SIZE + 0.5,
+            labelcolor=look.INK,
             handlelength=1.8,
             columnspacing=1.6,
         )
-        legend.get_title().set_color(INK)
+        legend.get_title().set_color(look.INK)
         labels = list(self.names)
         labels[-1] += f"   ({self.whose})" if in_one_row else ""
         for text, label in zip(legend.get_texts(), labels, strict=True):
@@ -137,18 +118,28 @@ def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) ->
     drawn = [(row, span) for row, (_, modes) in enumerate(rows) if modes is not None for span in spans(modes)]
     unnamed = any(span.mode != NO_MODE and not _has_room(span, names[span.mode], horizon) for _, span in drawn)
     legend = _legend_of(data, {span.mode for _, span in drawn} if unnamed else set(), "mode")
-    figure = new_figure(STRIP_HEIGHT * 1.25 * len(rows) + 0.75 + legend.height)
+    figure = look.new_figure(STRIP_HEIGHT * 1.25 * len(rows) + 0.75 + legend.height)
     ax = figure.add_subplot()
-    for row, span in drawn:
-        _draw_strip(ax, span, row, factor, horizon, names)
+    for row, span in drawn:  # a box, with the name of its mode where there is room
+        outside = span.mode == NO_MODE
+        box = Rectangle((factor * span.start, row - 0.4), factor * (span.end - span.start), 0.8)
+        if outside:
+            box.set(facecolor=look.PAPER, edgecolor=look.GRID, linestyle=(0, (3, 2)))
+        else:
+            _paint(box, span.mode)
+        ax.add_patch(box)
+        ax.vlines(factor * span.end, row - 0.4, row + 0.4, color=look.PAPER, linewidth=1.2)
+        name = "outside" if outside else names[span.mode]
+        if _has_room(span, name, horizon):
+            _write(ax, 0.5 * factor * (span.start + span.end), row, name, look.MUTED if outside else look.INK)
     for row, (_, modes) in enumerate(rows):
         if modes is None:
-            _write(ax, 0.5 * factor * horizon, row, "not replayed", MUTED)
-    style_axes(ax, "Modes", data.time.label, "")
+            _write(ax, 0.5 * factor * horizon, row, "not replayed", look.MUTED)
+    look.style_axes(ax, "Modes", data.time.label, "")
     ax.grid(False)
     ax.set_xlim(-0.008 * factor * horizon, 1.008 * factor * horizon)
     ax.set_ylim(len(rows) - 0.35, -0.65)
-    ax.set_yticks(range(len(rows)), [plain(label) for label, _ in rows], fontsize=LABEL_SIZE, color=INK)
+    ax.set_yticks(range(len(rows)), [look.plain(label) for label, _ in rows], fontsize=look.LABEL_SIZE, color=look.INK)
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
     legend.draw(figure)
@@ -160,40 +151,43 @@ def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: flo
 
     Smaller values than ``least`` are zero up to the tolerance of the adjoint equation.
     """
-    names = data.problem.state_names
-    columns = min(len(names), 2)
-    rows = ceil(len(names) / columns)
-    figure = new_figure(0.85 * ROW_HEIGHT * rows + 0.5 + mode_legend(data).height)
-    for i, name in enumerate(names):
-        ax = figure.add_subplot(rows, columns, i + 1)
+    names, height = data.problem.state_names, 0.5 + mode_legend(data).height
+    figure, panels = look.panel_grid(len(names), 0.85 * look.ROW_HEIGHT, height, columns=2)
+    line: dict[str, object] = {"color": look.COMPONENTS[0], "linewidth": 1.5, "markersize": 3.2}
+    for i, (ax, name) in enumerate(zip(panels, names, strict=True)):
         shade_modes(ax, data)
         times = data.time.factor * np.arange(len(eta))
-        marker = "o" if len(eta) <= MARKED else ""
-        ax.plot(
-            *thin_out(times, eta[:, i]), color=COMPONENTS[0], linewidth=1.5, zorder=4, marker=marker, markersize=3.2
-        )
+        look.draw_line(ax, times, eta[:, i], marker="o" if len(eta) <= MARKED else "", zorder=4, **line)
         end = data.time.factor * data.problem.horizon
         for kink in found:  # the interval as a bar with caps, and beside it what the adjoint equation requires
             at, half = data.time.factor * kink.time, 0.5 * BAR * end
             low, high = float(kink.lower[i]), float(kink.upper[i])
             bar = Rectangle((at - half, low), 2 * half, high - low)
-            bar.set(facecolor=FILTERED, alpha=0.28, linewidth=0, zorder=5)
+            bar.set(facecolor=look.FILTERED, alpha=0.28, linewidth=0, zorder=5)
             ax.add_patch(bar)
-            ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=FILTERED, linewidth=1.8, zorder=6)
+            ax.hlines([low, high], at - 1.5 * half, at + 1.5 * half, color=look.FILTERED, linewidth=1.8, zorder=6)
             (point,) = ax.plot(at, kink.required[i], "D", zorder=8)
             point.set(**REQUIRED)
         ax.set_xlim(-BAR * end, (1 + BAR) * end)
-        notes = _show_all(ax, np.concatenate([eta[:, i], *(one.of(i) for one in found)]), least)
+        shown, notes = np.concatenate([eta[:, i], *(one.of(i) for one in found)]), list[look.Note]()
+        low, high = float(shown.min()), float(shown.max())
+        if max(-low, high) <= least:  # zero up to rounding, which is not magnified
+            ax.set_ylim(-1, 1)
+            notes = [look.Note("zero, within the tolerance of the adjoint equation")]
+        else:
+            margin = 1.5 * look.AXIS_MARGIN * (high - low if high - low > least else max(-low, high))
+            ax.set_ylim(low - margin, high + margin)
+            if not SMALL <= max(-low, high) < LARGE:  # the power of ten would stand where the title is
+                ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 3)))
         short, unit = split_unit(name)
-        style_axes(ax, f"Adjoint of {short}", data.time.label, f"{ETA} [cost per {unit or 'unit'}]", notes)
-    adjoint = Line2D([], [], color=COMPONENTS[0], linewidth=1.5, marker="o", markersize=3.2, label=f"adjoint {ETA}")
-    handles: list[Artist] = [adjoint]
+        look.style_axes(ax, f"Adjoint of {short}", data.time.label, f"{ETA} [cost per {unit or 'unit'}]", notes)
+    handles: list[Artist] = [look.legend_line(f"adjoint {ETA}", marker="o", **line)]
     if found:
-        handles.append(Patch(facecolor=FILTERED, alpha=0.28, label=f"$D_x$ <{ETA}, f> over all derivatives at a kink"))
-        required = "what the adjoint equation requires of it"
-        handles.append(Line2D([], [], linestyle="none", marker="D", label=required))
-        handles[-1].set(**REQUIRED)
-    legend_above(figure, handles)
+        text = f"$D_x$ <{ETA}, f> over all derivatives at a kink"
+        handles.append(Patch(facecolor=look.FILTERED, alpha=0.28, label=text))
+        text = "what the adjoint equation requires of it"
+        handles.append(look.legend_line(text, linestyle="none", marker="D", **REQUIRED))
+    look.legend_above(figure, handles)
     mode_legend(data).draw(figure)
     return figure
 
@@ -204,50 +198,22 @@ def smallest_adjoint(certificate: Certificate) -> float:
     return max(scales, default=0.0)
 
 
-def _show_all(ax: Axes, shown: Array, least: float) -> list[Note]:
-    """Let the axis reach over all values; where these are zero up to rounding, do not magnify them, and say so."""
-    low, high = float(shown.min()), float(shown.max())
-    if max(-low, high) <= least:
-        ax.set_ylim(-1, 1)
-        return [Note("zero, within the tolerance of the adjoint equation")]
-    margin = 1.5 * AXIS_MARGIN * (high - low if high - low > least else max(-low, high))
-    ax.set_ylim(low - margin, high + margin)
-    if not SMALL <= max(-low, high) < LARGE:  # the power of ten would stand where the title is
-        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 3)))
-    return []
-
-
-def _draw_strip(ax: Axes, span: Span, row: int, factor: float, horizon: int, names: Sequence[str]) -> None:
-    """Draw a span as a box, with its mode's name where there is room."""
-    outside = span.mode == NO_MODE
-    box = Rectangle((factor * span.start, row - 0.4), factor * (span.end - span.start), 0.8)
-    if outside:
-        box.set(facecolor=PAPER, edgecolor=GRID, linestyle=(0, (3, 2)))
-    else:
-        _paint(box, span.mode)
-    ax.add_patch(box)
-    ax.vlines(factor * span.end, row - 0.4, row + 0.4, color=PAPER, linewidth=1.2)
-    name = "outside" if outside else names[span.mode]
-    if _has_room(span, name, horizon):
-        _write(ax, 0.5 * factor * (span.start + span.end), row, name, MUTED if outside else INK)
-
-
 def _has_room(span: Span, name: str, horizon: int) -> bool:
-    return 0.82 * WIDTH * (span.end - span.start) / horizon > CHARACTER * (len(name) + 1)
+    return 0.82 * look.WIDTH * (span.end - span.start) / horizon > CHARACTER * (len(name) + 1)
 
 
 def _write(ax: Axes, x: float, row: int, text: str, color: str) -> None:
-    ax.text(x, row, text, ha="center", va="center_baseline", fontsize=TICK_SIZE, color=color)
+    ax.text(x, row, text, ha="center", va="center_baseline", fontsize=look.TICK_SIZE, color=color)
 
 
 def _paint(patch: Patch, mode: int) -> Patch:
     """Give a patch the colour and hatch of a mode."""
-    hatch = HATCHES[mode // len(TINTS) % len(HATCHES)]
-    patch.set(facecolor=TINTS[mode % len(TINTS)], hatch=hatch, edgecolor=PAPER, linewidth=0)
+    hatch = look.HATCHES[mode // len(look.TINTS) % len(look.HATCHES)]
+    patch.set(facecolor=look.TINTS[mode % len(look.TINTS)], hatch=hatch, edgecolor=look.PAPER, linewidth=0)
     return patch
 
 
 def _short_names(names: Sequence[str]) -> list[str]:
     """Return names as pictures show them, ready to be drawn."""
     end = "\N{HORIZONTAL ELLIPSIS}"
-    return [plain(name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + end) for name in names]
+    return [look.plain(name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + end) for name in names]

@@ -7,33 +7,15 @@ from textwrap import shorten
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
-from matplotlib.typing import LineStyleType
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.phrases import number, short_name, split_unit
-from lin_freq_ocp.comparison.trajectories import Line, Signal
+from lin_freq_ocp.comparison.trajectories import ProblemSignal
+from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import shade_modes
-from lin_freq_ocp.pages.figures.plot_data import (
-    BAND,
-    BOUND,
-    COMPONENTS,
-    INK,
-    LABEL_SIZE,
-    PAPER,
-    REFERENCE,
-    REFERENCE_LINE,
-    SOFT,
-    Note,
-    PlotData,
-    Trace,
-    View,
-    plain,
-    style_axes,
-    thin_out,
-)
+from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 
 LABEL_CHARACTERS = 30  # A longer name is cut off where several share a legend
@@ -43,118 +25,149 @@ HIDDEN_LIMIT = 30  # A limit of a spectrum that is more than so many times its l
 FEW_BINS = 48
 
 
-def control_panel(ax: Axes, data: PlotData, j: int, title: str) -> None:
-    """Draw control j in time, held over each step, within its bounds."""
-    control = data.controls[j]
-    _draw_in_time(ax, data, control)
-    unit = split_unit(control.name)[1]
-    largest = [f"{number(trace.measured.largest(control), 3)} {trace.label}" for trace in data.traces]
-    note = Note(f"largest{f' [{unit}]' if unit else ''}: {', '.join(largest)}")
-    style_axes(ax, title, data.time.label, control.name, [note])
+def time_panel(ax: Axes, data: PlotData, signal: ProblemSignal, letter: str = "") -> None:
+    """Draw a control or state of all traces in time, within its bounds, before the modes of the main trajectory."""
+    shade_modes(ax, data)
+    zero_order_hold = not signal.is_state  # of controls, until the end of each step
+    drawing = "steps-post" if zero_order_hold else "default"
+
+    def draw(at: Array, values: Array, **properties: object) -> None:
+        """Draw values over steps, with a time at which the last step of a control ends."""
+        if zero_order_hold:
+            at, values = np.append(at, at[-1] + 1), np.append(values, values[-1])
+        look.draw_line(ax, data.time.factor * at, values, drawstyle=drawing, **properties)
+
+    for bound in signal.bounds:
+        if np.isfinite(bound).any():
+            values = np.where(np.isfinite(bound), bound, np.nan)
+            draw(np.arange(float(len(values))), values, color=look.BOUND, linewidth=1.2, zorder=2)
+    limits = [(line, look.BOUND, look.SOFT if line.soft else "-") for line in signal.row_bounds]
+    for line, color, style in [*limits, *((one, look.REFERENCE, look.REFERENCE_LINE) for one in signal.references)]:
+        marker = "D" if np.isfinite(line.values).sum() <= 1 else ""  # of a single time
+        shape: dict[str, object] = {"linestyle": style, "linewidth": 1.2, "marker": marker, "markersize": 4.5}
+        draw(line.at, line.values, color=color, zorder=2, **shape)
+    for trace in data.showing(signal):
+        values = trace.of(signal)
+        draw(np.arange(float(len(values))), values, **trace.style.of_line())
+    seen = data.view(signal)
+    ax.set_ylim(seen.low, seen.high)
+    ax.margins(x=0.015)
+    notes = data.notes([signal])
+    if zero_order_hold:
+        unit = split_unit(signal.name)[1]
+        largest = [f"{number(trace.measured.largest(signal), 3)} {trace.label}" for trace in data.traces]
+        notes = [look.Note(f"largest{f' [{unit}]' if unit else ''}: {', '.join(largest)}")]
+    look.style_axes(ax, f"{letter} {short_name(signal.name)}".lstrip(), data.time.label, signal.name, notes)
 
 
-def state_panel(ax: Axes, data: PlotData, i: int, title: str) -> None:
-    """Draw state i in time, within its bounds."""
-    state = data.states[i]
-    _draw_in_time(ax, data, state)
-    style_axes(ax, title, data.time.label, state.name, data.notes([state]))
-
-
-def states_panel(ax: Axes, data: PlotData, indices: Sequence[int], letter: str) -> None:
-    """Draw some states of the main in time: one as ``state_panel`` does, more in a colour each."""
-    states = [data.states[i] for i in indices]
+def states_panel(ax: Axes, data: PlotData, states: Sequence[ProblemSignal], letter: str) -> None:
+    """Draw some states of the main in time: one as ``time_panel`` does, more in a colour each."""
     if len(states) == 1:
-        state_panel(ax, data, indices[0], f"{letter} {short_name(states[0].name)}")
+        time_panel(ax, data, states[0], letter)
         return
     shade_modes(ax, data)
-    for state, color in zip(states, COMPONENTS, strict=False):
+    for state, color in zip(states, look.COMPONENTS, strict=False):
         values = data.main.of(state)
         times = data.time.factor * np.arange(len(values))
-        label = plain(shorten(short_name(state.name), LABEL_CHARACTERS, placeholder="\N{HORIZONTAL ELLIPSIS}"))
-        ax.plot(*thin_out(times, values), color=color, linewidth=1.5, label=label)
+        label = look.plain(shorten(short_name(state.name), LABEL_CHARACTERS, placeholder="\N{HORIZONTAL ELLIPSIS}"))
+        look.draw_line(ax, times, values, color=color, linewidth=1.5, label=label)
     ax.margins(x=0.015)
-    ax.legend(fontsize=LABEL_SIZE, frameon=False, labelcolor=INK, ncols=2)
+    ax.legend(fontsize=look.LABEL_SIZE, frameon=False, labelcolor=look.INK, ncols=2)
     unit = split_unit(states[0].name)[1]
     names = f"{short_name(states[0].name)} to {short_name(states[-1].name)}"
     title = shorten(f"{letter} {names}", 2 * LABEL_CHARACTERS, placeholder="\N{HORIZONTAL ELLIPSIS}")
-    style_axes(ax, title, data.time.label, f"[{unit}]" if unit else "state", data.notes(states))
+    look.style_axes(ax, title, data.time.label, f"[{unit}]" if unit else "state", data.notes(states))
 
 
-def phase_panel(ax: Axes, data: PlotData, i: int, j: int, title: str) -> None:
-    """Draw state j over state i, with their bounds as a box, the common start and every end."""
-    pair = data.states[i], data.states[j]
+def phase_panel(ax: Axes, data: PlotData, first: ProblemSignal, second: ProblemSignal, letter: str) -> None:
+    """Draw the second state over the first, with their bounds as a box, the common start and every end."""
+    pair = first, second
     views = [data.view(one) for one in pair]
-    _draw_box(ax, pair, views)
+    bounds = [one.bounds for one in pair]
+    if not any((bound != bound[0]).any() for both in bounds for bound in both):  # a box, whose open sides lie outside
+        low = [max(float(lower[0]), 2 * seen.low - seen.high) for (lower, _), seen in zip(bounds, views, strict=True)]
+        high = [min(float(upper[0]), 2 * seen.high - seen.low) for (_, upper), seen in zip(bounds, views, strict=True)]
+        box = Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
+        box.set(fill=False, edgecolor=look.BOUND, linewidth=1.2, zorder=2)
+        ax.add_patch(box)
     shown = data.showing(pair[0])
     for trace in shown:
         style = trace.style
         x, y = (trace.of(one) for one in pair)
-        ax.plot(x, y, color=style.color, linestyle=style.line, linewidth=style.width, zorder=style.order)
-        ax.plot(x[-1], y[-1], "s", color=style.color, markersize=7, markeredgecolor=PAPER, zorder=style.order + 4)
+        ax.plot(x, y)[0].set(**style.of_line())
+        ax.plot(x[-1], y[-1], "s", color=style.color, markersize=7, markeredgecolor=look.PAPER, zorder=style.order + 4)
     x, y = (shown[-1].of(one)[0] for one in pair)
-    ax.plot(x, y, "o", markerfacecolor=PAPER, markeredgecolor=INK, markeredgewidth=1.5, markersize=7, zorder=10)
+    (start,) = ax.plot(x, y, "o", markerfacecolor=look.PAPER, markeredgecolor=look.INK, markersize=7, zorder=10)
+    start.set_markeredgewidth(1.5)
     ax.set_xlim(views[0].low, views[0].high)
     ax.set_ylim(views[1].low, views[1].high)
-    style_axes(ax, title, pair[0].name, pair[1].name, data.notes(pair))
+    title = f"{letter} {' and '.join(short_name(one.name) for one in pair)}"
+    look.style_axes(ax, title, first.name, second.name, data.notes(pair))
 
 
-def spectrum_panel(ax: Axes, data: PlotData, component: Signal, title: str) -> None:
+def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:
     """Draw the spectrum of a component, its DFT bins as points and what lies between them as a line."""
     traces = data.showing(component)
     padded = [padded_spectrum(trace.of(component)[: component.samples, None]) for trace in traces]
     top = max(float(magnitude.max()) for _, magnitude in padded) or 1.0
     floor = float(10.0 ** (np.ceil(np.log10(top)) - DECADES))
-    length = component.samples
-    shade_stop_band(ax, component.stop, length, data.frequency.factor)
-    highest = _draw_levels(ax, data, component, floor, HIDDEN_LIMIT * top)
-    for trace, spectrum in zip(traces, padded, strict=True):
-        omega, magnitude = spectrum[0], spectrum[1][:, 0]
+    length, factor = component.samples, data.frequency.factor
+    shade_stop_band(ax, component.stop, length, factor)
+    highest = 0.0
+    for line in component.levels:  # the limits, drawn with gaps where neighbouring bins have none
+        cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
+        for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
+            shape: dict[str, object] = {"linewidth": 1.6, "linestyle": look.SOFT if line.soft else "-", "markersize": 9}
+            marker = "_" if len(at) == 1 else ""
+            look.draw_line(
+                ax, factor * at, np.maximum(level, floor), marker=marker, color=look.BOUND, zorder=2.5, **shape
+            )
+        highest = max(highest, float(line.values[line.values <= HIDDEN_LIMIT * top].max(initial=0.0)))
+    for trace, (omega, magnitudes) in zip(traces, padded, strict=True):
+        style, magnitude = trace.style, magnitudes[:, 0]
         gaps = (len(omega) - 1) // ZERO_PADDING
         if gaps > FEW_BINS:  # whose lobes would fill the panel: the top of every lobe
             lobes = magnitude[: gaps * ZERO_PADDING].reshape(gaps, ZERO_PADDING)
             omega, magnitude = omega[np.arange(gaps) * ZERO_PADDING + lobes.argmax(1)], lobes.max(1)
-        ax.plot(
-            *thin_out(data.frequency.factor * omega, np.maximum(magnitude, floor)),
-            color=trace.style.color,
-            linewidth=0.65 * trace.style.width,
-            zorder=trace.style.order,
+        between = style.of_line(0.65) | {"linestyle": "-"}
+        look.draw_line(ax, factor * omega, np.maximum(magnitude, floor), **between)
+        # The bins are points, those too small for the axis hollow triangles at its lower edge
+        frequency = factor * 2 * np.pi * np.arange(length // 2 + 1) / length
+        bins, order = np.abs(np.fft.rfft(trace.of(component)[:length])), style.order
+        low = bins < floor
+        hollow: dict[str, object] = {"markersize": 4, "markerfacecolor": "none", "linestyle": "none"}
+        filled = hollow | {"markersize": 2.6, "markerfacecolor": style.color, "markeredgewidth": 0}
+        look.draw_line(
+            ax, frequency[~low], bins[~low], marker=style.marker, color=style.color, zorder=order + 1, **filled
         )
-        frequency = data.frequency.factor * 2 * np.pi * np.arange(length // 2 + 1) / length
-        _draw_bins(ax, trace, frequency, np.abs(np.fft.rfft(trace.of(component)[:length])), floor)
+        at_edge = np.full(int(low.sum()), floor)
+        look.draw_line(
+            ax, frequency[low], at_edge, marker="v", markeredgewidth=0.8, color=style.color, zorder=order + 1, **hollow
+        )
         touching = component.touching(trace.trajectory)
         if len(touching.at):  # where a spectrum reaches the limit of a mask at every frequency
-            at = data.frequency.factor * touching.at
-            points = Line2D(at, touching.values, linestyle="none", color=trace.style.color)
-            points.set(marker="o", markersize=4, markerfacecolor="none", zorder=trace.style.order + 2)
-            ax.add_line(points)
+            at = factor * touching.at
+            look.draw_line(ax, at, touching.values, marker="o", color=style.color, zorder=order + 2, **hollow)
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(floor / 1.6, 3 * max(top, highest))
     short, unit = split_unit(component.name)
     y_label = f"|DFT of {short}|" + (f" [{unit}]" if unit else "")
-    style_axes(ax, title, data.frequency.label, y_label, [_spectrum_note(traces, component)])
+    if component.stop.any():  # how far the stop band is from empty between its bins
+        named = [f"{number(trace.measured.stopband_peak(component), 3)} {trace.label}" for trace in traces]
+        note = f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}"
+    else:
+        note = f"no stop band here{'; its limit is not about bins' if component.limited_beyond_bins else ''}"
+    title = f"{letter} Spectrum of {short}".lstrip()
+    look.style_axes(ax, title, data.frequency.label, y_label, [look.Note(note)])
     frequency_axis(ax, data)
-
-
-def _draw_levels(ax: Axes, data: PlotData, component: Signal, floor: float, ceiling: float) -> float:
-    """Draw the limits of the spectrum, and return the highest that the axis is to show."""
-    highest = 0.0
-    for line in component.levels:
-        cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
-        for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
-            x, y = thin_out(data.frequency.factor * at, np.maximum(level, floor))
-            style, marker = SOFT if line.soft else "-", "_" if len(at) == 1 else None
-            ax.plot(x, y, color=BOUND, linewidth=1.6, linestyle=style, marker=marker, markersize=9, zorder=2.5)
-        near = line.values[line.values <= ceiling]
-        highest = max(highest, float(near.max(initial=0.0)))
-    return highest
 
 
 def shade_stop_band(ax: Axes, stop: Mask, length: int, factor: float) -> None:
     """Shade the stopped bins, each with half the way to its neighbours."""
     for first, last in stopped_runs(stop):
         low, high = np.clip(2 * np.pi * np.array([first - 0.5, last + 0.5]) / length, 0, np.pi)
-        ax.axvspan(factor * low, factor * high, color=BAND, linewidth=0, zorder=0)
+        ax.axvspan(factor * low, factor * high, color=look.BAND, linewidth=0, zorder=0)
 
 
 def frequency_axis(ax: Axes, data: PlotData) -> None:
@@ -164,87 +177,3 @@ def frequency_axis(ax: Axes, data: PlotData) -> None:
     if data.problem.sampling_time is None:
         ax.xaxis.set_major_locator(FixedLocator(list(np.pi * np.arange(6) / 5)))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / np.pi:.1f} \N{GREEK SMALL LETTER PI}"))
-
-
-def _draw_in_time(ax: Axes, data: PlotData, component: Signal) -> None:
-    """Draw a component of all traces, with its bounds and references, before the modes of the main trajectory."""
-    shade_modes(ax, data)
-    held = not component.is_state
-    drawing = "steps-post" if held else "default"
-    for bound in component.bounds:
-        if np.isfinite(bound).any():
-            values = _repeat_last(np.where(np.isfinite(bound), bound, np.nan), held)
-            times = data.time.factor * np.arange(len(values))
-            ax.plot(times, values, color=BOUND, linewidth=1.2, drawstyle=drawing, zorder=2)
-    for line in component.row_bounds:
-        _draw_line(ax, data, line, held, BOUND, SOFT if line.soft else "-")
-    for line in component.references:
-        _draw_line(ax, data, line, held, REFERENCE, REFERENCE_LINE)
-    for trace in data.showing(component):
-        values, style = _repeat_last(trace.of(component), held), trace.style
-        ax.plot(
-            *thin_out(data.time.factor * np.arange(len(values)), values),
-            color=style.color,
-            linestyle=style.line,
-            linewidth=style.width,
-            zorder=style.order,
-            drawstyle=drawing,
-        )
-    seen = data.view(component)
-    ax.set_ylim(seen.low, seen.high)
-    ax.margins(x=0.015)
-
-
-def _draw_line(ax: Axes, data: PlotData, line: Line, held: bool, color: str, style: LineStyleType) -> None:
-    """Draw a bound or reference over time; at a single time, as a point."""
-    values, step = line.values, 1 if held else 0
-    values = np.append(values, [values[-1]] * step)
-    times = data.time.factor * np.append(line.at, [line.at[-1] + 1] * step)
-    marker = "D" if np.isfinite(values).sum() <= 1 + step else ""
-    drawing = "steps-post" if held else "default"
-    (drawn,) = ax.plot(
-        *thin_out(times, values), color=color, linestyle=style, linewidth=1.2, marker=marker, markersize=4.5
-    )
-    drawn.set(drawstyle=drawing, zorder=2)
-
-
-def _repeat_last(values: Array, held: bool) -> Array:
-    """Repeat the last control: it acts until the end of its step."""
-    return np.append(values, values[-1]) if held else values
-
-
-def _draw_box(ax: Axes, pair: Sequence[Signal], views: Sequence[View]) -> None:
-    """Draw the bounds of two states as a box, where they do not depend on time; open sides lie out of sight."""
-    bounds = [state.bounds for state in pair]
-    if any((bound != bound[0]).any() for both in bounds for bound in both):
-        return
-    low, high = list[float](), list[float]()
-    for (lower, upper), seen in zip(bounds, views, strict=True):
-        low.append(max(float(lower[0]), seen.low - (seen.high - seen.low)))
-        high.append(min(float(upper[0]), seen.high + (seen.high - seen.low)))
-    box = Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
-    box.set(fill=False, edgecolor=BOUND, linewidth=1.2, zorder=2)
-    ax.add_patch(box)
-
-
-def _draw_bins(ax: Axes, trace: Trace, frequency: Array, magnitude: Array, floor: float) -> None:
-    """Draw the bins as points, and those too small for the axis as hollow triangles at its lower edge."""
-    low, style = magnitude < floor, trace.style
-    edge = np.full(int(low.sum()), floor)
-    looks: Sequence[tuple[Array, Array, dict[str, object]]] = (
-        (frequency[~low], magnitude[~low], {"marker": style.marker, "markersize": 2.6, "markeredgewidth": 0}),
-        (frequency[low], edge, {"marker": "v", "markersize": 4, "markeredgewidth": 0.8, "markerfacecolor": "none"}),
-    )
-    for x, y, look in looks:
-        points = Line2D(*thin_out(x, y), linestyle="none", color=style.color, zorder=style.order + 1)
-        points.set(**look)
-        ax.add_line(points)
-
-
-def _spectrum_note(traces: Sequence[Trace], component: Signal) -> Note:
-    """Say how far the stop band is from empty between its bins."""
-    if not component.stop.any():
-        limited = "; its limit is not about bins" if component.limited_beyond_bins else ""
-        return Note(f"no stop band here{limited}")
-    named = [f"{number(trace.measured.stopband_peak(component), 3)} {trace.label}" for trace in traces]
-    return Note(f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}")

@@ -6,27 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import number
 from lin_freq_ocp.batch.sweep import Row, SweepOutcome
-from lin_freq_ocp.pages.figures.plot_data import (
-    COMPONENTS,
-    INK,
-    LABEL_SIZE,
-    MARKERS,
-    MUTED,
-    PAPER,
-    ROW_HEIGHT,
-    Note,
-    new_figure,
-    plain,
-    style_axes,
-)
+from lin_freq_ocp.pages.figures import look
 
-HEIGHT = 1.4 * ROW_HEIGHT
+HEIGHT = 1.4 * look.ROW_HEIGHT
 WIDE = 30.0  # an axis whose values, all above zero, have a larger ratio than this is logarithmic
 MOST_NAMED = 12  # of more lines only the first and the last stand in the legend
 PITCH, STRIP = 0.04, 0.25  # fractions of the height: from row to row of marks, and for all rows of marks at most
@@ -40,12 +29,17 @@ BELOW = {"unbounded": ("v", "no lower bound (proven)")}
 
 
 @dataclass(frozen=True)
-class Line:
+class CostLine:
     """The points that differ in the first parameter only."""
 
     label: str  # the values of the other parameters
     reference: float | None  # the proven cost where the first parameter is None
-    points: tuple[tuple[float, Row], ...]  # where it is a number, in ascending order
+    points: list[tuple[float, Row]]  # where it is a number, in ascending order
+
+    def costs(self, relative: bool) -> list[float]:
+        """Return the cost of each point, on request relative to the reference; not a number where there is none."""
+        scale = (self.reference or 1.0) if relative else 1.0
+        return [float("nan") if row["cost"] is None else row["cost"] / scale for _, row in self.points]
 
 
 def sweep_figure(sweep: SweepOutcome) -> Figure:
@@ -55,76 +49,68 @@ def sweep_figure(sweep: SweepOutcome) -> Figure:
     the price of the constraint. Hollow points are not proven. Points without a solution are marks above all costs, and
     those without a lower bound below: no cost is drawn for either.
     """
-    name = _numeric(sweep)
-    lines = _lines(sweep, name)
+    name = next((name for name, values in sweep.grid.items() if _are_numbers(values)), None)
+    if name is None:
+        got = f"no parameter with numbers in {', '.join(sweep.names)}"
+        raise ProblemError("grid", got, "one to draw costs against")
+    lines = _lines_along(sweep, name)
     priced = [line for line in lines if any(row["cost"] is not None for _, row in line.points)]
     relative = bool(priced) and all(line.reference is not None and line.reference > 0 for line in priced)
-    figure = new_figure(HEIGHT)
+    figure = look.new_figure(HEIGHT)
     ax = figure.add_subplot()
     for i, line in enumerate(lines):
-        _draw(ax, line, i, relative, named=len(lines) <= MOST_NAMED or i in (0, len(lines) - 1))
-    if _wide([x for line in lines for x, _ in line.points]):
+        x, costs = np.array([at for at, _ in line.points]), np.array(line.costs(relative))
+        named = line.label and (len(lines) <= MOST_NAMED or i in (0, len(lines) - 1))
+        label = look.plain(line.label) if named else None
+        color, marker = look.COMPONENTS[i % len(look.COMPONENTS)], look.MARKERS[i % len(look.MARKERS)]
+        ax.plot(x, costs, color=color, linewidth=1.5, label=label, marker=marker, markersize=5)
+        unproven = np.array([not row["proven"] for _, row in line.points], dtype=bool) & np.isfinite(costs)
+        if unproven.any():
+            (points,) = ax.plot(x[unproven], costs[unproven], linestyle="none", marker=marker, markersize=5, zorder=4)
+            points.set(color=color, markerfacecolor=look.PAPER)
+    if _span_decades([x for line in lines for x, _ in line.points]):
         ax.set_xscale("log")
-    if _wide([cost for line in lines for _, row in line.points if (cost := _cost(row, line, relative)) is not None]):
+    if _span_decades([cost for line in lines for cost in line.costs(relative) if cost == cost]):
         ax.set_yscale("log")
     if relative:
-        ax.axhline(1.0, color=MUTED, linewidth=0.9, linestyle=(0, (1.2, 1.2)), zorder=1)
+        ax.axhline(1.0, color=look.MUTED, linewidth=0.9, linestyle=(0, (1.2, 1.2)), zorder=1)
     for kinds, above in ((MARKS_ABOVE, True), (BELOW, False)):
         _draw_marks(ax, lines, kinds, above)
     unit = UNITS.get(name)
     y_label = "cost, relative to that without the constraint" if relative else "cost"
     x_label = f"{name.removesuffix('_hz').replace('_', ' ')}" + (f" [{unit}]" if unit else "")
-    unproven = any(row["cost"] is not None and not row["proven"] for row in sweep.rows)
+    hollow = any(row["cost"] is not None and not row["proven"] for row in sweep.rows)
     title = "the price of bandwidth" if name.startswith("cutoff") else f"cost against {name.replace('_', ' ')}"
-    style_axes(ax, f"{sweep.problem}: {title}", x_label, y_label, [Note("Hollow: not proven.")] if unproven else [])
+    look.style_axes(
+        ax, f"{sweep.problem}: {title}", x_label, y_label, [look.Note("Hollow: not proven.")] if hollow else []
+    )
     if ax.get_legend_handles_labels()[1]:
-        figure.legend(fontsize=LABEL_SIZE, labelcolor=INK, frameon=False, loc="outside right upper")
+        figure.legend(fontsize=look.LABEL_SIZE, labelcolor=look.INK, frameon=False, loc="outside right upper")
     return figure
 
 
-def _numeric(sweep: SweepOutcome) -> str:
-    for name, values in sweep.grid.items():
-        numbers = [value for value in values if value is not None]
-        if numbers and all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in numbers):
-            return name
-    raise ProblemError("grid", f"no parameter with numbers in {', '.join(sweep.names)}", "one to draw costs against")
+def _are_numbers(values: Sequence[object]) -> bool:
+    numbers = [value for value in values if value is not None]
+    return bool(numbers) and all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in numbers)
 
 
-def _lines(sweep: SweepOutcome, name: str) -> list[Line]:
+def _lines_along(sweep: SweepOutcome, name: str) -> list[CostLine]:
     references, groups = dict[str, float | None](), dict[str, list[tuple[float, Row]]]()
     for row in sweep.rows:
-        label = ", ".join(f"{other} = {_text(value)}" for other, value in row["parameters"].items() if other != name)
+        others = {other: value for other, value in row["parameters"].items() if other != name}
+        texts = ((other, "none" if value is None else value) for other, value in others.items())
+        label = ", ".join(f"{other} = {number(one) if isinstance(one, float) else one}" for other, one in texts)
         points, value = groups.setdefault(label, []), row["parameters"][name]
         if isinstance(value, (int, float)):
             points.append((value, row))
         elif row["proven"]:
             references.setdefault(label, row["cost"])
     return [
-        Line(label, references.get(label), tuple(sorted(points, key=itemgetter(0)))) for label, points in groups.items()
+        CostLine(label, references.get(label), sorted(points, key=itemgetter(0))) for label, points in groups.items()
     ]
 
 
-def _draw(ax: Axes, line: Line, i: int, relative: bool, named: bool) -> None:
-    color, marker = COMPONENTS[i % len(COMPONENTS)], MARKERS[i % len(MARKERS)]
-    costs = [_cost(row, line, relative) for _, row in line.points]
-    ax.plot(
-        [x for x, _ in line.points],
-        [float("nan") if cost is None else cost for cost in costs],
-        color=color,
-        linewidth=1.5,
-        label=plain(line.label) if named and line.label else None,
-        marker=marker,
-        markersize=5,
-    )
-    unproven = [
-        (x, cost) for (x, row), cost in zip(line.points, costs, strict=True) if cost is not None and not row["proven"]
-    ]
-    if unproven:
-        x, cost = zip(*unproven, strict=True)
-        ax.plot(x, cost, linestyle="none", marker=marker, markersize=5, color=color, markerfacecolor=PAPER, zorder=4)
-
-
-def _draw_marks(ax: Axes, lines: Sequence[Line], kinds: Mapping[str, tuple[str, str]], above: bool) -> None:
+def _draw_marks(ax: Axes, lines: Sequence[CostLine], kinds: Mapping[str, tuple[str, str]], above: bool) -> None:
     """Mark points without cost in a strip above, or below, all costs, a row for each line that has some."""
     marked = [i for i, line in enumerate(lines) if any(_kind(row) in kinds for _, row in line.points)]
     if not marked:
@@ -136,21 +122,20 @@ def _draw_marks(ax: Axes, lines: Sequence[Line], kinds: Mapping[str, tuple[str, 
     room = (high - low) * strip / (1 - strip)  # for a fraction of the height that is free of costs
     ax.set_ylim(*map(float, axis.inverted().transform([low, high + room] if above else [low - room, high])))
     edge = 1 - strip if above else strip
-    ax.axhline(edge, color=MUTED, linewidth=0.7, zorder=1).set_transform(ax.transAxes)
+    ax.axhline(edge, color=look.MUTED, linewidth=0.7, zorder=1).set_transform(ax.transAxes)
     text, at, side = ("no solution", 1.0, "top") if above else ("no cheapest", 0.0, "bottom")
-    ax.text(0.995, at, text, transform=ax.transAxes, ha="right", va=side, color=MUTED, fontsize=LABEL_SIZE)
+    ax.text(0.995, at, text, transform=ax.transAxes, ha="right", va=side, color=look.MUTED, fontsize=look.LABEL_SIZE)
     for kind, (marker, label) in kinds.items():
         found = False
+        mark: dict[str, object] = {"linestyle": "none", "marker": marker, "markersize": 6}
         for row_number, i in enumerate(marked, 1):
             x = [x for x, row in lines[i].points if _kind(row) == kind]
             height = edge + pitch * row_number if above else edge - pitch * row_number
-            color, transform = COMPONENTS[i % len(COMPONENTS)], ax.get_xaxis_transform()
-            ax.plot(
-                x, [height] * len(x), linestyle="none", marker=marker, color=color, markersize=6, transform=transform
-            )
+            (marks,) = ax.plot(x, [height] * len(x), transform=ax.get_xaxis_transform())
+            marks.set(color=look.COMPONENTS[i % len(look.COMPONENTS)], **mark)
             found = found or bool(x)
         if found:
-            ax.plot([], [], linestyle="none", marker=marker, color=MUTED, markersize=6, label=label)
+            ax.plot([], [])[0].set(color=look.MUTED, label=label, **mark)
 
 
 def _kind(row: Row) -> str:
@@ -160,14 +145,6 @@ def _kind(row: Row) -> str:
     return row["status"] if row["proven"] and row["status"] in (*MARKS_ABOVE, *BELOW) else "other"
 
 
-def _cost(row: Row, line: Line, relative: bool) -> float | None:
-    cost = row["cost"]
-    return cost if cost is None or not relative else cost / (line.reference or 1.0)
-
-
-def _wide(values: Sequence[float]) -> bool:
+def _span_decades(values: Sequence[float]) -> bool:
+    """Whether values, all above zero, are so far apart that their axis is logarithmic."""
     return len(values) > 0 and min(values) > 0 and max(values) > WIDE * min(values)
-
-
-def _text(value: object) -> str:
-    return "none" if value is None else number(value) if isinstance(value, float) else str(value)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Mask
 from lin_freq_ocp.base.phrases import listed, number, plural, runs_in_words, short_name
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
-from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Signal, Violation, controls_of
+from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Violation, controls_of
 from lin_freq_ocp.pages.report.proof import RIGOROUS, proven_optimal
 from lin_freq_ocp.pages.report.tables import moves_sentence
 from lin_freq_ocp.pages.units import frequency_scale, quantity, rough
 from lin_freq_ocp.problem.measures import stopped_runs
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
 
 FILTERING = "Filtering afterwards"
@@ -69,18 +67,21 @@ def finding(comparison: ComparisonOutcome) -> Finding:
 
 def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[str]:
     """Return the constraints that a filtered control violates, and whether it is more expensive, in words."""
-    problem, found = replay.problem, _exceeded_controls(replay)
-    if replay.meaningful:
-        left, others = _broken(replay.states, problem.state_names, "other state")
-        if left:
-            found.append(f"leaves the bounds on {listed([name for name, _ in left])}{others}")
-        terms = [term.name for term in problem.terms if term.hard]
-        violated, others = _broken(replay.terms, terms, "other constraint")
-        if violated:
-            found.append(f"violates {listed([f'{name} by {size}' for name, size in violated])}{others}")
-        missed, others = _broken(replay.end, problem.state_names, "other state")
-        if missed:
-            found.append(f"misses the end by {listed([f'{size} in {name}' for name, size in missed])}{others}")
+    problem, controls = replay.problem, controls_of(replay.problem)
+    names, terms = problem.state_names, [term.name for term in problem.terms if term.hard]
+
+    def bound_text(name: str, size: str, j: int) -> str:
+        times = replay.peak_times(controls[j])
+        where = listed([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
+        peak = quantity(replay.largest(controls[j]), controls[j].name)
+        return f"the {name} bound by {size} (peaks at {peak}, {where})"
+
+    found = [
+        *_broken("exceeds", replay.controls, problem.control_names, "other control", bound_text),
+        *_broken("leaves the bounds on", replay.states, names, "other state", lambda name, size, i: name),
+        *_broken("violates", replay.terms, terms, "other constraint", lambda name, size, i: f"{name} by {size}"),
+        *_broken("misses the end by", replay.end, names, "other state", lambda name, size, i: f"{size} in {name}"),
+    ]
     measures, best = replay.measures, comparison.constrained.cost
     for of_states, what, energy in (
         (False, "control", measures.stopband_energy),
@@ -96,32 +97,16 @@ def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[st
     return found
 
 
-def _exceeded_controls(replay: MeasuredTrajectory) -> list[str]:
-    broken, controls = np.flatnonzero(~replay.controls.passed), controls_of(replay.problem)
-    bounds = [
-        f"the {short_name(controls[j].name)} bound by {quantity(float(replay.controls.values[j]), controls[j].name)} "
-        f"({_peak(replay, controls[j])})"
-        for j in broken[:NAMED]
-    ]
-    return [f"exceeds {listed(bounds)}{_others(len(broken), 'other control')}"] if bounds else []
-
-
-def _peak(replay: MeasuredTrajectory, signal: Signal) -> str:
-    times = replay.peak_times(signal)
-    where = listed([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
-    return f"peaks at {quantity(replay.largest(signal), signal.name)}, {where}"
-
-
-def _broken(violation: Violation | None, names: Sequence[str], noun: str) -> tuple[list[tuple[str, str]], str]:
-    """Return name and size of the first violated bounds, and the count of the others."""
-    broken = [] if violation is None else [int(i) for i in np.flatnonzero(~violation.passed)]
-    sizes = [] if violation is None else [quantity(float(violation.values[i]), names[i]) for i in broken[:NAMED]]
-    named = [(short_name(names[i]), size) for i, size in zip(broken, sizes, strict=False)]
-    return named, _others(len(broken), noun)
-
-
-def _others(count: int, noun: str) -> str:
-    return f" (and {plural(count - NAMED, noun)})" if count > NAMED else ""
+def _broken(
+    verb: str, violation: Violation | None, names: Sequence[str], noun: str, text: Callable[[str, str, int], str]
+) -> list[str]:
+    """Say which bounds are violated, by ``text`` of name, size and index of the first ones; nothing if none is."""
+    if violation is None or violation.passed.all():
+        return []
+    broken = np.flatnonzero(~violation.passed).tolist()
+    parts = [text(short_name(names[i]), quantity(float(violation.values[i]), names[i]), i) for i in broken[:NAMED]]
+    others = f" (and {plural(len(broken) - NAMED, noun)})" if len(broken) > NAMED else ""
+    return [f"{verb} {listed(parts)}{others}"]
 
 
 def _with_constraint(comparison: ComparisonOutcome) -> str:
@@ -186,42 +171,35 @@ def _proven(result: Outcome) -> str:
 
 
 def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
-    """Say which bins are zero, and what remains between them."""
-    problem, sentences = comparison.problem, list[str]()
-    bands = (problem.control_stop, problem.control_names), (problem.state_stop, problem.state_names)
-    for of_states, (stopped, names) in enumerate(bands):
-        if stopped.any():
-            sentences.append(
-                _removed_bins(problem, stopped, names, problem.state_samples if of_states else problem.horizon)
-            )
-            sentences.append(_between_the_bins(comparison, "state_stopband_peak" if of_states else "stopband_peak"))
+    """Say which bins are zero, components with the same bins together, and what remains between them."""
+    problem, sentences, scale = comparison.problem, list[str](), frequency_scale(comparison.problem)
+    for stopped, names, length, field in (
+        (problem.control_stop, problem.control_names, problem.horizon, "stopband_peak"),
+        (problem.state_stop, problem.state_names, problem.state_samples, "state_stopband_peak"),
+    ):
+        sharing = dict[tuple[tuple[int, int], ...], list[str]]()
+        for i, name in enumerate(names):
+            runs = tuple(stopped_runs(stopped[:, i]))
+            if runs:
+                sharing.setdefault(runs, []).append(short_name(name))
+        parts = list[str]()
+        for runs, components in sharing.items():
+            spans = [tuple(number(scale.factor * 2 * np.pi * k / length, 4) for k in run) for run in runs]
+            frequencies = listed([low if low == high else f"{low} to {high}" for low, high in spans])
+            parts.append(f"{runs_in_words(runs)} of {listed(components)} ({frequencies} {scale.unit})")
+        if not parts:
+            continue
+        sentences.append(
+            f"On a horizon of {length} samples, these DFT bins and their mirror images are zero: {'; '.join(parts)}."
+        )
+        shown, own = comparison.shown_filter, comparison.constrained_measures
+        filtered = None if shown is None else getattr(shown.replay.measures, field)
+        peaks = [] if own is None else [f"{number(getattr(own, field), 3)} with the constraint"]
+        without = number(getattr(comparison.classical_measures, field), 3)
+        peaks.append(f"{without} without {'it' if peaks else 'the constraint'}")
+        peaks += [] if filtered is None else [f"{number(filtered, 3)} after filtering"]
+        sentences.append(
+            "Zero at these bins is not zero between them: the zero-padded spectrum, which looks between, still peaks "
+            f"at {listed(peaks)}."
+        )
     return sentences
-
-
-def _removed_bins(problem: OptimalControlProblem, stopped: Mask, names: tuple[str, ...], length: int) -> str:
-    """Return which bins of which components are zero; components with the same bins are named together."""
-    scale, sharing = frequency_scale(problem), dict[tuple[tuple[int, int], ...], list[str]]()
-    for i, name in enumerate(names):
-        runs = tuple(stopped_runs(stopped[:, i]))
-        if runs:
-            sharing.setdefault(runs, []).append(short_name(name))
-    parts = list[str]()
-    for runs, components in sharing.items():
-        spans = [tuple(number(scale.factor * 2 * np.pi * k / length, 4) for k in run) for run in runs]
-        frequencies = listed([low if low == high else f"{low} to {high}" for low, high in spans])
-        parts.append(f"{runs_in_words(runs)} of {listed(components)} ({frequencies} {scale.unit})")
-    return f"On a horizon of {length} samples, these DFT bins and their mirror images are zero: {'; '.join(parts)}."
-
-
-def _between_the_bins(comparison: ComparisonOutcome, field: str) -> str:
-    shown, own = comparison.shown_filter, comparison.constrained_measures
-    filtered = None if shown is None else getattr(shown.replay.measures, field)
-    parts = [] if own is None else [f"{number(getattr(own, field), 3)} with the constraint"]
-    parts.append(
-        f"{number(getattr(comparison.classical_measures, field), 3)} without {'it' if parts else 'the constraint'}"
-    )
-    parts += [] if filtered is None else [f"{number(filtered, 3)} after filtering"]
-    return (
-        "Zero at these bins is not zero between them: the zero-padded spectrum, which looks between, still peaks at "
-        f"{listed(parts)}."
-    )

@@ -10,13 +10,11 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -30,19 +28,13 @@ from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_
 from lin_freq_ocp.loop.record import LoopRecord
 from lin_freq_ocp.pages.figures import figures
 from lin_freq_ocp.pages.figures.continua import held_figure, moves_figure, vibrations_figure
+from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS
 from lin_freq_ocp.pages.figures.loop import loop_figure
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
-from lin_freq_ocp.pages.figures.plot_data import THEMED, THEMED_TINTS, PlotData
-from lin_freq_ocp.pages.report import proof
+from lin_freq_ocp.pages.figures.plot_data import PlotData
+from lin_freq_ocp.pages.report import proof, tables
 from lin_freq_ocp.pages.report.findings import FILTERING, finding, stop_band_meaning
-from lin_freq_ocp.pages.report.tables import (
-    NOT_MEANINGFUL,
-    certificate_rows,
-    comparison_rows,
-    moves_caption,
-    moves_rows,
-    moves_title,
-)
+from lin_freq_ocp.pages.templates import render_template
 from lin_freq_ocp.pages.units import rough
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.solving.outcome import Outcome
@@ -83,7 +75,7 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
     if data.outputs:
         yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
     if comparison.moves is not None:
-        title, caption = moves_title(comparison.moves), moves_caption(comparison.moves)
+        title, caption = tables.moves_title(comparison.moves), tables.moves_caption(comparison.moves)
         yield "vibration", title, caption, moves_figure(comparison.moves)
     held, vibrations = held_figure(data), vibrations_figure(data) if comparison.moves is None else None
     if held is not None:
@@ -123,19 +115,23 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
     problem, certificate = comparison.problem, comparison.constrained.certificate
     constrained, result = has_frequency_constraint(problem), comparison.constrained
     return render_template(
+        "report",
         "page.html.jinja",
         title=problem.name or "Optimal control problem",
         finding=finding(comparison),
         tiles=tiles(comparison),
         drawings={drawing.name: drawing for drawing in drawings},
-        table=comparison_rows(comparison),
-        moves=None if comparison.moves is None else moves_rows(comparison.moves),
+        table=tables.comparison_rows(comparison),
+        moves=None if comparison.moves is None else tables.moves_rows(comparison.moves),
         filtering=FILTERING,
-        not_meaningful=NOT_MEANINGFUL,
+        not_meaningful=tables.NOT_MEANINGFUL,
         meaning=stop_band_meaning(comparison),
         verdict=[] if certificate is None else proof.verdict(certificate, problem),
         search=proof.search_sentences(result),
-        conditions=() if certificate is None else certificate_rows(problem, certificate),
+        conditions=() if certificate is None else certificate.conditions,
+        condition_digits=tables.CONDITION_DIGITS.items(),
+        number=number,
+        worst_location=tables.worst_location,
         problem=problem,
         result=result,
         comparison=comparison,
@@ -149,7 +145,6 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
             _how("with the constraint" if constrained else "the problem", result),
         ],
         sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
-        version=version("lin-freq-ocp"),
     )
 
 
@@ -184,52 +179,39 @@ def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
 def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
     """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
     drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
+    steps = plural(len(loop.steps), "step")
+    sentence = f"{steps}; the plans of {int(loop.satisfied.sum())} satisfy the maximum principle"
+    known = loop.gaps[np.isfinite(loop.gaps)]
+    sentence += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
+    sentence += f" The loop stopped before its end: {loop.stopped}" if loop.stopped else ""
+    headline = [("steps", str(len(loop.steps)), "")]
+    if loop.steps:
+        solve, certify = 1e3 * loop.solve_seconds, 1e3 * loop.certify_seconds
+        most = f"at most {number(float(solve.max()), 3)} ms"
+        headline += [
+            ("time of a step", f"{number(float(np.median(solve)), 3)} ms", most),
+            ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
+            ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
+        ]
     counts = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
+    # The largest excess of each softened constraint, and at how many steps there was one
+    violations = list[tuple[str, str, int]]()
+    for name in dict.fromkeys(name for step in loop.steps for name in step.excess):
+        amounts = [step.excess.get(name, 0.0) for step in loop.steps]
+        violations.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
     page = render_template(
+        "report",
         "loop.html.jinja",
         title=loop.problem.name or "Control loop",
-        finding=_loop_finding(loop),
-        tiles=_loop_tiles(loop),
+        finding=sentence,
+        tiles=headline,
         drawing=drawing,
         counts=[(*key, count) for key, count in counts.most_common()],
-        excess=_loop_violations(loop),
+        excess=violations,
         facts=problem_facts(loop.problem, loop.problem.gap),
         problem=loop.problem,
-        version=version("lin-freq-ocp"),
     )
     return save_page(folder, page, [drawing])
-
-
-def _loop_finding(loop: LoopRecord) -> str:
-    steps = len(loop.steps)
-    proven = int(loop.satisfied.sum())
-    text = f"{plural(steps, 'step')}; the plans of {proven} satisfy the maximum principle"
-    known = loop.gaps[np.isfinite(loop.gaps)]
-    text += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
-    return text + (f" The loop stopped before its end: {loop.stopped}" if loop.stopped else "")
-
-
-def _loop_tiles(loop: LoopRecord) -> list[tuple[str, str, str]]:
-    """Return label, number and remark of the headline's figures."""
-    if not loop.steps:
-        return [("steps", "0", "")]
-    solve, certify = 1e3 * loop.solve_seconds, 1e3 * loop.certify_seconds
-    return [
-        ("steps", str(len(loop.steps)), ""),
-        ("time of a step", f"{number(float(np.median(solve)), 3)} ms", f"at most {number(float(solve.max()), 3)} ms"),
-        ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
-        ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
-    ]
-
-
-def _loop_violations(loop: LoopRecord) -> list[tuple[str, str, int]]:
-    """Return the largest excess of each softened constraint, and at how many steps there was one."""
-    names = dict.fromkeys(name for step in loop.steps for name in step.excess)
-    rows: list[tuple[str, str, int]] = []
-    for name in names:
-        amounts = [step.excess.get(name, 0.0) for step in loop.steps]
-        rows.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
-    return rows
 
 
 @dataclass(frozen=True)
@@ -265,18 +247,6 @@ def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
     with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
     return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
-
-
-def render_template(template: str, **values: object) -> str:
-    """Return a page from its template."""
-    environment = Environment(
-        loader=PackageLoader("lin_freq_ocp.pages.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(template).render(**values)
 
 
 def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.phrases import listed, number, plural
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -106,8 +106,31 @@ def switching_sentences(borders: SwitchingFacts) -> list[str]:
     if not borders.times and not borders.norms:
         what = "No two modes meet along this trajectory" if len(borders.mode_names) > 1 else "No kink lies on it"
         return [*sentences, f"{what}: the dynamics have one derivative at every step, and nothing had to be chosen."]
-    where = f"{_switching_text(borders)}. There the dynamics have no single derivative."
-    return [*sentences, where, _joint(borders), _flips(borders), _printed_form(borders)]
+    places = list[str]()
+    if borders.times:
+        places.append(f"modes meet{' or end' if borders.gaps else ''} at {_times(borders.times)}")
+    for norm in dict.fromkeys(one.norm for one in borders.norms):
+        places.append(f"{norm} is zero at {_times([one.time for one in borders.norms if one.norm == norm])}")
+    where = listed(places)
+    where = f"{where[0].upper() if borders.times else where[0]}{where[1:]}"
+    chosen = "; ".join(_choices(borders))
+    joint = (  # Clarke's joint inclusion, with the elements that were chosen
+        "The necessary condition holds (joint inclusion, Clarke's rule): with one choice of the derivative for "
+        f"states and controls alike, the adjoint equation and stationarity in u are satisfied, {chosen}."
+    )
+    if not borders.joint:
+        joint = (
+            "The necessary condition fails with these multipliers (joint inclusion, Clarke's rule): no one choice of "
+            f"the derivative satisfies every condition. The nearest is, {chosen}."
+        )
+    function = f"\N{MINUS SIGN}<{ETA}, f>"
+    holds = "holds, too" if borders.joint and borders.printed else "holds" if borders.printed else "does not hold"
+    regular = "is" if borders.regular else "is not"
+    printed = (
+        f"The form that the paper prints, with one inclusion for the states and one for the controls, {holds}; it is "
+        f"meant for {function} regular in Clarke's sense, which it {regular} here."
+    )
+    return [*sentences, f"{where}. There the dynamics have no single derivative.", joint, _flips(borders), printed]
 
 
 def search_sentences(result: Outcome) -> list[str]:
@@ -166,38 +189,14 @@ def adjoint_caption(borders: SwitchingFacts) -> str:
 
 def _choices(borders: SwitchingFacts) -> list[str]:
     """Return the weights and the selections, time by time."""
-    parts = [
-        f"at t = {t}: {ALPHA} = {_weights(alpha, borders.mode_names)}"
-        for t, alpha in zip(borders.times, borders.weights, strict=True)
-    ]
+    parts = list[str]()
+    for t, alpha in zip(borders.times, borders.weights, strict=True):  # those that are not zero, with their modes
+        used = [f"{number(float(alpha[i]), 3)} {_quote(borders.mode_names[i])}" for i in np.flatnonzero(alpha)]
+        parts.append(f"at t = {t}: {ALPHA} = {listed(used or ['0'])}")
     for kink in borders.norms:
         selection = ", ".join(number(part, 3) for part in kink.selection)
         parts.append(f"at t = {kink.time}, {kink.norm} = 0: {XI} = ({selection})")
     return [*parts[:NAMED_TIMES], *([f"{len(parts) - NAMED_TIMES} more"] if len(parts) > NAMED_TIMES else [])]
-
-
-def _switching_text(borders: SwitchingFacts) -> str:
-    parts = list[str]()
-    if borders.times:
-        parts.append(f"modes meet{' or end' if borders.gaps else ''} at {_times(borders.times)}")
-    for norm in dict.fromkeys(one.norm for one in borders.norms):
-        parts.append(f"{norm} is zero at {_times([one.time for one in borders.norms if one.norm == norm])}")
-    text = listed(parts)
-    return f"{text[0].upper() if borders.times else text[0]}{text[1:]}"
-
-
-def _joint(borders: SwitchingFacts) -> str:
-    """Return whether Clarke's joint inclusion holds, with the elements that were chosen."""
-    chosen = "; ".join(_choices(borders))
-    if borders.joint:
-        return (
-            "The necessary condition holds (joint inclusion, Clarke's rule): with one choice of the derivative for "
-            f"states and controls alike, the adjoint equation and stationarity in u are satisfied, {chosen}."
-        )
-    return (
-        "The necessary condition fails with these multipliers (joint inclusion, Clarke's rule): no one choice of the "
-        f"derivative satisfies every condition. The nearest is, {chosen}."
-    )
 
 
 def _flips(borders: SwitchingFacts) -> str:
@@ -230,22 +229,6 @@ def _flip(flip: Flip, borders: SwitchingFacts) -> str:
     }
     mode = _quote(borders.mode_names[flip.mode])
     return f"towards {mode} at t = {flip.time} (rate {number(flip.rate, 2)}{known[flip.improves]})"
-
-
-def _printed_form(borders: SwitchingFacts) -> str:
-    function = f"\N{MINUS SIGN}<{ETA}, f>"
-    holds = "holds, too" if borders.joint and borders.printed else "holds" if borders.printed else "does not hold"
-    regular = "is" if borders.regular else "is not"
-    return (
-        f"The form that the paper prints, with one inclusion for the states and one for the controls, {holds}; it is "
-        f"meant for {function} regular in Clarke's sense, which it {regular} here."
-    )
-
-
-def _weights(alpha: Array, names: Sequence[str]) -> str:
-    """Return the weights that are not zero, with the modes they belong to."""
-    used = [int(i) for i in np.flatnonzero(alpha)]
-    return listed([f"{number(float(alpha[i]), 3)} {_quote(names[i])}" for i in used] or ["0"])
 
 
 def _quote(name: str) -> str:

@@ -14,7 +14,7 @@ from lin_freq_ocp.batch.sweep import SweepOutcome
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
-from lin_freq_ocp.comparison.moves import OURS, Move, Moves
+from lin_freq_ocp.comparison.moves import OURS, Moves
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation, controls_of
 from lin_freq_ocp.pages.report.proof import bound_kind
 from lin_freq_ocp.pages.units import align
@@ -27,6 +27,7 @@ KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"
 OF_CONTROL, OF_ROWS, OF_MODES = ("C-v", "C-vii", "S-u", "N-u"), ("S-z", "N-z"), ("S-f", "N-f")
 IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")  # conditions whose worst violation is at a bin
 
+CONDITION_DIGITS = {"residual": 3, "scale": 4, "relative": 3, "tolerance": 3}  # the figures of a condition
 COST_DIGITS = 5  # costs differ less than the other figures do
 SWEEP_DIGITS = 6  # neighbours in a grid differ less than a filter and a solution do
 
@@ -34,7 +35,7 @@ Columns = Sequence[MeasuredTrajectory | None]  # None: no trajectory was found
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """A text, and whether a constraint holds there; None where none is concerned."""
 
     text: str
@@ -47,7 +48,7 @@ class Row:
 
     label: str
     unit: str
-    cells: tuple[Cell, ...]
+    cells: tuple[TableCell, ...]
 
 
 @dataclass(frozen=True)
@@ -66,25 +67,6 @@ class ComparisonRows:
     groups: tuple[Group, ...]
 
 
-@dataclass(frozen=True)
-class ConditionRow:
-    """One condition of a certificate, in words."""
-
-    label: str
-    name: str
-    residual: str
-    scale: str
-    relative: str
-    tolerance: str
-    passed: bool
-    place: str
-
-    @property
-    def verdict(self) -> str:
-        """Return "holds" or "fails"."""
-        return "holds" if self.passed else "fails"
-
-
 def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     """Return what was measured of every trajectory, where it applies to the problem."""
     problem, found = comparison.problem, comparison.trajectories
@@ -98,7 +80,10 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     groups = [
         _group("", ["cost"], columns, lambda one, _: _measured_cell(one, one.measures.cost, digits=COST_DIGITS)),
         _group(
-            "Largest magnitude", problem.control_names, columns, lambda one, j: Cell(align(one.largest(controls[j])))
+            "Largest magnitude",
+            problem.control_names,
+            columns,
+            lambda one, j: TableCell(align(one.largest(controls[j]))),
         ),
         _violation_group("Beyond the control bounds by", problem.control_names, columns, lambda one: one.controls),
         _violation_group("Beyond the state bounds by", problem.state_names, columns, lambda one: one.states),
@@ -109,7 +94,9 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     ]
     if not all(one.meaningful for one in found):
         title = "Misses the next planned state, in one step, by"
-        groups.append(_group(title, problem.state_names, columns, lambda one, i: Cell(align(one.one_step_residual[i]))))
+        groups.append(
+            _group(title, problem.state_names, columns, lambda one, i: TableCell(align(one.one_step_residual[i])))
+        )
     return ComparisonRows(tuple(labels), tuple(group for group in groups if group.rows))
 
 
@@ -117,14 +104,14 @@ def _group(
     title: str,
     names: Sequence[str],
     columns: Columns,
-    cell: Callable[[MeasuredTrajectory, int], Cell],
+    cell: Callable[[MeasuredTrajectory, int], TableCell],
     shown: Iterable[int] | None = None,
 ) -> Group:
     """Return a row per name, or for some of them, with ``cell`` of each trajectory and the name's index."""
     return Group(
         title,
         tuple(
-            Row(*split_unit(names[i]), tuple(Cell(NOTHING) if one is None else cell(one, i) for one in columns))
+            Row(*split_unit(names[i]), tuple(TableCell(NOTHING) if one is None else cell(one, i) for one in columns))
             for i in (range(len(names)) if shown is None else shown)
         ),
     )
@@ -132,8 +119,8 @@ def _group(
 
 def _measured_cell(
     trajectory: MeasuredTrajectory, value: float | None, passed: bool | None = None, digits: int = 4
-) -> Cell:
-    return Cell(NOT_MEANINGFUL if value is None and not trajectory.meaningful else align(value, digits), passed)
+) -> TableCell:
+    return TableCell(NOT_MEANINGFUL if value is None and not trajectory.meaningful else align(value, digits), passed)
 
 
 def _violation_group(
@@ -141,9 +128,13 @@ def _violation_group(
 ) -> Group:
     """Return one row per component that has a bound."""
 
-    def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
+    def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
         found = violation(trajectory)
-        return Cell(NOT_MEANINGFUL) if found is None else Cell(align(float(found.values[i])), bool(found.passed[i]))
+        return (
+            TableCell(NOT_MEANINGFUL)
+            if found is None
+            else TableCell(align(float(found.values[i])), bool(found.passed[i]))
+        )
 
     found = [violation(one) for one in columns if one is not None]
     bounded = np.any([one.bounded for one in found if one is not None], axis=0)
@@ -151,7 +142,7 @@ def _violation_group(
 
 
 def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:
-    def cell(trajectory: MeasuredTrajectory, i: int) -> Cell:
+    def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
         found = trajectory.measures
         if of_states:
             values = found.state_stopband_energy, found.state_stopband_peak
@@ -164,24 +155,7 @@ def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states
     return _group(f"Stop band of the {'states' if of_states else 'controls'}", rows if banded else [], columns, cell)
 
 
-def certificate_rows(problem: OptimalControlProblem, certificate: Certificate) -> tuple[ConditionRow, ...]:
-    """Return every condition of a certificate, in the paper's order."""
-    return tuple(
-        ConditionRow(
-            label=condition.label,
-            name=condition.name,
-            residual=number(condition.residual, 3),
-            scale=number(condition.scale, 4),
-            relative=number(condition.relative, 3),
-            tolerance=number(condition.tolerance, 3),
-            passed=condition.passed,
-            place=_worst_at(problem, condition),
-        )
-        for condition in certificate.conditions
-    )
-
-
-def _worst_at(problem: OptimalControlProblem, condition: Condition) -> str:
+def worst_location(problem: OptimalControlProblem, condition: Condition) -> str:
     """Return where a condition is worst; nothing where it holds exactly."""
     if condition.time is None or condition.residual == 0:
         return NOTHING
@@ -212,15 +186,13 @@ def terminal_table(title: str, rows: ComparisonRows) -> Table:
         if group.title:
             table.add_row(Text(group.title, style="italic"))
         for row in group.rows:
-            label = f"{row.label} [{row.unit}]" if row.unit else row.label
-            table.add_row(Text(("  " if group.title else "") + label), *(_styled_text(cell) for cell in row.cells))
+            label, texts = f"{row.label} [{row.unit}]" if row.unit else row.label, list[Text]()
+            for cell in row.cells:
+                style = "dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else ""
+                broken = cell.passed is False
+                texts.append(Text(f"{cell.text} \N{BALLOT X}", "bold red") if broken else Text(cell.text, style))
+            table.add_row(Text(("  " if group.title else "") + label), *texts)
     return table
-
-
-def _styled_text(cell: Cell) -> Text:
-    if cell.passed is False:
-        return Text(f"{cell.text} \N{BALLOT X}", style="bold red")
-    return Text(cell.text, style="dim" if cell.text in (NOTHING, NOT_MEANINGFUL) else "")
 
 
 def certificate_table(problem: OptimalControlProblem, certificate: Certificate) -> Table:
@@ -229,13 +201,13 @@ def certificate_table(problem: OptimalControlProblem, certificate: Certificate) 
     if certificate.gap is not None:
         verdict += f", gap to the {bound_kind(certificate)} bound {number(certificate.gap, 2)}"
     table = Table(title=Text(verdict))
-    for heading in ("", "condition", "residual", "scale", "relative", "tolerance", "", "worst at"):
-        justify = "right" if heading in ("residual", "scale", "relative", "tolerance") else "left"
-        table.add_column(heading, justify=justify)
-    for row in certificate_rows(problem, certificate):
-        style = "green" if row.passed else "bold red"
-        cells = (row.label, row.name, row.residual, row.scale, row.relative, row.tolerance)
-        table.add_row(*(Text(cell) for cell in cells), Text(row.verdict, style=style), Text(row.place))
+    for heading in ("", "condition", *CONDITION_DIGITS, "", "worst at"):
+        table.add_column(heading, justify="right" if heading in CONDITION_DIGITS else "left")
+    for one in certificate.conditions:
+        holds = Text("holds", style="green") if one.passed else Text("fails", style="bold red")
+        numbers = [number(getattr(one, name), digits) for name, digits in CONDITION_DIGITS.items()]
+        texts = [Text(cell) for cell in (one.label, one.name, *numbers)]
+        table.add_row(*texts, holds, Text(worst_location(problem, one)))
     return table
 
 
@@ -249,8 +221,9 @@ def sweep_table(sweep: SweepOutcome) -> Table:
     for row in sweep.rows:
         style = "" if row["status"] == "optimal" and row["proven"] else "yellow" if row["proven"] else "bold red"
         status = row["status"].replace("_", " ") + ("" if row["proven"] else ", not proven")
+        values = [NOTHING if value is None else value for value in row["parameters"].values()]
         table.add_row(
-            *(Text(_cell_text(value)) for value in row["parameters"].values()),
+            *(Text(number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)) for value in values),
             Text(status, style=style),
             Text(align(row["cost"], SWEEP_DIGITS)),
             Text(number(row["gap"], 2)),
@@ -261,34 +234,22 @@ def sweep_table(sweep: SweepOutcome) -> Table:
     return table
 
 
-def _cell_text(value: object) -> str:
-    return NOTHING if value is None else number(value, SWEEP_DIGITS) if isinstance(value, float) else str(value)
-
-
 def moves_rows(moves: Moves) -> ComparisonRows:
     """Return one column per move: its length, and the vibration that it leaves."""
-    found = moves.all
-
-    def longer(move: Move) -> str:
-        if move.measured is None or moves.ours.measured is None:
-            return NOTHING
-        return number(100 * (move.samples / moves.ours.samples - 1), 3)
-
-    def length(move: Move, value: str) -> str:
-        return value if move.measured is not None else f"> {value}"
-
-    def vibration(move: Move) -> Cell:
-        if move.ratio is None:
-            return Cell(NOTHING)
-        return Cell(align(move.ratio), move.keeps_everything)
-
-    rows = (
-        Row("samples", "", tuple(Cell(length(move, str(move.samples))) for move in found)),
-        Row("move time", "s", tuple(Cell(length(move, align(move.seconds))) for move in found)),
-        Row("longer than the optimal move by", "%", tuple(Cell(longer(move)) for move in found)),
-        Row("largest vibration, of its limit", "", tuple(map(vibration, found))),
+    columns, ours = list[tuple[TableCell, ...]](), moves.ours
+    for move in moves.all:
+        at_least = "" if move.measured is not None else "> "
+        known = move.measured is not None and ours.measured is not None
+        longer = number(100 * (move.samples / ours.samples - 1), 3) if known else NOTHING
+        vibration = TableCell(NOTHING) if move.ratio is None else TableCell(align(move.ratio), move.keeps_everything)
+        lengths = TableCell(f"{at_least}{move.samples}"), TableCell(f"{at_least}{align(move.seconds)}")
+        columns.append((*lengths, TableCell(longer), vibration))
+    labels = (
+        *(("samples", ""), ("move time", "s")),
+        *(("longer than the optimal move by", "%"), ("largest vibration, of its limit", "")),
     )
-    return ComparisonRows(tuple(move.name for move in found), (Group("", rows),))
+    rows = tuple(Row(*label, cells) for label, cells in zip(labels, zip(*columns, strict=True), strict=True))
+    return ComparisonRows(tuple(move.name for move in moves.all), (Group("", rows),))
 
 
 def moves_sentence(moves: Moves) -> str:

@@ -25,7 +25,7 @@ from lin_freq_ocp.base.arrays import (
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
-from lin_freq_ocp.problem.dynamics.linearisation import System, clock, linearisation
+from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, clock, linearisation
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -164,7 +164,7 @@ class LinearDynamics(StateEquations):
     @classmethod
     def linearised(
         cls,
-        system: System,
+        system: ControlSystem,
         x: ArrayLike,
         u: ArrayLike,
         sampling_time: float | None = None,

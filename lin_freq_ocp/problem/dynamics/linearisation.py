@@ -28,7 +28,7 @@ MOST_EVALUATIONS = 20_000
 INTEGRATORS = ("DOP853", "Radau")
 
 
-class System(Protocol):
+class ControlSystem(Protocol):
     """What is used of a ``control.NonlinearIOSystem``."""
 
     dt: float | None
@@ -46,7 +46,7 @@ Model = Callable[[float, Array], Array]  # from the time in seconds and (x, u) t
 
 
 def linearisation(
-    system: System,
+    system: ControlSystem,
     x: ArrayLike,
     u: ArrayLike,
     sampling_time: float | None,
@@ -84,7 +84,7 @@ def linearisation(
 
 
 def sampled_map(
-    system: System,
+    system: ControlSystem,
     sampling_time: float | None,
     params: Mapping[str, object] | None,
     sizes: tuple[ArrayLike | None, ArrayLike | None],
@@ -152,7 +152,7 @@ def clock(field: str, dt: float | None, sampling_time: float | None) -> tuple[bo
     return False, own or sampling_time
 
 
-def _points(system: System, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
+def _points(system: ControlSystem, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
     """Return x (n,) and u (m,), or x (T, n) and u (T, m): the state after the last control takes no part."""
     states, controls = real_array("x", x), real_array("u", u)
     n, m = (given or "n" for given in (system.nstates, system.ninputs))
@@ -174,7 +174,7 @@ def _size(field: str, given: ArrayLike | None, along: Array) -> Array:
     return np.broadcast_to(sizes, along.shape[1:])
 
 
-def _model(system: System, n: int, params: Mapping[str, object] | None, t: int) -> Model:
+def _model(system: ControlSystem, n: int, params: Mapping[str, object] | None, t: int) -> Model:
     def model(seconds: float, point: Array) -> Array:
         value = np.asarray(system.dynamics(seconds, point[:n], point[n:], params))
         if value.shape != (n,) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, located_at
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.linearisation import System
+from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 
 # A point this far beyond a facet of a region, relative to the size of its row, is still on it: solvers meet rows to
@@ -250,7 +250,7 @@ class SmoothPiece:
     ('near 1',)
     """
 
-    system: System
+    system: ControlSystem
     x: ArrayLike
     u: ArrayLike
     G: ArrayLike | None = None

@@ -18,7 +18,7 @@ from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.dynamics.linearisation import System, sampled_map
+from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, sampled_map
 from lin_freq_ocp.problem.hybrid.affine_mode import REPLAY_ROUNDING, AffineMode
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
@@ -192,7 +192,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     @classmethod
     def from_system(
         cls,
-        system: System,
+        system: ControlSystem,
         sampling_time: float | None = None,
         params: Mapping[str, object] | None = None,
         integrator: str = "DOP853",

@@ -261,7 +261,7 @@ Row = tuple[Indices, Array, float, float]  # columns, their coefficients, lower 
 
 
 @dataclass(frozen=True, eq=False)
-class MixedInteger:
+class MixedIntegerForm:
     """The mixed-integer program of a piecewise-affine problem in natural units, with its inverse.
 
     ``host`` is the transcription with the map of mode 0 alone and no regions, whose variables come first; ``possible``
@@ -305,7 +305,7 @@ class _Columns:
     delta: Indices
 
 
-def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedInteger:
+def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedIntegerForm:
     """Return the mixed-integer program of a problem with piecewise-affine dynamics; raises as ``excesses``."""
     dynamics, T = piecewise_affine(problem), problem.horizon
     arrays, found = dynamics.arrays(T), excesses(problem, end)
@@ -333,7 +333,7 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
     for cone in own.cones:
         of_rows[cone] = of_rows[cone].min()
     scaling = Scaling(columns=units, rows=of_rows, cost=of_signals.cost)
-    return MixedInteger(own.scaled(scaling), scaling, hosts[0], found.possible)
+    return MixedIntegerForm(own.scaled(scaling), scaling, hosts[0], found.possible)
 
 
 def _dynamics_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iterator[Row]:

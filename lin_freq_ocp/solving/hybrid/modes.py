@@ -21,8 +21,7 @@ from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.candidate import SolveOptions, require_convex
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound as TreeSearch
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refined
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
 from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp

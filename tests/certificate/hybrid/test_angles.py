@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound, Boxes
+from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound, AngleBoxes
 
 M = 0.9
 
@@ -67,7 +67,7 @@ def test_no_train_of_a_box_is_cheaper_than_its_bound(seed):
     steps = np.array([[0.5, 0.5, -0.5], [0.5, -0.5, 0.5]])[rng.integers(2, size=count)]
     centre = np.sort(rng.uniform(0.05, 1.5, (count, 3)), axis=1)
     radius = np.minimum(rng.uniform(0, 0.05, (count, 3)), 0.05)
-    bound.boxes = Boxes(steps, centre, radius, np.full(count, -np.inf))
+    bound.boxes = AngleBoxes(steps, centre, radius, np.full(count, -np.inf))
     assert bound.halve(np.inf)
     boxes, count = bound.boxes, 2 * count
     assert len(boxes.bound) == count

@@ -11,7 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound, CoverNode, shifted_cover
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch, shifted_cover
 from lin_freq_ocp.methods.hybrid.search.common import relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
@@ -22,7 +22,7 @@ FIELDS = {"plain": {}, "band": {"control_spectrum": lfo.stop_band(bins=[2])}}
 
 def stepped(problem, disturbance=0.0):
     """Return the search of a problem, the problem after its first step, and that step's later modes."""
-    search = BranchAndBound(problem)
+    search = TreeSearch(problem)
     found = search.run()
     plan = lfo.solve(problem.with_modes(found.sequence)).trajectory
     return search, problem.with_ends(plan.x[1] + disturbance), np.append(found.sequence[1:], found.sequence[-1])
@@ -42,7 +42,7 @@ def test_each_sequence_is_in_one_leaf_of_the_cover(seed):
         masks = np.array([node.allowed for node in leaves(cover)])
         for sequence in product(range(len(piecewise_affine(problem).modes)), repeat=5):
             assert masks[:, times, sequence].all(axis=1).sum() == 1, (step, sequence)
-        search = BranchAndBound(after)
+        search = TreeSearch(after)
         assert search.run(cover=cover).sequence is not None
 
 
@@ -99,7 +99,7 @@ def test_a_search_from_a_cover_ends_with_the_same_answer(disturbance):
     for seed in range(4):
         search, after, later = stepped(random_problem(seed, horizon=5), disturbance)
         cover = search.cover_after_step()
-        found = BranchAndBound(after, relaxation=search.final_relaxation.moved).run(later, cover=cover)
+        found = TreeSearch(after, relaxation=search.final_relaxation.moved).run(later, cover=cover)
         best = lfo.solve(after, throw=False)
         assert (found.sequence is None) == (best.cost is None)
         if best.cost is not None:
@@ -114,7 +114,7 @@ def test_units_of_a_smaller_cost_are_left_and_the_duals_of_the_cover_with_them(w
     small = 1e6
     search, after, later = stepped(random_problem(3, horizon=5))
     cover = [replace(node, duals=node.duals and node.duals.times(small)) for node in search.cover_after_step()]
-    following = BranchAndBound(after, relaxation=lambda problem: PathRelaxation(problem, small))
+    following = TreeSearch(after, relaxation=lambda problem: PathRelaxation(problem, small))
     found = following.run(later if with_plan else None, cover=cover)
     assert 1 <= following.final_relaxation.level < 1e-3 * small
     best = lfo.solve(after)

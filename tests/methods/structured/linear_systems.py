@@ -4,7 +4,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.system import Compliance, Step, System
+from lin_freq_ocp.methods.structured.kkt.system import Compliance, System, SystemSolution
 from lin_freq_ocp.methods.structured.stages import (
     Balls,
     Coupling,
@@ -110,7 +110,7 @@ def solved(solver, stages, Phi, C, right, refinements=2):
     step = solver.solve(*right)
     for _ in range(refinements):
         more = solver.solve(*residual(stages, Phi, C, right, step))
-        step = Step(*(a + b for a, b in zip(step, more, strict=True)))
+        step = SystemSolution(*(a + b for a, b in zip(step, more, strict=True)))
     left = residual(stages, Phi, C, right, step)
     size = max(np.abs(part).max(initial=0.0) for part in (*step, *right, Phi[0]))
     return step, max(np.abs(part).max(initial=0.0) for part in left) / size

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lin_freq_ocp.methods.structured.kkt.range_space import RangeSpaceSolver, Response
+from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, RangeSpaceSolver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 
 from .linear_systems import random_system, solved
@@ -14,6 +14,6 @@ def test_multipliers_of_a_fixed_end_count_its_price_in_the_regulator(growth):
     worst = 0.0
     for seed in range(12):
         stages, Phi, C, right = random_system(seed, growth=growth, others=False, T=60)
-        side = RangeSpaceSolver(Response(stages, loops(False)))
+        side = RangeSpaceSolver(CouplingResponse(stages, loops(False)))
         worst = max(worst, solved(side, stages, Phi, C, right, refinements=0)[1])
     assert worst < 1e-8  # 1e-6 without

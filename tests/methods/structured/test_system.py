@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.range_space import LowRankSolver, RangeSpaceSolver, Response, fine_rows
+from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, LowRankSolver, RangeSpaceSolver, fine_rows
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.methods.structured.kkt.system import (
     BALLS,
@@ -105,7 +105,7 @@ def clarabel_cost(problem):
 def embedded(problem, compiled, side=RangeSpaceSolver, end=np.inf):
     recursions = loops(compiled)
     system = System(problem, recursions)
-    chosen = side(Response(problem, recursions))
+    chosen = side(CouplingResponse(problem, recursions))
     return system, Embedding(system, StepSystem(system, chosen), Targets(end=end)).run()
 
 
@@ -140,7 +140,7 @@ def test_a_step_solves_its_system(side, free):
             for v in (s, z):
                 v[:, block.start] += np.linalg.norm(v[:, block.start + 1 : block.stop], axis=1)
         cone.scale(s, z)
-    step = StepSystem(system, side(Response(problem, recursions)))
+    step = StepSystem(system, side(CouplingResponse(problem, recursions)))
     step.factor()
     of_y = rng.standard_normal(problem.h.shape)
     of_z = [rng.standard_normal(part.shape) for part in system.b]
@@ -233,4 +233,4 @@ def test_the_time_limit_and_ctrl_c_keep_the_best_point(monkeypatch):
 
 def test_masks_on_a_fine_grid_are_found_of_low_rank():
     problem = soft_stages(8)
-    assert fine_rows(Response(problem, loops(False))) is None  # 14 rows, and 40 spare directions
+    assert fine_rows(CouplingResponse(problem, loops(False))) is None  # 14 rows, and 40 spare directions

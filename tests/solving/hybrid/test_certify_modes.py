@@ -20,7 +20,7 @@ from lin_freq_ocp.files.summary import certificate_summary
 from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
 from lin_freq_ocp.pages.report.proof import verdict
-from lin_freq_ocp.pages.report.tables import certificate_rows
+from lin_freq_ocp.pages.report.tables import worst_location
 from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
 from lin_freq_ocp.problem.reductions import Inverse
@@ -221,7 +221,8 @@ def test_the_command_line_judges_modes(monkeypatch, tmp_path):
     assert "descent     no local minimum" in answer.output
     assert "flip t = 1 to rising" in answer.output
     spoiled = changed(multipliers, weights=[[0.5, 0.5], [0.625, 0.375]])
-    places = {row.label: row.place for row in certificate_rows(problem, judge(problem, trajectory, spoiled))}
+    conditions = judge(problem, trajectory, spoiled).conditions
+    places = {one.label: worst_location(problem, one) for one in conditions}
     assert places["N-f"] in ("t = 0, rising", "t = 0, falling")
 
 

@@ -41,7 +41,7 @@ STEEPEST = 100.0  # largest multiplier, in sizes of J over those of b_k: its ter
 
 
 @dataclass(frozen=True, eq=False)
-class Boxes:
+class AngleBoxes:
     """Boxes of angles: patterns of steps, centres and half widths, each (boxes, d), and bounds (boxes,)."""
 
     steps: Array
@@ -49,9 +49,9 @@ class Boxes:
     radius: Array
     bound: Array
 
-    def take(self, kept: Indices) -> Boxes:
+    def take(self, kept: Indices) -> AngleBoxes:
         """Return some of the boxes."""
-        return Boxes(self.steps[kept], self.centre[kept], self.radius[kept], self.bound[kept])
+        return AngleBoxes(self.steps[kept], self.centre[kept], self.radius[kept], self.bound[kept])
 
 
 class AngleBound:
@@ -72,10 +72,9 @@ class AngleBound:
         self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
         self.size = self._price * (2 * self._amplitude**2 + abs(self._offset))
         patterns = [one for one in product((dynamics.step, -dynamics.step), repeat=d) if _stays_in_limits(one, limits)]
-        middle = np.full((len(patterns), d), QUARTER / 2)
-        self.boxes = self._bound_boxes(
-            Boxes(np.array(patterns).reshape(len(patterns), d), middle, middle.copy(), np.full(len(patterns), -np.inf))
-        )
+        steps, middle = np.array(patterns).reshape(len(patterns), d), np.full((len(patterns), d), QUARTER / 2)
+        whole = AngleBoxes(steps, middle, middle.copy(), np.full(len(patterns), -np.inf))
+        self.boxes = self._bound_boxes(whole)
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
 
     def at(self, steps: Array, angles: Array) -> tuple[float, Array, Array, Array]:
@@ -118,12 +117,12 @@ class AngleBound:
         radius[rows, side] /= 2
         shift = np.zeros_like(radius)
         shift[rows, side] = radius[rows, side]
-        halves = [Boxes(given.steps, given.centre + sign * shift, radius, given.bound) for sign in (-1.0, 1.0)]
+        halves = [AngleBoxes(given.steps, given.centre + sign * shift, radius, given.bound) for sign in (-1.0, 1.0)]
         parts = zip(*((one.steps, one.centre, one.radius, one.bound) for one in halves), strict=True)
-        self.boxes = self._bound_boxes(Boxes(*(np.concatenate(part) for part in parts)))
+        self.boxes = self._bound_boxes(AngleBoxes(*(np.concatenate(part) for part in parts)))
         return True
 
-    def _bound_boxes(self, given: Boxes) -> Boxes:
+    def _bound_boxes(self, given: AngleBoxes) -> AngleBoxes:
         """Return the boxes that may hold a train, with their bounds: not below those of the boxes that they are of."""
         s, c, r = given.steps, given.centre, given.radius
         # boxes of angles in order whose amplitudes may meet their bounds
@@ -146,7 +145,7 @@ class AngleBound:
             own = least + np.einsum("nk,nki->ni", np.abs(weights), -curvature[:, :active])
             bend = (np.minimum(own, 0.0) * r**2).sum(1) - np.einsum("ni,nij,nj->n", r, most, r)
             found = np.maximum(found, value - ends.sum(1) - (steep * r).sum(1) + bend / 2 - ROUNDING * self.size)
-        return Boxes(s, c, r, found)
+        return AngleBoxes(s, c, r, found)
 
     def _amplitudes(self, s: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
         """Return b_k at centres, (boxes, k), slopes and largest |second derivatives| on boxes, (boxes, k, d)."""

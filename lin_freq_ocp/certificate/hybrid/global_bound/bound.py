@@ -38,17 +38,19 @@ from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
     STEP_SHARE,
     CostToGo,
     Lattice,
+    PricedProblem,
     StageCosts,
-    Stages,
     index_tuples,
     stage_costs,
 )
 from lin_freq_ocp.certificate.hybrid.global_bound.samples import costs_to_come
-from lin_freq_ocp.certificate.hybrid.global_bound.step import Boxes, Step, met_cells
+from lin_freq_ocp.certificate.hybrid.global_bound.step import BackwardStep, Boxes, met_cells
 from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+Progress = Callable[[float], None] | None  # told the share of a level that is done
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,7 @@ def value_bounds(
     costs, T = stage_costs(problem, multipliers), problem.horizon
     scale = scale or max(abs(cost), gap)
     cutoff, best = cost - gap / 2 - costs.constant, -np.inf
-    stages = Stages.below(problem, costs, cutoff)
+    stages = PricedProblem.below(problem, costs, cutoff)
     level, count = _first_level(stages, cost - costs.constant, scale), 0
     while level:
         count += 1
@@ -133,7 +135,7 @@ class _Done:
     to_go_of_cells: Array
 
 
-def _first_level(stages: Stages, cost: float, scale: float) -> list[_Task]:
+def _first_level(stages: PricedProblem, cost: float, scale: float) -> list[_Task]:
     lattices = _lattices(stages)
     tasks: list[_Task] = []
     for t, (lattice, to_come) in enumerate(zip(lattices, costs_to_come(stages, lattices), strict=True)):
@@ -142,7 +144,7 @@ def _first_level(stages: Stages, cost: float, scale: float) -> list[_Task]:
     return tasks
 
 
-def _lattices(stages: Stages) -> list[Lattice]:
+def _lattices(stages: PricedProblem) -> list[Lattice]:
     """Return cells over what can be reached at each time."""
     problem, n = stages.problem, stages.problem.state_dim
     if n > MAX_STATES:
@@ -165,7 +167,7 @@ def _lattices(stages: Stages) -> list[Lattice]:
     return [Lattice.full(lower, upper, finest, FIRST_CELLS[n]) for lower, upper in bounds]
 
 
-def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
+def _first_boxes(stages: PricedProblem, t: int, lattice: Lattice) -> Boxes:
     problem, m = stages.problem, stages.problem.control_dim
     each = max(1, round(FIRST_BOXES ** (1 / m)))
     width = (stages.upper[t] - stages.lower[t]) / each
@@ -184,7 +186,7 @@ def _first_boxes(stages: Stages, t: int, lattice: Lattice) -> Boxes:
 
 
 def _backward(
-    stages: Stages, level: list[_Task], tolerance: float, deadline: float, progress: Callable[[float], None] | None
+    stages: PricedProblem, level: list[_Task], tolerance: float, deadline: float, progress: Progress
 ) -> list[_Done]:
     """Return V_t and boxes for all times."""
     last = _last(stages.costs, level[-1].lattice)
@@ -192,7 +194,7 @@ def _backward(
     done = [_Done(last, none, np.zeros(0), np.zeros(len(last.values)))]
     for t in range(stages.problem.horizon - 1, -1, -1):
         task, after = level[t], done[-1]
-        step = Step(stages, t, task.lattice, after.value, deadline)
+        step = BackwardStep(stages, t, task.lattice, after.value, deadline)
         slopes, reached = step.slopes(task.boxes)
         target = np.minimum(reached - tolerance, task.target[:, None] + task.lattice.variation(slopes))
         value, boxes = step.values(task.boxes, slopes, target, task.cutoff(slopes), tolerance)

@@ -102,7 +102,7 @@ def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> Sta
 
 
 @dataclass(frozen=True, eq=False)
-class Stages:
+class PricedProblem:
     """A problem with priced costs and bounds: a trajectory that is not within them costs too much or is not feasible.
 
     lower, upper : (T, m), of the controls; lowest, highest : (T+1, n), of the states.
@@ -116,7 +116,7 @@ class Stages:
     highest: Array
 
     @classmethod
-    def below(cls, problem: OptimalControlProblem, costs: StageCosts, level: float) -> Stages:
+    def below(cls, problem: OptimalControlProblem, costs: StageCosts, level: float) -> PricedProblem:
         """Return the stages of trajectories below a level of the cost without its constant."""
         n = problem.state_dim
         forms = [QuadraticForm(*parts) for parts in zip(costs.hessians, costs.linear, strict=True)]

@@ -22,7 +22,7 @@ from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
     ZOOMS_TO_END,
     CostToGo,
     Lattice,
-    Stages,
+    PricedProblem,
     index_tuples,
 )
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
@@ -30,7 +30,7 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
 
 
-def costs_to_come(stages: Stages, lattices: list[Lattice]) -> list[Array]:
+def costs_to_come(stages: PricedProblem, lattices: list[Lattice]) -> list[Array]:
     """Return an estimate of the least cost-to-come of every cell of full lattices, (cells,) per time."""
     from scipy.ndimage import minimum_filter  # slow to import
 
@@ -83,7 +83,7 @@ def freed_slopes(gradient: Array, J: Array, weights: Array) -> Array:
 class Samples:
     """Samples of the controls, between lower and upper (cells, m), from the cells of time t; ``after`` is of t + 1."""
 
-    stages: Stages
+    stages: PricedProblem
     t: int
     lattice: Lattice
     lower: Array

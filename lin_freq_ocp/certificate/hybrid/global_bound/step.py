@@ -22,7 +22,7 @@ from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
     CostToGo,
     Lattice,
     Minima,
-    Stages,
+    PricedProblem,
 )
 from lin_freq_ocp.certificate.hybrid.global_bound.samples import Samples, freed_slopes, holds
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
@@ -181,10 +181,10 @@ def _meets(boxes: Boxes, lattice: Lattice) -> Mask:
     return np.asarray(meets.all(axis=1))
 
 
-class Step:
+class BackwardStep:
     """The step from t to t + 1."""
 
-    def __init__(self, stages: Stages, t: int, lattice: Lattice, after: CostToGo, deadline: float):
+    def __init__(self, stages: PricedProblem, t: int, lattice: Lattice, after: CostToGo, deadline: float):
         self._modes, self._n, self._t = piecewise_smooth(stages.problem).modes, stages.problem.state_dim, t
         self._stages, self._lattice, self._after, self._deadline = stages, lattice, after, deadline
         self._pole = after.lattice.width == 0

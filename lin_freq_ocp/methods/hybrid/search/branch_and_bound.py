@@ -102,7 +102,7 @@ OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
 
 
 @dataclass
-class BranchAndBound:
+class TreeSearch:
     """One search; ``run`` it once."""
 
     problem: OptimalControlProblem

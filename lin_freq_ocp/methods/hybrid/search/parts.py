@@ -15,7 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import BranchAndBound
+from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, SearchOutcome, SearchProgress
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
@@ -34,7 +34,7 @@ def search_in_parts(
 ) -> SearchOutcome:
     """Search with the workers of an executor; as ``BranchAndBound.run``."""
     started = now()
-    first = BranchAndBound(problem, limits, progress=progress)
+    first = TreeSearch(problem, limits, progress=progress)
     outcome = first.run(start, until_open=PARTS)
     if outcome.message or not first.open_nodes:
         return outcome
@@ -81,4 +81,4 @@ def search_part(
     problem: OptimalControlProblem, reach: Reach, start: Indices | None, limits: SearchLimits
 ) -> SearchOutcome:
     """Search the sequences within a reach, in the same way be compiled code loaded or not."""
-    return BranchAndBound(problem, limits, compiled_from=0).run(start, reach)
+    return TreeSearch(problem, limits, compiled_from=0).run(start, reach)

@@ -48,7 +48,7 @@ class SystemValue:
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class NewtonSystem:
     """The equations near a trajectory, and the numbers of their unknowns.
 
     ``switches`` are (time, second mode, region row of the first), one for each alpha; ``norms`` are (norm, time), one
@@ -74,7 +74,7 @@ class System:
     rows_u: Array
 
     @classmethod
-    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float) -> System:
+    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float) -> NewtonSystem:
         """Return the system near a trajectory."""
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         scaling = natural_scaling(LinearTranscription(problem.affine_at(trajectory).with_modes(sequence)))
@@ -286,7 +286,7 @@ def newton(
     """
     if problem.terms:
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
-    system = System.of(problem, trajectory, sequence, near)
+    system = NewtonSystem.of(problem, trajectory, sequence, near)
     runs: list[NewtonRun] = []
     for halved in (False, True):
         runs.append(_run(system, starting_point(system, trajectory, multipliers, near, halved), most_steps))
@@ -295,7 +295,7 @@ def newton(
     return min(runs, key=lambda run: run.residuals[-1])
 
 
-def _run(system: System, v: Array, most_steps: int) -> NewtonRun:
+def _run(system: NewtonSystem, v: Array, most_steps: int) -> NewtonRun:
     value = system.at(v)
     residuals = [float(np.linalg.norm(value.phi))]
     while residuals[-1] > CONVERGED and len(residuals) <= most_steps:
@@ -323,7 +323,7 @@ def _run(system: System, v: Array, most_steps: int) -> NewtonRun:
     return NewtonRun(Trajectory(x, u), multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
 
 
-def _damped_step(system: System, v: Array, value: SystemValue) -> tuple[Array, SystemValue] | None:
+def _damped_step(system: NewtonSystem, v: Array, value: SystemValue) -> tuple[Array, SystemValue] | None:
     """Return the point after a step that decreases |Phi|^2, damped as little as possible, or None."""
     U, sizes, V = np.linalg.svd(value.slopes)
     gradient, along = value.slopes.T @ value.phi, U.T @ value.phi
@@ -342,7 +342,7 @@ def _damped_step(system: System, v: Array, value: SystemValue) -> tuple[Array, S
 
 
 def starting_point(
-    system: System, trajectory: Trajectory, multipliers: Multipliers | None, near: float, halved: bool
+    system: NewtonSystem, trajectory: Trajectory, multipliers: Multipliers | None, near: float, halved: bool
 ) -> Array:
     """Return the unknowns at a trajectory, in natural units; see ``newton`` for the multipliers.
 
@@ -371,7 +371,7 @@ def starting_point(
     return v / system.units
 
 
-def _fit_multipliers_near(system: System, v: Array, near: float) -> Array:
+def _fit_multipliers_near(system: NewtonSystem, v: Array, near: float) -> Array:
     """Return the unknowns with the multipliers of least squares."""
     from scipy.optimize import lsq_linear  # slow to import
 

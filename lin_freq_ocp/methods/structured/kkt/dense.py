@@ -75,7 +75,7 @@ def gram(rows: Array, total: Array | None = None) -> Array:
 class BlockRegulator(ABC):
     """A regulator whose responses come from blocks."""
 
-    _closed: ClosedLoop | None = None
+    _closed: RegulatorMap | None = None
 
     @abstractmethod
     def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
@@ -98,9 +98,9 @@ class BlockRegulator(ABC):
             return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
         return self._closed_loop(channels).gram(R, E)
 
-    def _closed_loop(self, channels: Indices) -> ClosedLoop:
+    def _closed_loop(self, channels: Indices) -> RegulatorMap:
         if self._closed is None or not np.array_equal(self._closed.channels, channels):
-            self._closed = ClosedLoop(self.gains(), channels)
+            self._closed = RegulatorMap(self.gains(), channels)
         return self._closed
 
     def _solve_one_by_one(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
@@ -128,7 +128,7 @@ class Gains:
     fixed: Mask  # (n,): which entries of x_0 are given
 
 
-class ClosedLoop:
+class RegulatorMap:
     """A factored regulator as a map of gradients on ``channels`` to the solution there, c = 0.
 
     The map is -N'N: the sweep from the end backwards gives N_t = U_t (r_w + B'p_{t+1}) in the entries of w that are

@@ -24,7 +24,7 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
-from lin_freq_ocp.methods.structured.kkt.system import Compliance, Step
+from lin_freq_ocp.methods.structured.kkt.system import Compliance, SystemSolution
 from lin_freq_ocp.methods.structured.stages import Rows, SpectrumRows, Stages
 
 GROWTH = 1e3  # of the states between breaks: three digits are lost at most
@@ -66,7 +66,7 @@ class NullSpaceSolver:
         self._Phi = self._slacks.reduced(Phi)
         return self._reduced.factor(self._Phi, C)
 
-    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> SystemSolution:
         """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
         space, n = self._space, self._space.states
         core = self._slacks.gradient(gradient)
@@ -87,7 +87,7 @@ class NullSpaceSolver:
         eta = np.zeros_like(c)
         eta[:-1] = -p[1:]
         initial = np.where(space.fixed, -p[0], 0.0)
-        return Step(self._slacks.recovered(y, gradient), eta, initial, coupling)
+        return SystemSolution(self._slacks.recovered(y, gradient), eta, initial, coupling)
 
 
 class Slacks:

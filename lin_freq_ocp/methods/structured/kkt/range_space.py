@@ -31,7 +31,7 @@ import scipy.linalg as la
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, gram
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, Regulator
-from lin_freq_ocp.methods.structured.kkt.system import Compliance, KKTSolver, Step
+from lin_freq_ocp.methods.structured.kkt.system import Compliance, KKTSolver, SystemSolution
 from lin_freq_ocp.methods.structured.stages import Balls, Stages
 
 TERMINAL_WEIGHT = 1e2  # of the distance from the terminal state, relative to the largest curvature
@@ -43,12 +43,12 @@ WORTH = 0.75  # rank relative to the number of rows below which the low rank pay
 
 def range_space_solver(stages: Stages, loops: Loops) -> KKTSolver:
     """Return the solver: with rows on a fine grid by their low rank, else dense."""
-    response = Response(stages, loops)
+    response = CouplingResponse(stages, loops)
     fine = fine_rows(response)
     return RangeSpaceSolver(response) if fine is None else LowRankSolver(response, fine)
 
 
-class Response:
+class CouplingResponse:
     """The regulator of one problem and the rows F of its coupling, in the order of ``Coupling``."""
 
     def __init__(self, stages: Stages, loops: Loops):
@@ -58,7 +58,7 @@ class Response:
         curvature = float(np.abs(np.einsum("tii->ti", stages.H[:-1])).max(initial=0.0))
         self._weights[self.coupling.terminal] = TERMINAL_WEIGHT * max(curvature, LEAST_CURVATURE)
 
-    def exchanged(self, stages: Stages) -> Response:
+    def exchanged(self, stages: Stages) -> CouplingResponse:
         """Return the same for stages with other dynamics and Hessians."""
         other = copy(self)
         other.stages = stages
@@ -76,14 +76,14 @@ class Response:
         y, _, _ = self._regulator.solve(self._to_end(gradient, f), c, x0)
         return self.rows.values(y) - f
 
-    def step(self, gradient: Array, c: Array, x0: Array, f: Array, nu: Array) -> Step:
+    def step(self, gradient: Array, c: Array, x0: Array, f: Array, nu: Array) -> SystemSolution:
         """Return the answer with the multipliers nu of the rows F."""
         gradient, terminal = self._to_end(gradient, f), self.coupling.terminal
         self.rows.add_adjoint(nu, gradient)
         y, eta, initial = self._regulator.solve(gradient, c, x0)
         nu = nu.copy()
         nu[: len(terminal)] += self._weights[terminal] * (y[-1, terminal] - f[: len(terminal)])
-        return Step(y, eta, initial, nu)
+        return SystemSolution(y, eta, initial, nu)
 
     def gram(self, signals: Array, end: Array) -> Array:
         """Return the lower triangle of R'P R of gradients R on channels (T+1, channels, k) and on x_T (n, k)."""
@@ -99,7 +99,7 @@ class _RangeSpace:
     """A solver on multipliers of rows that do not depend on dynamics and Hessians; only the response does."""
 
     indefinite: ClassVar[bool] = False
-    _response: Response
+    _response: CouplingResponse
 
     def exchanged(self, stages: Stages) -> Self:
         """Return the same for stages with other dynamics and Hessians."""
@@ -111,7 +111,7 @@ class _RangeSpace:
 class RangeSpaceSolver(_RangeSpace):
     """The dense Schur complement on all rows that couple times."""
 
-    def __init__(self, response: Response):
+    def __init__(self, response: CouplingResponse):
         self._response, self._count = response, response.coupling.count
         self._rows = response.rows.gradients
 
@@ -123,14 +123,14 @@ class RangeSpaceSolver(_RangeSpace):
         self._schur = Cholesky(S)
         return True
 
-    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> SystemSolution:
         """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
         given = gradient, c, x0, f
         nu = self._schur.solve(self._response.missing(*given)) if self._count else np.zeros(0)
         return self._response.step(*given, nu)
 
 
-def fine_rows(response: Response) -> Indices | None:
+def fine_rows(response: CouplingResponse) -> Indices | None:
     """Return the rows of low rank of F, if there are any that pay."""
     first, found, rank = response.coupling.equation_count, list[Indices](), SPARE
     first += sum(part.rows.count for part in response.coupling.inequalities)
@@ -151,7 +151,7 @@ def _is_fine(part: Balls) -> bool:
 class LowRankSolver(_RangeSpace):
     """The Schur complement with rows of low rank."""
 
-    def __init__(self, response: Response, fine: Indices):
+    def __init__(self, response: CouplingResponse, fine: Indices):
         self._response, coupling = response, response.coupling
         self._fine, self._plain = fine, np.setdiff1d(np.arange(coupling.count), fine)
         self._chosen = [_is_fine(part) for part in coupling.balls]
@@ -193,7 +193,7 @@ class LowRankSolver(_RangeSpace):
             self._T = Cholesky(T)
         return True
 
-    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> SystemSolution:
         """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
         missing = self._response.missing(gradient, c, x0, f)
         alone = self._rows.solve(missing[self._plain])

@@ -129,7 +129,7 @@ class Compliance:
             first += count * d
 
 
-class Step(NamedTuple):
+class SystemSolution(NamedTuple):
     """The solution of the system."""
 
     y: Array  # (T+1, n + k)
@@ -153,7 +153,7 @@ class KKTSolver(Protocol):
         """Prepare for Phi (T+1, n+k, n+k) and C; return whether the problem is convex as far as it was looked at."""
         ...
 
-    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> Step:
+    def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> SystemSolution:
         """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
         ...
 

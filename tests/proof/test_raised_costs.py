@@ -7,9 +7,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.rounded_products import KINDS, exact_optimum, rounded_product
-from lin_freq_ocp.certificate.reach import Enclosure
+from lin_freq_ocp.certificate.reach import Region
 from lin_freq_ocp.problem.costs.quadratic import is_semidefinite
-from lin_freq_ocp.proof.convex import convex_problem, raised_by
+from lin_freq_ocp.proof.proof import convex_problem, raised_by
 
 
 def problem_of(Q):
@@ -79,10 +79,10 @@ def test_the_rise_is_charged_at_what_it_costs_in_a_region():
     rng = np.random.default_rng(0)
     for size in (1e-3, 1.0, 1e6):
         x, u = size * rng.uniform(-1, 1, (13, 3)), size * rng.uniform(-1, 1, (12, 1))
-        region = Enclosure((-size + 0 * x, size + 0 * x), (-size + 0 * u, size + 0 * u), np.inf, "")
+        region = Region((-size + 0 * x, size + 0 * x), (-size + 0 * u, size + 0 * u), np.inf, "")
         extended = x.astype(np.longdouble), u.astype(np.longdouble)
         by = raised.value(*extended) - given.value(*extended)
         assert 0 <= by <= raised_by(given, raised, region) <= 1e-12 * size**2
-    everywhere = Enclosure((-np.inf + 0 * x, np.inf + 0 * x), (-np.inf + 0 * u, np.inf + 0 * u), np.inf, "")
+    everywhere = Region((-np.inf + 0 * x, np.inf + 0 * x), (-np.inf + 0 * u, np.inf + 0 * u), np.inf, "")
     assert raised_by(given, raised, everywhere) == np.inf
     assert raised_by(given, given, everywhere) == 0

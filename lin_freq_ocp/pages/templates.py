@@ -1,0 +1,19 @@
+"""Pages from templates: what is put into one is escaped, and a name that it does not get is an error."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+
+def render_template(folder: str, template: str, **values: object) -> str:
+    """Return a page from a template of a folder of ``pages``; every template gets the version of the package."""
+    environment = Environment(
+        loader=PackageLoader(f"lin_freq_ocp.pages.{folder}"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(version=version("lin-freq-ocp"), **values)
