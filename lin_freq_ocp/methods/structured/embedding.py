@@ -27,7 +27,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.structured.cones import Cone, clip_change
+from lin_freq_ocp.base.cones import Cone, clip_change
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System, Values, largest
 
 FRACTION = 0.99  # of the way to the boundary

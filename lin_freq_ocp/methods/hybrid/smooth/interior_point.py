@@ -9,8 +9,8 @@ until a filter takes them (Waechter and Biegler, 2006: pairs of infeasibility th
 where the curvature of the dynamics is what it rejects. Where even short steps fail, the infeasibility alone is reduced
 first, by steps to the nearest point of the linearised constraints.
 
-The file has, in this order: the filter, the barrier of a product of cones, sum log s_i + 1/2 sum log s'J s, the barrier
-problem at a point, the iteration, and the local optimum of a problem from a trajectory that need not be feasible.
+The file has, in this order: the filter, the barrier problem at a point, the iteration, and the local optimum of a
+problem from a trajectory that need not be feasible.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.cones import Cone
 from lin_freq_ocp.methods.hybrid.smooth.model import Derivatives, SmoothModel
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver
-from lin_freq_ocp.methods.structured.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver, sort_rows
 from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
@@ -91,50 +91,6 @@ class Filter:
 MARGIN = 1e-2  # distance of the first point to the boundary, in units in which limits are of order 1
 
 
-def log_determinant(cone: Cone, s: Array) -> float:
-    """Return the logarithm that the barrier is made of; -inf outside of the interior."""
-    inside = s[:, cone.orthant][cone.present[:, cone.orthant]]
-    if not (inside > 0).all():
-        return -np.inf
-    total = float(np.log(inside).sum())
-    for block in cone.blocks:
-        v = s[cone.present[:, block.start], block]
-        square = _square(v)
-        if not ((square > 0) & (v[:, 0] > 0)).all():
-            return -np.inf
-        total += 0.5 * float(np.log(square).sum())
-    return total
-
-
-def inverse(cone: Cone, s: Array) -> Array:
-    """Return s^-1 of an interior point: the gradient of ``log_determinant``; zero in rows that there are not."""
-    result, inside = np.zeros_like(s), cone.present[:, cone.orthant]
-    result[:, cone.orthant] = np.where(inside, 1 / np.where(inside, s[:, cone.orthant], 1.0), 0.0)
-    for block in cone.blocks:
-        present = cone.present[:, block.start]
-        v = s[present, block]
-        mirrored = v * np.where(np.arange(v.shape[1]) == 0, 1.0, -1.0)
-        result[present, block] = mirrored / _square(v)[:, None]
-    return result
-
-
-def moved_inside(cone: Cone, v: Array) -> Array:
-    """Return the point with entries, and heads of second-order cones, raised to a margin from the boundary."""
-    result = np.where(cone.present, v, 0.0)
-    heads = np.zeros_like(v)
-    heads[:, cone.orthant] = MARGIN
-    for block in cone.blocks:
-        heads[:, block.start] = MARGIN + np.linalg.norm(result[:, block][:, 1:], axis=1)
-        heads[:, block.start + 1 : block.stop] = -np.inf
-    return np.where(cone.present, np.maximum(result, heads), 0.0)
-
-
-def _square(v: Array) -> Array:
-    """Return v'J v, (rows,)."""
-    size = np.linalg.norm(v[:, 1:], axis=1)
-    return (v[:, 0] - size) * (v[:, 0] + size)
-
-
 NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second side to know that a step is convex
 FRACTION = 0.99  # of the way to the boundary, at least
 
@@ -196,7 +152,7 @@ class Local:
         """Return the objective with the barrier."""
         objective = self._objective
         cost = 0.5 * float(np.vdot(y, self._loops.times(objective.H, y))) + float(np.vdot(objective.h, y))
-        return cost + objective.constant - mu * sum(log_determinant(cone, s[i]) for i, cone in self.cones.items())
+        return cost + objective.constant - mu * sum(cone.log_determinant(s[i]) for i, cone in self.cones.items())
 
     def measure(self, mu: float) -> Measure:
         """Return the infeasibility and the objective here."""
@@ -246,7 +202,7 @@ class Local:
 
     def slope(self, y: Array, s: dict[int, Array]) -> float:
         """Return the derivative of the objective along a step."""
-        barrier = sum(float(np.vdot(inverse(cone, self.point.s[i]), s[i])) for i, cone in self.cones.items())
+        barrier = sum(float(np.vdot(cone.inverse(self.point.s[i]), s[i])) for i, cone in self.cones.items())
         return float(np.vdot(self._gradient, y)) - self.mu * barrier
 
     def longest(self, change: dict[int, Array], power: int) -> float:
@@ -334,9 +290,9 @@ class Barrier:
     def _iterate_newton(self, y: Array) -> End:
         mu, last, system = self.mu, 0.0, System(self.model.stages, self.loops)
         rows, z = system.rows(y), [np.zeros_like(right) for right in system.b]
-        s = {i: moved_inside(cone, system.b[i] - rows[i]) for i, cone in system.cones.items()}
+        s = {i: cone.raised((system.b[i] - rows[i]) * cone.present, MARGIN) for i, cone in system.cones.items()}
         for i, cone in system.cones.items():
-            z[i] = mu * inverse(cone, s[i])
+            z[i] = mu * cone.inverse(s[i])
         local = self._at(Point(y, z, s))
         if local is None:
             return End.UNDEFINED

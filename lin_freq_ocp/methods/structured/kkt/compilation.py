@@ -17,6 +17,7 @@ from typing import ClassVar, ParamSpec, Protocol, TypeVar, cast
 import numba
 from llvmlite import binding
 from numba import types
+from numba.extending import register_jitable
 
 from lin_freq_ocp.base.atomic import locked
 from lin_freq_ocp.base.clock import now
@@ -31,7 +32,7 @@ WRITTEN = tuple(types.Array(types.float64, dimensions, "C") for dimensions in ra
 INDICES = types.Array(types.intp, 1, "C", readonly=True)
 WRITTEN_INDICES = types.Array(types.intp, 1, "C")
 
-FASTMATH = {"contract", "nsz"}
+JIT_OPTIONS: dict[str, object] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}
 
 
 class _Statistics(Protocol):
@@ -56,12 +57,18 @@ def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
 
 def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     """Return a function that becomes part of its only caller: compiled alone as well, it would take twice as long."""
-    decorate = numba.njit(inline="always", fastmath=FASTMATH, error_model="numpy")
+    decorate = numba.njit(inline="always", **JIT_OPTIONS)
     return cast("Callable[Arguments, Value]", decorate(function))
 
 
+def allow_calls(*functions: Callable[..., object]) -> None:
+    """Let compiled code call these functions of NumPy, which become part of it and stay what they are in Python."""
+    for function in functions:
+        register_jitable(**JIT_OPTIONS)(function)
+
+
 def _compile(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
-    decorate = numba.njit(cache=cache, fastmath=FASTMATH, error_model="numpy")
+    decorate = numba.njit(cache=cache, **JIT_OPTIONS)
     return cast("Callable[Arguments, Value]", decorate(function))
 
 

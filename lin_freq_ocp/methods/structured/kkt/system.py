@@ -23,7 +23,7 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.structured.cones import Cone
+from lin_freq_ocp.base.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.stages import Stages
 
