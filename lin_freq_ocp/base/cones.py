@@ -77,7 +77,7 @@ def quotient(ends: Ends, a: Array, d: Array) -> Array:
     return out
 
 
-def scaling(ends: Ends, s: Array, z: Array) -> tuple[Array, Array]:
+def compute_scaling(ends: Ends, s: Array, z: Array) -> tuple[Array, Array]:
     """Return (w, eta) of interior points; that of W^-1 if z comes first."""
     w, eta = np.empty_like(s), np.empty((len(ends) - 1, s.shape[1]))
     w[: ends[0]] = np.sqrt(s[: ends[0]] / z[: ends[0]])
@@ -92,7 +92,7 @@ def scaling(ends: Ends, s: Array, z: Array) -> tuple[Array, Array]:
     return w, eta
 
 
-def scaled(ends: Ends, w: Array, eta: Array, v: Array) -> Array:
+def apply_scaling(ends: Ends, w: Array, eta: Array, v: Array) -> Array:
     """Return W v."""
     out = w * v
     for j in range(len(ends) - 1):
@@ -104,7 +104,7 @@ def scaled(ends: Ends, w: Array, eta: Array, v: Array) -> Array:
     return out
 
 
-def scaled_twice(ends: Ends, w: Array, eta: Array, v: Array) -> Array:
+def apply_scaling_twice(ends: Ends, w: Array, eta: Array, v: Array) -> Array:
     """Return W^2 v."""
     out = w * w * v
     for j in range(len(ends) - 1):
@@ -160,7 +160,7 @@ class Cone:
 
     def scale(self, s: Array, z: Array) -> None:
         """Set the scaling of interior points s and z."""
-        self._set_scaling(*scaling(self._ends, (s + self._absent).T, (z + self._absent).T))
+        self._set_scaling(*compute_scaling(self._ends, (s + self._absent).T, (z + self._absent).T))
         self.lam = self.scaled(z, 1)
         self._lam = (self.lam + self._absent).T
 
@@ -180,8 +180,8 @@ class Cone:
 
     def scaled(self, v: Array, power: int) -> Array:
         """Return W^power v, for the powers -2, -1, 1 and 2."""
-        times = scaled if abs(power) == 1 else scaled_twice
-        return times(self._ends, *self._scalings[power > 0], v.T).T
+        apply = apply_scaling if abs(power) == 1 else apply_scaling_twice
+        return apply(self._ends, *self._scalings[power > 0], v.T).T
 
     def product(self, a: Array, b: Array) -> Array:
         """Return the Jordan product, a o b."""

@@ -135,12 +135,16 @@ def test_product_and_quotient_invert_each_other(points):
 
 def test_the_scaling_takes_both_points_to_one_and_that_of_swapped_points_is_its_inverse(points):
     ends, s, z, d = points
-    forth, back = cones.scaling(ends, s, z), cones.scaling(ends, z, s)
-    lam = cones.scaled(ends, *forth, z)
-    np.testing.assert_allclose(cones.scaled(ends, *back, s), lam, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(cones.scaled(ends, *back, cones.scaled(ends, *forth, d)), d, rtol=0, atol=1e-7)
-    twice = cones.scaled(ends, *forth, cones.scaled(ends, *forth, d))
-    np.testing.assert_allclose(cones.scaled_twice(ends, *forth, d), twice, rtol=1e-6, atol=1e-9 * np.abs(twice).max())
+    forth, back = cones.compute_scaling(ends, s, z), cones.compute_scaling(ends, z, s)
+    lam = cones.apply_scaling(ends, *forth, z)
+    np.testing.assert_allclose(cones.apply_scaling(ends, *back, s), lam, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        cones.apply_scaling(ends, *back, cones.apply_scaling(ends, *forth, d)), d, rtol=0, atol=1e-7
+    )
+    twice = cones.apply_scaling(ends, *forth, cones.apply_scaling(ends, *forth, d))
+    np.testing.assert_allclose(
+        cones.apply_scaling_twice(ends, *forth, d), twice, rtol=1e-6, atol=1e-9 * np.abs(twice).max()
+    )
     duality = cones.product(ends, lam, lam)[[*range(ends[0]), *ends[:-1]]].sum()
     assert duality == pytest.approx((s * z).sum(), rel=1e-9)
 
@@ -184,8 +188,8 @@ def test_compiled_code_runs_the_same_source(points):
 
     @njit
     def run(ends, s, z, d):
-        w, eta = cones.scaling(ends, s, z)
-        lam = cones.scaled(ends, w, eta, z)
+        w, eta = cones.compute_scaling(ends, s, z)
+        lam = cones.apply_scaling(ends, w, eta, z)
         quotient = cones.quotient(ends, lam, cones.product(ends, s, d))
         return w, eta, lam, quotient, cones.spectral_values(ends, d), cones.steepest(ends, s, d)
 

@@ -31,7 +31,7 @@ from lin_freq_ocp.methods.structured import embedding
 from lin_freq_ocp.methods.structured.embedding import FRACTION, INTERIOR, MOVED
 from lin_freq_ocp.methods.structured.kkt import kernels
 from lin_freq_ocp.methods.structured.kkt.compilation import (
-    JIT_OPTIONS,
+    FASTMATH,
     WRITTEN,
     WRITTEN_INDICES,
     Kernels,
@@ -42,7 +42,7 @@ from lin_freq_ocp.methods.structured.kkt.compilation import (
 from lin_freq_ocp.methods.structured.kkt.kernels import dot, largest
 
 
-@overload(cones.inner, jit_options=JIT_OPTIONS)
+@overload(cones.inner, jit_options={"fastmath": FASTMATH, "error_model": "numpy"})
 def sum_products(a: Array, b: Array) -> Callable[[Array, Array], Array]:
     """Return what stands for ``cones.inner`` in compiled code: loops that need no array of the products."""
 
@@ -56,7 +56,7 @@ def sum_products(a: Array, b: Array) -> Callable[[Array, Array], Array]:
     return inner
 
 
-@overload(cones.largest, jit_options=JIT_OPTIONS)
+@overload(cones.largest, jit_options={"fastmath": FASTMATH, "error_model": "numpy"})
 def compare_entries(v: Array) -> Callable[[Array], float]:
     """Return what stands for ``cones.largest`` in compiled code: one maximum for each member first, side by side."""
 
@@ -73,7 +73,7 @@ def compare_entries(v: Array) -> Callable[[Array], float]:
 
 
 allow_calls(cones.tail_norms, cones.determinants, cones.spectral_values, cones.product, cones.quotient)
-allow_calls(cones.scaling, cones.scaled, cones.steepest)
+allow_calls(cones.compute_scaling, cones.apply_scaling, cones.steepest)
 
 OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 """How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
@@ -175,7 +175,7 @@ def path_directed(
     rest = 1.0 - sigma
     moved = rest * scaled_rows - cones.quotient(ends, lam, aim)
     of_w = -rest * r_w
-    subtract_cone_adjoint(data.G, cones.scaled(ends, w, eta, moved), of_w)
+    subtract_cone_adjoint(data.G, cones.apply_scaling(ends, w, eta, moved), of_w)
     dw, dp = path_solved(data, factors, of_w, -rest * r_p)
     cost, b = data.cost.ravel(), data.b
     steepness = dot(cost, constant[0].ravel()) + dot(b, constant[1]) - kappa / tau
@@ -184,10 +184,10 @@ def path_directed(
     dp += dtau * constant[1]
     of_rows = np.zeros(r_s.shape)
     add_cone_rows(data.G, dw, of_rows)
-    of_s = cones.scaled(ends, w, eta, of_rows)
+    of_s = cones.apply_scaling(ends, w, eta, of_rows)
     of_z = of_s + moved
     of_s = -rest * scaled_rows - of_s
-    dz, ds = cones.scaled(ends, w, eta, of_z), -rest * r_s - of_rows
+    dz, ds = cones.apply_scaling(ends, w, eta, of_z), -rest * r_s - of_rows
     dkappa = -(d_kappa + kappa * dtau) / tau
     steepest = max(cones.steepest(ends, lam, of_s), cones.steepest(ends, lam, of_z), -dtau / tau, -dkappa / kappa)
     return dw, dp, dz, ds, cones.product(ends, of_s, of_z), (dtau, dkappa, steepest)
@@ -198,9 +198,9 @@ def path_step(data: PathData, point: Point, residuals: Residuals, numbers: Array
     """Move the point by predictor and corrector; return the length of the step."""
     (w, p, z, s), tau, kappa = point, numbers[TAU], numbers[KAPPA]
     ends = data.linear, len(data.G)
-    inverse = cones.scaling(ends, z, s)
-    lam = cones.scaled(ends, inverse[0], inverse[1], s)
-    scaled_rows, square = cones.scaled(ends, inverse[0], inverse[1], residuals[2]), cones.product(ends, lam, lam)
+    inverse = cones.compute_scaling(ends, z, s)
+    lam = cones.apply_scaling(ends, inverse[0], inverse[1], s)
+    scaled_rows, square = cones.apply_scaling(ends, inverse[0], inverse[1], residuals[2]), cones.product(ends, lam, lam)
     factors = path_factored(data, edges_weighted(data.G, data.linear, inverse), width)
     constant = path_solved(data, factors, -data.cost, data.b)
     r_tau = kappa + tau * (numbers[COST] - numbers[BOUND])

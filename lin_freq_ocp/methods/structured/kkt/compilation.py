@@ -32,7 +32,7 @@ WRITTEN = tuple(types.Array(types.float64, dimensions, "C") for dimensions in ra
 INDICES = types.Array(types.intp, 1, "C", readonly=True)
 WRITTEN_INDICES = types.Array(types.intp, 1, "C")
 
-JIT_OPTIONS: dict[str, object] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}
+FASTMATH = {"contract", "nsz"}
 
 
 class _Statistics(Protocol):
@@ -57,18 +57,18 @@ def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
 
 def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     """Return a function that becomes part of its only caller: compiled alone as well, it would take twice as long."""
-    decorate = numba.njit(inline="always", **JIT_OPTIONS)
+    decorate = numba.njit(inline="always", fastmath=FASTMATH, error_model="numpy")
     return cast("Callable[Arguments, Value]", decorate(function))
 
 
 def allow_calls(*functions: Callable[..., object]) -> None:
     """Let compiled code call these functions of NumPy, which become part of it and stay what they are in Python."""
     for function in functions:
-        register_jitable(**JIT_OPTIONS)(function)
+        register_jitable(fastmath=FASTMATH, error_model="numpy")(function)
 
 
 def _compile(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
-    decorate = numba.njit(cache=cache, **JIT_OPTIONS)
+    decorate = numba.njit(cache=cache, fastmath=FASTMATH, error_model="numpy")
     return cast("Callable[Arguments, Value]", decorate(function))
 
 

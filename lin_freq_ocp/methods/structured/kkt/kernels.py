@@ -15,10 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.compilation import INDICES, REALS, WRITTEN, Kernels, jit
-from lin_freq_ocp.methods.structured.kkt.dense import BlockRegulator, Gains
-
-PIVOT = 1e-14
-"""Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
+from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, BlockRegulator, Gains
 
 
 @jit
@@ -74,10 +71,6 @@ def largest(x: Array) -> float:
     for i in range(len(x)):
         value = max(value, abs(x[i]))
     return value
-
-
-CURVED = 1e-9
-"""Least pivot relative to the curvature of a stage's own, of a problem that counts as strictly convex."""
 
 
 @jit
@@ -406,20 +399,7 @@ class CompiledLoops:
         """Return H + G'W^-2 G."""
         return gram(H, G, weights, points, np.cumsum([G.shape[1] - sum(cones), *cones]))
 
-    def times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t v_t."""
-        return times(matrices, vectors)
-
-    def transposed_times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t'v_t."""
-        return transposed_times(matrices, vectors)
-
-    def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
-        """Write the states of y, and return the ends."""
-        return forward(A, B, c, breaks, starts, y)
-
-    def backward(
-        self, A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return the costates, and the gradients in w and in the starts."""
-        return backward(A, B, gradient, breaks, prices)
+    times = staticmethod(times)
+    transposed_times = staticmethod(transposed_times)
+    forward = staticmethod(forward)
+    backward = staticmethod(backward)
