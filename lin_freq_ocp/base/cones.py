@@ -143,14 +143,13 @@ class Cone:
         self.present = present
         self._ends = tuple(accumulate(sizes, initial=present.shape[1] - sum(sizes)))
         self.orthant, self.blocks = slice(0, self._ends[0]), tuple(slice(*pair) for pair in pairwise(self._ends))
-        rows = range(self._ends[0])
-        self._heads = [*rows, *self._ends[:-1]]
+        self._heads = [*range(self._ends[0]), *self._ends[:-1]]
         unit = np.zeros(present.shape)
         unit[:, self._heads] = 1.0
         self.identity = unit * present
         self._absent = unit - self.identity  # interior points where nothing is present
         self._present_heads = present.T[self._heads]
-        self._present_values = present.T[[*rows, *np.repeat(self._ends[:-1], 2)]]
+        self._present_values = present.T[[*range(self._ends[0]), *np.repeat(self._ends[:-1], 2)]]
         self.degree = int(self.identity.sum())
         self.reset()
 

@@ -33,7 +33,6 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.hybrid.rows import (
     Duals,
     Groups,
-    Lagrangian,
     ModeColumns,
     PathBounds,
     PathModel,
@@ -118,23 +117,15 @@ class ModeRelaxation:
         self._take_several(rows, values, right, reach, many)
         columns[self._at.delta] = columns[self._at.epsilon] = many
         columns[self._at.share] = many[..., None]
-        part, kept = self._template.member(rows, columns, values, right), np.flatnonzero(columns)
+        kept = np.flatnonzero(columns)
         # the cost of variables without shares; the columns of the host come first, and are all kept
         hessian, row, column = self._hessian
         stage = self._stage[row]
         cost = (stage < 0) | single[stage]
         pointers = np.append(np.int32(0), np.cumsum(np.bincount(column[cost], minlength=len(kept)), dtype=np.int32))
-        form = StandardForm(
-            P=sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept), len(kept))),
-            q=self._price[kept],
-            A=part.A,
-            b=part.b,
-            equations=part.equations,
-            inequalities=part.inequalities,
-            cones=tuple(self._cone_sizes[rows[self._cone_heads]].tolist()),  # all rows of a cone are taken, or none
-            row=part.row,
-            sign=part.sign,
-        )
+        P = sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept), len(kept)))
+        cones = tuple(self._cone_sizes[rows[self._cone_heads]].tolist())  # all rows of a cone are taken, or none
+        form = self._template.member(rows, columns, values, right, (P, self._price[kept]), cones)
         return Member(form, reach, kept)
 
     def for_cost(self, cost: float) -> Self:
@@ -162,29 +153,18 @@ class ModeRelaxation:
         return np.maximum(stage, np.abs(np.diagonal(self.problem.quadratic.P)))
 
     @cached_property
-    def _lagrangian(self) -> Lagrangian | None:
-        """The cost and the rows over all times; None for a problem with terms that are not equations of x and u."""
-        program, form, at, scale = self._program, self._sides, self._at, self._scaling.cost
-        T, k = at.y.shape
-        if form.inequalities or form.cones or len(program.q) > at.x.size + T * (k - self._n):
-            return None
-        dense, units = form.A.toarray(), self._stages.units
-        rows, price = np.zeros((len(dense), T + 1, k)), np.zeros((T + 1, k))
-        for part, of_host in ((rows, dense), (price, self._price)):
-            part[..., :T, :], part[..., T, : self._n] = of_host[..., at.y], of_host[..., at.x[T]]
-        cost, last = self.problem.quadratic, units[: self._n]
-        hessians = np.broadcast_to(cost.stage_hessians(), (T, k, k)) * np.outer(units, units)
-        return Lagrangian(scale * hessians, scale * cost.P * np.outer(last, last), price, rows, form.b)
-
-    @cached_property
     def _bounds(self) -> PathBounds | None:
-        """What duals prove."""
-        parts, stages = self._lagrangian, self._stages
-        T, _, n, k = stages.maps.shape
-        if parts is None:
+        """What duals prove; None for a problem with terms that are not equations of x and u."""
+        program, form, at, stages = self._program, self._sides, self._at, self._stages
+        (T, k), n, units = at.y.shape, self._n, stages.units
+        if form.inequalities or form.cones or len(program.q) > at.x.size + T * (k - n):
             return None
-        hessians = np.zeros((T + 1, k, k))
-        hessians[:-1], hessians[-1, :n, :n] = parts.hessians, parts.last
+        dense, cost = form.A.toarray(), self.problem.quadratic
+        rows, price, hessians = np.zeros((len(dense), T + 1, k)), np.zeros((T + 1, k)), np.zeros((T + 1, k, k))
+        for part, of_host in ((rows, dense), (price, self._price)):
+            part[..., :T, :], part[..., T, :n] = of_host[..., at.y], of_host[..., at.x[T]]
+        hessians[:T] = self._scaling.cost * (np.broadcast_to(cost.stage_hessians(), (T, k, k)) * np.outer(units, units))
+        hessians[T, :n, :n] = self._scaling.cost * cost.P * np.outer(units[:n], units[:n])
 
         def with_end(part: Array, filled: float = 0.0) -> Array:
             return np.concatenate([part, np.full((1, *part.shape[1:]), filled)])
@@ -195,9 +175,9 @@ class ModeRelaxation:
             rows=with_end(stages.rows),
             limits=with_end(stages.limits, np.inf),
             roots=symmetric_roots(hessians),
-            price=parts.price,
-            coupled=parts.rows,
-            right=parts.right,
+            price=price,
+            coupled=rows,
+            right=form.b,
         )
         return PathBounds(model, hessians)
 

@@ -4,13 +4,9 @@ A template has all rows that a family of programs may have; each member takes so
 each time and mode, all of a kind having the same size: so a member is chosen by masks and assembled by a few vector
 operations. A search over modes asks for thousands of programs that differ in little.
 
-Duals prove the least Lagrangian of every mode over its box. With eta of the links, lambda >= 0 of the regions and rho
-of the rows F over all times, in natural units y = (x, u),
-
-    phi_ti = min over box_ti of  c_t(y) + <eta_{t-1}, x> - <eta_t, maps y + offsets> + <rho, F_t y> + <lambda, G y - h>,
-    J within the mask >= sum_t min_i phi_ti + phi_T - <rho, right>,
-
-be the duals those of a solution or not. Mode i at t alone is above this by phi_ti - min_j phi_tj.
+Duals prove a shortest path through the modes, as in path_relaxation.py, be they those of a solution or not. With duals
+of shares, which do not depend on the mode that follows, the length of an edge is the least Lagrangian of its mode over
+its box.
 """
 
 from __future__ import annotations
@@ -27,6 +23,7 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.program.program import StandardForm
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -65,18 +62,6 @@ class Groups:
 def _view(whole: NDArray[Scalar], places: Indices) -> NDArray[Scalar]:
     first = int(places[0, 0]) if places.size else 0
     return whole[first : first + places.size].reshape(places.shape)
-
-
-@dataclass(frozen=True, eq=False)
-class StandardRows:
-    """The rows of a standard form (``transcription.program``), from ``row`` of the template with these signs."""
-
-    A: sp.csc_array
-    b: Array
-    equations: int
-    inequalities: int
-    row: Indices
-    sign: Array
 
 
 class RowTemplate:
@@ -132,8 +117,19 @@ class Assembler:
         self._row_sign = np.where(senses[self._rows] == Sense.CONE.value, -1.0, 1.0)
         self._sign = self._row_sign[self._place]
 
-    def member(self, rows: Mask, columns: Mask, values: Array, right: Array) -> StandardRows:
-        """Return the standard form of some rows and columns, from all coefficients in the order they were added."""
+    def member(
+        self,
+        rows: Mask,
+        columns: Mask,
+        values: Array,
+        right: Array,
+        cost: tuple[sp.csc_array, Array],
+        cones: tuple[int, ...],
+    ) -> StandardForm:
+        """Return the standard form of some rows and columns, from all coefficients in the order they were added.
+
+        The cost is (P, q) of these columns; ``cones`` are the sizes of those among the rows.
+        """
         taken = rows[self._rows]
         kept = np.flatnonzero(taken)
         numbers = np.cumsum(taken, dtype=np.int32) - np.int32(1)
@@ -146,7 +142,7 @@ class Assembler:
         )
         row, sign = self._rows[kept], self._row_sign[kept]
         equations, unequal = (int(end) for end in np.searchsorted(kept, self._ends))
-        return StandardRows(A, sign * right[row], equations, unequal - equations, row, sign)
+        return StandardForm(*cost, A, sign * right[row], equations, unequal - equations, cones, row, sign)
 
 
 THIN = 1e-9  # rows that differ by less from zero on the whole box, in natural units, are dropped: they have no interior
@@ -300,17 +296,6 @@ def mode_rows(template: RowTemplate, stages: ModeStages, at: ModeColumns, roots:
             (np.repeat(2 + np.arange(rank), k), np.tile(share, rank), np.sqrt(2.0) * roots.reshape(T, 1, -1)),
         ),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Lagrangian:
-    """Hessians (T, k, k) and (n, n), prices (T+1, k), rows over all times (q, T+1, k) and right (q,), natural units."""
-
-    hessians: Array
-    last: Array
-    price: Array
-    rows: Array
-    right: Array
 
 
 class Quadratic:

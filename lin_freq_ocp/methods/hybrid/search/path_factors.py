@@ -13,7 +13,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.compilation import jit
-from lin_freq_ocp.methods.structured.kkt.kernels import PIVOT, cholesky, cholesky_solve
+from lin_freq_ocp.methods.structured.kkt.dense import PIVOT
+from lin_freq_ocp.methods.structured.kkt.kernels import cholesky, cholesky_solve
 
 
 class PathData(NamedTuple):

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numba import types
-from numba.extending import overload
+from numba.extending import overload, register_jitable
 
 from lin_freq_ocp.base import cones
 from lin_freq_ocp.base.arrays import Array, Indices
@@ -29,16 +29,8 @@ from lin_freq_ocp.methods.hybrid.search.path_factors import (
 from lin_freq_ocp.methods.hybrid.search.path_lengths import path_proven
 from lin_freq_ocp.methods.structured import embedding
 from lin_freq_ocp.methods.structured.embedding import FRACTION, INTERIOR, MOVED
-from lin_freq_ocp.methods.structured.kkt import kernels
-from lin_freq_ocp.methods.structured.kkt.compilation import (
-    FASTMATH,
-    WRITTEN,
-    WRITTEN_INDICES,
-    Kernels,
-    allow_calls,
-    inlined,
-    jit,
-)
+from lin_freq_ocp.methods.structured.kkt import dense, kernels
+from lin_freq_ocp.methods.structured.kkt.compilation import FASTMATH, WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
 from lin_freq_ocp.methods.structured.kkt.kernels import dot, largest
 
 
@@ -72,8 +64,12 @@ def compare_entries(v: Array) -> Callable[[Array], float]:
     return largest_entry
 
 
-allow_calls(cones.tail_norms, cones.determinants, cones.spectral_values, cones.product, cones.quotient)
-allow_calls(cones.compute_scaling, cones.apply_scaling, cones.steepest)
+ALGEBRA = (
+    *(cones.tail_norms, cones.determinants, cones.spectral_values, cones.product, cones.quotient),
+    *(cones.compute_scaling, cones.apply_scaling, cones.steepest),
+)
+for function in ALGEBRA:  # compiled code may call these, which become part of it and stay what they are in Python
+    register_jitable(fastmath=FASTMATH, error_model="numpy")(function)
 
 OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 """How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
@@ -299,7 +295,6 @@ _PLACES, _REAL = types.Array(types.intp, 2, "C"), types.float64
 _DATA = (_THREE, _PLACES, WRITTEN_INDICES, _THREE, _ONE, _TWO, _THREE, types.intp)
 _DATA += _TWO, WRITTEN_INDICES, WRITTEN_INDICES, types.intp
 _POINT = _TWO, _ONE, _TWO, _TWO, _ONE
-KERNELS = Kernels(
-    (__file__, path_factors.__file__, cones.__file__, path_lengths.__file__, kernels.__file__, embedding.__file__),
-    (path_run, (*_DATA, *_POINT, _REAL, _REAL, _REAL, _REAL)),
-)
+_SOURCES = __file__, cones.__file__, path_factors.__file__, path_lengths.__file__
+_SOURCES += kernels.__file__, dense.__file__, embedding.__file__
+KERNELS = Kernels(_SOURCES, (path_run, (*_DATA, *_POINT, _REAL, _REAL, _REAL, _REAL)))

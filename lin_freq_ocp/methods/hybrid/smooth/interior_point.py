@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +27,7 @@ from lin_freq_ocp.base.cones import Cone
 from lin_freq_ocp.methods.hybrid.smooth.model import Derivatives, SmoothModel
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver
+from lin_freq_ocp.methods.structured.embedding import End, Point
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver, sort_rows
 from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
@@ -93,15 +93,6 @@ MARGIN = 1e-2  # distance of the first point to the boundary, in units in which 
 
 NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second side to know that a step is convex
 FRACTION = 0.99  # of the way to the boundary, at least
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """Variables, duals of all rows, and slacks of those in cones."""
-
-    y: Array
-    z: Values
-    s: dict[int, Array]
 
 
 class Trial(NamedTuple):
@@ -234,16 +225,6 @@ MOST_STEPS = 300
 MOST_RESTORING = 60
 FEW_ROWS = 250  # that couple times
 ACCURATE = 1e-10  # residuals in units of order 1
-
-
-class End(Enum):
-    """How the iteration ended."""
-
-    OPTIMAL = "optimal"
-    STALLED = "stalled"
-    TIME = "time limit"
-    INTERRUPTED = "interrupted"
-    UNDEFINED = "undefined"
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,6 @@ from typing import ClassVar, ParamSpec, Protocol, TypeVar, cast
 import numba
 from llvmlite import binding
 from numba import types
-from numba.extending import register_jitable
 
 from lin_freq_ocp.base.atomic import locked
 from lin_freq_ocp.base.clock import now
@@ -59,12 +58,6 @@ def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     """Return a function that becomes part of its only caller: compiled alone as well, it would take twice as long."""
     decorate = numba.njit(inline="always", fastmath=FASTMATH, error_model="numpy")
     return cast("Callable[Arguments, Value]", decorate(function))
-
-
-def allow_calls(*functions: Callable[..., object]) -> None:
-    """Let compiled code call these functions of NumPy, which become part of it and stay what they are in Python."""
-    for function in functions:
-        register_jitable(fastmath=FASTMATH, error_model="numpy")(function)
 
 
 def _compile(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:

@@ -100,11 +100,6 @@ class System:
         """Return P y."""
         return self.loops.times(self.stages.H, y)
 
-    @property
-    def degree(self) -> int:
-        """Return the degree of the cone."""
-        return sum(cone.degree for cone in self.cones.values())
-
 
 @dataclass(frozen=True, eq=False)
 class Compliance:
