@@ -20,7 +20,7 @@ from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, SearchLimits, 
 from lin_freq_ocp.methods.hybrid.search.node import Relaxed
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
-from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 Build = Callable[[], lfo.OptimalControlProblem]
@@ -49,15 +49,13 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
         everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
         root = relaxation.reach.from_start(everything)
         assert root is not None
-        answer, member = relaxed(relaxation, root, compiled=True), relaxation.path_member(root)
-        assert isinstance(answer.duals, PathDuals)
-        assert member is not None
-        duals = answer.duals
+        duals = relaxed(relaxation, root, compiled=True).duals
+        assert duals is not None
         set_up, bound, *solves = (
             part_seconds(work)
             for work in (
                 partial(relaxation.path_member, root),
-                partial(relaxation.path_bound, member, duals),
+                partial(relaxation.proven, root, duals),
                 partial(relaxed, relaxation, root, TOLERANCES, compiled=True),
                 partial(relaxed, relaxation, root, TOLERANCES),
             )

@@ -15,10 +15,9 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
-from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
-from lin_freq_ocp.program.hybrid.rows import Groups, RowTemplate, Sense
+from lin_freq_ocp.program.hybrid.relaxation import Member, ModeRelaxation
+from lin_freq_ocp.program.hybrid.rows import Duals, Groups, RowTemplate, Sense
 
 
 class HullRelaxation(ModeRelaxation):
@@ -100,15 +99,14 @@ class BigMRelaxation(HullRelaxation):
             values[part.entries[:, -part.rows.shape[1] :]] = M
             right[part.rows] = limit.reshape(M.shape) + M
 
-    def multipliers(self, duals: Duals) -> ModeMultipliers:
-        """Return the multipliers, those of regions with the far rows'."""
-        found = super().multipliers(duals)
-        region = self._fill_duals(duals)[self._region.rows].reshape(self._stages.limits.shape)
-        return replace(found, region=found.region + region / self._stages.norms / self._scaling.cost)
-
-    def _scaled_adjoint(self, full: Array) -> Array:
-        above, below = (full[part.rows].reshape(self._stages.offsets.shape) for part in (self._above, self._below))
-        return super()._scaled_adjoint(full) + (above - below).sum(axis=1)
+    def duals(self, member: Member, y: Array, z: Array | None) -> Duals:
+        """Return the duals, those of regions and the adjoint with the far rows'."""
+        found, full = super().duals(member, y, z), np.zeros(len(self._template.right))
+        full[member.form.row] = member.form.sign * y
+        shape = self._stages.offsets.shape
+        above, below = (full[part.rows].reshape(shape) for part in (self._above, self._below))
+        region = found.regions + full[self._region.rows].reshape(self._stages.limits.shape)
+        return replace(found, regions=region, adjoint=found.adjoint + (above - below).sum(axis=1))
 
 
 def _range(matrices: Array, low: Array, high: Array) -> tuple[Array, Array]:

@@ -27,7 +27,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.structured.cones import Cone, clip_change
+from lin_freq_ocp.base.cones import Cone, clip_change
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System, Values, largest
 
 FRACTION = 0.99  # of the way to the boundary
@@ -60,6 +60,7 @@ class End(Enum):
     STALLED = "stalled"
     TIME = "time limit"
     INTERRUPTED = "interrupted"
+    UNDEFINED = "undefined"  # of smooth dynamics, at the first point
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class Answer:
 
 @dataclass(eq=False)
 class EmbeddedPoint:
-    """A point of the embedding: the answer, once divided by tau."""
+    """Variables, duals of all rows, and slacks of those in cones: the answer, once divided by tau."""
 
     y: Array
     z: Values
@@ -163,7 +164,7 @@ class Embedding:
     def __post_init__(self):
         self._h, self._b, self._cones = self.system.stages.h, self.system.b, self.system.cones
         self._sizes = 1 + float(np.abs(self._h).max(initial=0.0)), 1 + largest(self._b)
-        self._degree = self.system.degree + 1
+        self._degree = 1 + sum(cone.degree for cone in self._cones.values())
         self._refined, self._expected = False, np.inf
         typical = np.ones(self._h.shape)
         self._least_terms = LEAST_TERMS * self._terms(typical, _dot(typical, self.system.curvature(typical))) or 1.0
@@ -172,12 +173,9 @@ class Embedding:
         """Return the sum of the absolute terms of the objective."""
         return abs(self.system.stages.constant) + 0.5 * yPy + _dot(np.abs(self._h), np.abs(y))
 
+    @np.errstate(over="ignore", invalid="ignore")  # divergence is seen by numbers that are not finite
     def run(self) -> Answer:
         """Iterate until the targets, a ray, a stall, or the time limit."""
-        with np.errstate(over="ignore", invalid="ignore"):  # divergence is seen by numbers that are not finite
-            return self._iterate()
-
-    def _iterate(self) -> Answer:
         best: Answer | None = None
         least, progress = np.inf, 0
         try:

@@ -143,18 +143,14 @@ class _Propagation:
             keep, settled = self._step(t, live)
             possible[live] = keep
             live = live[keep & ~settled]
-        return [self._reach(b) if possible[b] else None for b in range(count)]
-
-    def _reach(self, b: int) -> Reach:
-        return Reach(
-            allowed=self._allowed[b].copy(),
-            lower=self._lower[b].copy(),
-            upper=self._upper[b].copy(),
-            mode_lower=self._mode_lower[b].copy(),
-            mode_upper=self._mode_upper[b].copy(),
-            centres=tuple(self._centres[b]),
-            generators=tuple(self._generators[b]),
-        )
+        arrays = self._allowed, self._lower, self._upper, self._mode_lower, self._mode_upper
+        zonotopes = zip(self._centres, self._generators, strict=True)
+        return [
+            Reach(*(part[b].copy() for part in arrays), centres=tuple(centres), generators=tuple(generators))
+            if possible[b]
+            else None
+            for b, (centres, generators) in enumerate(zonotopes)
+        ]
 
     def _step(self, t: int, live: Indices) -> tuple[Mask, Mask]:
         """Go from t to t + 1; return which can, and for which nothing changes later."""

@@ -27,16 +27,17 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, LARGEST_BOUND, ModeReach, Reach
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
+from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.hybrid.rows import (
+    Duals,
     Groups,
-    Lagrangian,
     ModeColumns,
+    PathBounds,
+    PathModel,
     RowTemplate,
     Sense,
-    StageBounds,
     mode_rows,
     mode_stages,
     symmetric_roots,
@@ -59,19 +60,6 @@ class Member:
     form: StandardForm
     reach: Reach
     columns: Indices
-
-    def duals(self, y: Array, eta_C: float) -> Duals:
-        """Return the duals of the standard form by rows of the template."""
-        return Duals(self.form.row, self.form.sign * y, eta_C)
-
-
-@dataclass(frozen=True, eq=False)
-class Duals:
-    """The duals y of a member, P z + q + A'y = 0, by its rows of the template; eta_C = 0 for a Farkas ray."""
-
-    rows: Indices
-    y: Array
-    eta_C: float
 
 
 class ModeRelaxation:
@@ -129,23 +117,15 @@ class ModeRelaxation:
         self._take_several(rows, values, right, reach, many)
         columns[self._at.delta] = columns[self._at.epsilon] = many
         columns[self._at.share] = many[..., None]
-        part, kept = self._template.member(rows, columns, values, right), np.flatnonzero(columns)
+        kept = np.flatnonzero(columns)
         # the cost of variables without shares; the columns of the host come first, and are all kept
         hessian, row, column = self._hessian
         stage = self._stage[row]
         cost = (stage < 0) | single[stage]
         pointers = np.append(np.int32(0), np.cumsum(np.bincount(column[cost], minlength=len(kept)), dtype=np.int32))
-        form = StandardForm(
-            P=sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept), len(kept))),
-            q=self._price[kept],
-            A=part.A,
-            b=part.b,
-            equations=part.equations,
-            inequalities=part.inequalities,
-            cones=tuple(self._cone_sizes[rows[self._cone_heads]].tolist()),  # all rows of a cone are taken, or none
-            row=part.row,
-            sign=part.sign,
-        )
+        P = sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept), len(kept)))
+        cones = tuple(self._cone_sizes[rows[self._cone_heads]].tolist())  # all rows of a cone are taken, or none
+        form = self._template.member(rows, columns, values, right, (P, self._price[kept]), cones)
         return Member(form, reach, kept)
 
     def for_cost(self, cost: float) -> Self:
@@ -173,37 +153,44 @@ class ModeRelaxation:
         return np.maximum(stage, np.abs(np.diagonal(self.problem.quadratic.P)))
 
     @cached_property
-    def _lagrangian(self) -> Lagrangian | None:
-        """The cost and the rows over all times; None for a problem with terms that are not equations of x and u."""
-        program, form, at, scale = self._program, self._sides, self._at, self._scaling.cost
-        T, k = at.y.shape
-        if form.inequalities or form.cones or len(program.q) > at.x.size + T * (k - self._n):
+    def _bounds(self) -> PathBounds | None:
+        """What duals prove; None for a problem with terms that are not equations of x and u."""
+        program, form, at, stages = self._program, self._sides, self._at, self._stages
+        (T, k), n, units = at.y.shape, self._n, stages.units
+        if form.inequalities or form.cones or len(program.q) > at.x.size + T * (k - n):
             return None
-        dense, units = form.A.toarray(), self._stages.units
-        rows, price = np.zeros((len(dense), T + 1, k)), np.zeros((T + 1, k))
+        dense, cost = form.A.toarray(), self.problem.quadratic
+        rows, price, hessians = np.zeros((len(dense), T + 1, k)), np.zeros((T + 1, k)), np.zeros((T + 1, k, k))
         for part, of_host in ((rows, dense), (price, self._price)):
-            part[..., :T, :], part[..., T, : self._n] = of_host[..., at.y], of_host[..., at.x[T]]
-        cost, last = self.problem.quadratic, units[: self._n]
-        hessians = np.broadcast_to(cost.stage_hessians(), (T, k, k)) * np.outer(units, units)
-        return Lagrangian(scale * hessians, scale * cost.P * np.outer(last, last), price, rows, form.b)
+            part[..., :T, :], part[..., T, :n] = of_host[..., at.y], of_host[..., at.x[T]]
+        hessians[:T] = self._scaling.cost * (np.broadcast_to(cost.stage_hessians(), (T, k, k)) * np.outer(units, units))
+        hessians[T, :n, :n] = self._scaling.cost * cost.P * np.outer(units[:n], units[:n])
 
-    @cached_property
-    def _bounds(self) -> StageBounds | None:
-        """What duals prove."""
-        return None if self._lagrangian is None else StageBounds(self._stages, self._lagrangian)
+        def with_end(part: Array, filled: float = 0.0) -> Array:
+            return np.concatenate([part, np.full((1, *part.shape[1:]), filled)])
 
-    def phi(self, reach: Reach, duals: Duals) -> tuple[Array, float] | None:
-        """Return what duals with eta_C = 1 prove of a reach, as costs: of every mode (T, modes), and beyond stages.
+        model = PathModel(
+            maps=with_end(stages.maps),
+            offsets=with_end(stages.offsets),
+            rows=with_end(stages.rows),
+            limits=with_end(stages.limits, np.inf),
+            roots=symmetric_roots(hessians),
+            price=price,
+            coupled=rows,
+            right=form.b,
+        )
+        return PathBounds(model, hessians)
 
-        The bound is the sum over stages of the least of its modes, and the rest (see rows.py).
-        """
-        if self._bounds is None:
-            return None
-        full, rows = self._fill_duals(duals), self._rows
-        region = np.maximum(rows.one_region.of(full) + rows.share_region.of(full), 0.0)
-        eta, rho = self._scaled_adjoint(full), self._host_rows[0].of(full).ravel()
-        found, rest = self._bounds.phi(reach, eta, rho, region.reshape(self._stages.limits.shape))
-        return found / self._scaling.cost, self.cost(rest)
+    def _boxes(self, model: PathModel, reach: Reach) -> tuple[Mask, Array, Array]:
+        """Return the edges (T, modes, modes) and boxes (T+1, modes, k) of a reach."""
+        (T, modes), (n, stages) = reach.allowed.shape, (self._n, self._stages)
+        allowed = np.zeros((T + 1, modes), dtype=bool)
+        allowed[:-1], allowed[-1, 0] = reach.allowed, True
+        low, high = np.zeros((2, T + 1, modes, len(stages.units)))
+        for part, inner, last in ((low, reach.mode_lower, reach.lower), (high, reach.mode_upper, reach.upper)):
+            part[:-1] = np.where(reach.allowed[..., None], stages.scaled(inner), 0.0)
+            part[-1, 0, :n] = (last[-1] - stages.last_reference) / stages.units[:n]
+        return model.pairs(allowed, low, high), low, high
 
     @property
     def proves(self) -> bool:
@@ -211,9 +198,13 @@ class ModeRelaxation:
         return self._bounds is not None
 
     def proven(self, reach: Reach, duals: Duals) -> float:
-        """Return the bound on the cost that duals with eta_C = 1 prove of a reach."""
-        found = self.phi(reach, duals)
-        return -np.inf if found is None else float(found[0].min(axis=1).sum()) + found[1]
+        """Return what any duals prove of a reach: as a bound on the cost, inf if that it has no trajectory."""
+        if self._bounds is None:
+            return -np.inf
+        bound = self._bounds.bound(*self._boxes(self._bounds.model, reach), duals)
+        if duals.eta_C:
+            return self.cost(bound)
+        return np.inf if bound > 0 else -np.inf
 
     def objective(self, cost: float) -> float:
         """Return the objective of a member of a cost."""
@@ -246,15 +237,27 @@ class ModeRelaxation:
         largest = max(np.abs(missed).max(), beyond.max(initial=0.0), of_x.max(), of_u.max())
         return float(max(largest / max(1.0, np.abs(z[: self._host.signals]).max()), others))
 
-    def multipliers(self, duals: Duals) -> ModeMultipliers:
-        """Return the multipliers of the duals of a member."""
-        full, rows = self._fill_duals(duals), self._rows
-        region = rows.one_region.of(full) + rows.share_region.of(full)
-        of_equations, of_inequalities, of_cones = (full[part.rows].ravel() for part in self._host_rows)
+    def duals(self, member: Member, y: Array, z: Array | None) -> Duals:
+        """Return the duals of a member's standard form, P z + q + A'y = 0, or those of a ray."""
+        full, rows = np.zeros(len(self._template.right)), self._rows
+        full[member.form.row] = member.form.sign * y
+        adjoint = rows.one_map.of(full).reshape(self._stages.offsets.shape).sum(axis=1) + rows.share_map.of(full)
+        regions = np.maximum(rows.one_region.of(full) + rows.share_region.of(full), 0.0)
+        of_equations, of_inequalities, of_cones = (part.of(full).ravel() for part in self._host_rows)
         sides = np.concatenate([of_equations, of_inequalities, -of_cones])
-        own = self._own_multipliers(sides, self._scaled_adjoint(full), duals.eta_C)
-        region = region.reshape(self._stages.limits.shape) / self._stages.norms / self._scaling.cost
-        return ModeMultipliers(own, region)
+        return Duals(adjoint, sides, regions.reshape(self._stages.limits.shape), 0.0 if z is None else 1.0)
+
+    def multipliers(self, duals: Duals) -> ModeMultipliers:
+        """Return the multipliers of duals."""
+        own = self._own_multipliers(duals.sides, duals.adjoint, duals.eta_C)
+        if duals.vertices is None or duals.images is None:
+            return ModeMultipliers(own, duals.regions / self._stages.norms / self._scaling.cost)
+        moved = duals.vertices - duals.adjoint[:, None]
+        moved[-1] = 0.0  # a single vertex: its adjoint is the average
+        units = self._adjoint_units
+        region = duals.regions / self._stages.norms[:, :, None] / self._scaling.cost
+        paths = PathMultipliers(moved * units[:, None], duals.images * units[:, None, None])
+        return ModeMultipliers(own, region, paths)
 
     def _own_multipliers(self, sides: Array, adjoint: Array, eta_C: float) -> Multipliers:
         """Return the multipliers of the theorem from duals of the host rows and the adjoint (T, n), natural units."""
@@ -265,21 +268,12 @@ class ModeRelaxation:
 
     def adjoint(self, duals: Duals) -> Array:
         """Return eta alone, (T, n)."""
-        return self._scaled_adjoint(self._fill_duals(duals)) * self._adjoint_units
+        return duals.adjoint * self._adjoint_units
 
     @property
     def _adjoint_units(self) -> Array:
         of_dynamics = self._scaling.rows[self._program.rows[Block.DYNAMICS]]
         return of_dynamics.reshape(self.problem.horizon, self._n) / self._scaling.cost
-
-    def _fill_duals(self, duals: Duals) -> Array:
-        full = np.zeros(len(self._template.right))
-        full[duals.rows] = duals.y
-        return full
-
-    def _scaled_adjoint(self, full: Array) -> Array:
-        rows, shape = self._rows, self._stages.offsets.shape
-        return rows.one_map.of(full).reshape(shape).sum(axis=1) + rows.share_map.of(full)
 
     def _add_host_rows(self, template: RowTemplate) -> None:
         """Add the rows of the host program beyond dynamics and boxes: spectra and terms."""

@@ -4,13 +4,9 @@ A template has all rows that a family of programs may have; each member takes so
 each time and mode, all of a kind having the same size: so a member is chosen by masks and assembled by a few vector
 operations. A search over modes asks for thousands of programs that differ in little.
 
-Duals prove the least Lagrangian of every mode over its box. With eta of the links, lambda >= 0 of the regions and rho
-of the rows F over all times, in natural units y = (x, u),
-
-    phi_ti = min over box_ti of  c_t(y) + <eta_{t-1}, x> - <eta_t, maps y + offsets> + <rho, F_t y> + <lambda, G y - h>,
-    J within the mask >= sum_t min_i phi_ti + phi_T - <rho, right>,
-
-be the duals those of a solution or not. Mode i at t alone is above this by phi_ti - min_j phi_tj.
+Duals prove a shortest path through the modes, as in path_relaxation.py, be they those of a solution or not. With duals
+of shares, which do not depend on the mode that follows, the length of an edge is the least Lagrangian of its mode over
+its box.
 """
 
 from __future__ import annotations
@@ -26,8 +22,8 @@ from numpy.typing import NDArray
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.program.program import StandardForm
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -66,18 +62,6 @@ class Groups:
 def _view(whole: NDArray[Scalar], places: Indices) -> NDArray[Scalar]:
     first = int(places[0, 0]) if places.size else 0
     return whole[first : first + places.size].reshape(places.shape)
-
-
-@dataclass(frozen=True, eq=False)
-class StandardRows:
-    """The rows of a standard form (``transcription.program``), from ``row`` of the template with these signs."""
-
-    A: sp.csc_array
-    b: Array
-    equations: int
-    inequalities: int
-    row: Indices
-    sign: Array
 
 
 class RowTemplate:
@@ -133,8 +117,19 @@ class Assembler:
         self._row_sign = np.where(senses[self._rows] == Sense.CONE.value, -1.0, 1.0)
         self._sign = self._row_sign[self._place]
 
-    def member(self, rows: Mask, columns: Mask, values: Array, right: Array) -> StandardRows:
-        """Return the standard form of some rows and columns, from all coefficients in the order they were added."""
+    def member(
+        self,
+        rows: Mask,
+        columns: Mask,
+        values: Array,
+        right: Array,
+        cost: tuple[sp.csc_array, Array],
+        cones: tuple[int, ...],
+    ) -> StandardForm:
+        """Return the standard form of some rows and columns, from all coefficients in the order they were added.
+
+        The cost is (P, q) of these columns; ``cones`` are the sizes of those among the rows.
+        """
         taken = rows[self._rows]
         kept = np.flatnonzero(taken)
         numbers = np.cumsum(taken, dtype=np.int32) - np.int32(1)
@@ -147,9 +142,10 @@ class Assembler:
         )
         row, sign = self._rows[kept], self._row_sign[kept]
         equations, unequal = (int(end) for end in np.searchsorted(kept, self._ends))
-        return StandardRows(A, sign * right[row], equations, unequal - equations, row, sign)
+        return StandardForm(*cost, A, sign * right[row], equations, unequal - equations, cones, row, sign)
 
 
+THIN = 1e-9  # rows that differ by less from zero on the whole box, in natural units, are dropped: they have no interior
 ZERO_CURVATURE = 1e-12  # eigenvalues of a stage's Hessian below this part of the largest are zero
 
 
@@ -302,17 +298,6 @@ def mode_rows(template: RowTemplate, stages: ModeStages, at: ModeColumns, roots:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Lagrangian:
-    """Hessians (T, k, k) and (n, n), prices (T+1, k), rows over all times (q, T+1, k) and right (q,), natural units."""
-
-    hessians: Array
-    last: Array
-    price: Array
-    rows: Array
-    right: Array
-
-
 class Quadratic:
     """1/2 y'H y for Hessians (..., k, k), to be minimised over boxes with slopes."""
 
@@ -337,33 +322,105 @@ class Quadratic:
         return found
 
 
-class StageBounds:
-    """Bounds of one problem whose only terms beyond boxes are linear equations over all times."""
+@dataclass(frozen=True, eq=False)
+class PathModel:
+    """What the relaxations of one problem share, in natural units y; at T there is only mode 0, without map and region.
 
-    def __init__(self, stages: ModeStages, parts: Lagrangian):
-        price, rows, self._n = parts.price, parts.rows, len(parts.last)
-        self._stages, self._price, self._right = stages, price, parts.right
-        self._rows = rows.reshape(len(rows), price.size)
-        self._cost, self._last = Quadratic(parts.hessians[:, None]), Quadratic(parts.last)
-        finite = np.isfinite(stages.limits)
-        self._limits = np.where(finite, stages.limits, 0.0)
+    maps (T+1, modes, n, k), offsets (T+1, modes, n), rows (T+1, modes, r, k) and limits (T+1, modes, r) of regions,
+    roots (T+1, rank, k) of Hessians, price (T+1, k), coupled (q, T+1, k) and right (q,) of rows over all times.
+    """
 
-    def phi(self, reach: Reach, eta: Array, rho: Array, regions: Array) -> tuple[Array, float]:
-        """Return phi (T, modes), inf for modes that are not allowed, and the rest of the bound.
+    maps: Array
+    offsets: Array
+    rows: Array
+    limits: Array
+    roots: Array
+    price: Array
+    coupled: Array
+    right: Array
 
-        The duals are eta (T, n), rho (q,) and lambda (T, modes, r) of the regions, in natural units.
-        """
-        stages, n = self._stages, self._n
-        slope = self._price + (rho @ self._rows).reshape(self._price.shape)
-        slope[1:, :n] += eta
-        own = slope[:-1, None] - (eta[:, None, None] @ stages.maps)[:, :, 0]
-        own += (regions[:, :, None] @ stages.rows)[:, :, 0]
-        constant = -(stages.offsets @ eta[..., None])[..., 0] - (regions * self._limits).sum(axis=-1)
-        low, high = (stages.scaled(bounds) for bounds in (reach.mode_lower, reach.mode_upper))
-        found = np.where(reach.allowed, constant + self._cost.least(own, low, high), np.inf)
-        units = stages.units[:n]
-        ends = ((bounds[-1] - stages.last_reference) / units for bounds in (reach.lower, reach.upper))
-        return found, float(self._last.least(slope[-1, :n], *ends)) - float(rho @ self._right)
+    def pairs(self, allowed: Mask, low: Array, high: Array) -> Mask:
+        """Return which modes can follow each other, (T, modes, modes), as far as boxes (T+1, modes, k) tell."""
+        n = self.maps.shape[2]
+        middle, half = (low + high)[:-1, ..., None] / 2, (high - low)[:-1, ..., None] / 2
+        centre = (self.maps[:-1] @ middle)[..., 0] + self.offsets[:-1]
+        radius = (np.abs(self.maps[:-1]) @ half)[..., 0] + THIN
+        above, below = (centre + radius)[:, :, None], (centre - radius)[:, :, None]
+        meets = ((above >= low[1:, None, :, :n]) & (below <= high[1:, None, :, :n])).all(axis=-1)
+        found = allowed[:-1, :, None] & allowed[1:, None] & meets
+        while True:  # a vertex needs an edge in and an edge out
+            live = np.ones(allowed.shape, dtype=bool)
+            live[:-1] &= found.any(axis=2)
+            live[1:] &= found.any(axis=1)
+            less = found & live[:-1, :, None] & live[1:, None]
+            if (less == found).all():
+                return found
+            found = less
+
+
+@dataclass(frozen=True, eq=False)
+class Duals:
+    """Duals of a relaxation in natural units; eta_C = 0 for a proof that there is no trajectory.
+
+    adjoint (T, n): eta of the dynamics; sides: those of the rows over all times, spectra and terms; regions (T, modes,
+    r): lambda >= 0. Duals of paths depend on the mode that follows: vertices (T, modes, n), eta_tj, those of T - 1 in
+    mode 0, with their average as the adjoint; regions (T, modes, modes, r); images (T, modes, modes, n): nu.
+    """
+
+    adjoint: Array
+    sides: Array
+    regions: Array
+    eta_C: float
+    vertices: Array | None = None
+    images: Array | None = None
+
+    def times(self, factor: float) -> Duals:
+        """Return the duals of the same relaxation with its cost in other units."""
+        if not self.eta_C:
+            return self
+        parts = (None if part is None else factor * part for part in (self.vertices, self.images))
+        return Duals(factor * self.adjoint, factor * self.sides, factor * self.regions, self.eta_C, *parts)
+
+
+class PathBounds:
+    """Bounds of one problem; Hessians (T+1, k, k) in natural units."""
+
+    def __init__(self, model: PathModel, hessians: Array):
+        self.model, self._cost = model, Quadratic(hessians[:, None, None])
+        self._feasible = Quadratic(np.zeros_like(hessians[:, None, None]))
+        self._limits = np.where(np.isfinite(model.limits), model.limits, 0.0)
+
+    def bound(self, pairs: Mask, low: Array, high: Array, duals: Duals) -> float:
+        """Return what duals prove of edges (T, modes, modes) and boxes (T+1, modes, k): inf where there is no path."""
+        value = np.zeros(pairs.shape[1])
+        for length in self.lengths(pairs, low, high, duals)[::-1]:
+            value = (length + value).min(axis=1)
+        return float(value.min()) - float(duals.sides @ self.model.right)
+
+    def lengths(self, pairs: Mask, low: Array, high: Array, duals: Duals) -> Array:
+        """Return phi (T+1, modes, modes), inf where an edge is missing; at T, of mode 0 to mode 0."""
+        model, T, modes = self.model, len(pairs), pairs.shape[1]
+        # duals of shares are the same whichever mode follows: that axis has a length of 1
+        eta = duals.adjoint[:, None] if duals.vertices is None else duals.vertices
+        regions = duals.regions[:, :, None] if duals.vertices is None else duals.regions
+        ahead = eta[:, None] if duals.images is None else eta[:, None] + duals.images
+        slope = duals.eta_C * model.price + np.tensordot(duals.sides, model.coupled, axes=1)
+        own = np.zeros((T + 1, modes, regions.shape[2], slope.shape[1]))
+        own += slope[:, None, None]
+        own[1:, ..., : eta.shape[2]] += eta[:, :, None]
+        own[:-1] -= ahead @ model.maps[:-1]
+        own[:-1] += regions @ model.rows[:-1]
+        constant = np.zeros(own.shape[:-1])
+        constant[:-1] -= (ahead @ model.offsets[:-1, :, :, None])[..., 0]
+        constant[:-1] -= (regions @ self._limits[:-1, :, :, None])[..., 0]
+        if duals.images is not None:
+            ends = (side[1:, None, :, : eta.shape[2]] for side in (low, high))
+            constant[:-1] += np.where(duals.images > 0, *(duals.images * end for end in ends)).sum(axis=-1)
+        cost = self._cost if duals.eta_C else self._feasible
+        found = constant + cost.least(own, low[:, :, None], high[:, :, None])
+        present = np.zeros((T + 1, modes, modes), dtype=bool)
+        present[:-1], present[-1, 0, 0] = pairs, True
+        return np.where(present, found, np.inf)
 
 
 def _coupled_minimum(slope: Array, hessians: Array, least: Array, low: Array, high: Array) -> Array:

@@ -34,6 +34,7 @@ from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
+from lin_freq_ocp.solving.hybrid.smooth import judged_outcome
 from lin_freq_ocp.solving.kept import SearchCache
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
@@ -253,7 +254,7 @@ def _judge_search(
     left = max(end - clock, LEAST_PROOF_SECONDS)
     end = clock + left
     point = None if outcome.sequence is None else _point(problem, outcome.sequence, None if left == np.inf else left)
-    trajectory, multipliers, certificate = (None, None, None) if point is None else point
+    certificate = None if point is None else point[2]
     proof = tree_bound(problem, outcome.tree, end)
     unproven = now() > end
     needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
@@ -263,26 +264,15 @@ def _judge_search(
         if not outcome.message and not proof.value >= needed:
             weak = np.flatnonzero(proof.bounds < needed)
             better = refined(problem, outcome.tree, weak, end, kind)
-            found = tree_bound(problem, better, end)
-            if found.value > proof.value:
-                outcome, proof = replace(outcome, tree=better), found
+            closer = tree_bound(problem, better, end)
+            if closer.value > proof.value:
+                outcome, proof = replace(outcome, tree=better), closer
     if certificate is not None:
         certificate = replace(certificate, bound=proof.bound_for(problem))
-    status, message = _status(outcome, certificate, proof, gap)
-    return Outcome(
-        problem=problem,
-        status=status,
-        method=method,
-        backend=None,
-        seconds={**seconds, "certify": now() - clock},
-        trajectory=trajectory,
-        multipliers=multipliers,
-        certificate=certificate,
-        message=message,
-        interrupted=outcome.interrupted,
-        sequence=outcome.sequence,
-        evidence=TreeEvidence(outcome.tree, proof),
-    )
+    found = None if certificate is None or point is None else (*point[:2], certificate)
+    ending, seconds = _status(outcome, certificate, proof, gap), {**seconds, "certify": now() - clock}
+    evidence = TreeEvidence(outcome.tree, proof)
+    return judged_outcome(problem, method, found, ending, seconds, outcome.interrupted, outcome.sequence, evidence)
 
 
 def _point(

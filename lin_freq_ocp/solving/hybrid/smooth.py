@@ -27,7 +27,7 @@ from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.outcome import Evidence, Outcome
 
 LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time"
@@ -108,8 +108,13 @@ def judged_outcome(
     ending: tuple[Status, str],
     seconds: dict[str, float],
     interrupted: bool,
+    sequence: Indices | None = None,
+    evidence: Evidence | None = None,
 ) -> Outcome:
-    """Return the outcome of a search that found an answer or none; ``ending`` is its status with the message."""
+    """Return the outcome of a search that found an answer or none; ``ending`` is its status with the message.
+
+    The mode sequence is that of the trajectory, if none is given.
+    """
     trajectory, multipliers, certificate = (None, None, None) if found is None else found
     return Outcome(
         problem=problem,
@@ -122,7 +127,8 @@ def judged_outcome(
         certificate=certificate,
         message=ending[1],
         interrupted=interrupted,
-        sequence=None if trajectory is None else _modes(problem, trajectory),
+        sequence=_modes(problem, trajectory) if sequence is None and trajectory is not None else sequence,
+        evidence=evidence,
     )
 
 

@@ -76,7 +76,7 @@ def test_shifted_duals_prove_less_than_the_optimum_and_not_much_less(seed, field
         reach = relaxation.reach.from_start(node.allowed)
         if reach is not None and node.duals is not None:
             exact = relaxed(relaxation, reach).bound
-            proven.append((relaxation.proven_by(reach, node.duals), exact))
+            proven.append((relaxation.proven(reach, node.duals), exact))
     assert proven
     assert all(bound <= exact + 1e-6 * abs(best) for bound, exact in proven)
     assert min(bound for bound, _ in proven) > best - 0.9 * abs(best)

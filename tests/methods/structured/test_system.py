@@ -169,7 +169,7 @@ def test_the_optimum_is_clarabels(side, seed, compiled):
     assert max(answer.errors[:2]) <= 1e-10
 
 
-@pytest.mark.parametrize("seed", [19, 91])
+@pytest.mark.parametrize("seed", [129, 144])
 def test_correctors_reach_the_gap_near_the_boundary_of_cones(seed, monkeypatch):
     """Without them, outlying products end the steps at gaps of 1e-8."""
     problem = soft_stages(seed, cones=(2, 4))

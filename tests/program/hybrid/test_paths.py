@@ -14,7 +14,7 @@ from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, relaxed
 from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
-from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
@@ -51,11 +51,11 @@ def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, compiled):
     problem = random_problem(4, horizon=5, **FIELDS[name])
     relaxation, reach = root(problem)
     answer = relaxed(relaxation, reach, compiled=compiled)
-    assert isinstance(answer.duals, PathDuals)
+    assert answer.duals.vertices is not None
     close = 1e-2 if name == "full" else 1e-6  # a Hessian that is not diagonal is bounded from below by one that is
-    proven = relaxation.path_bound(relaxation.path_member(reach), answer.duals)
+    proven = relaxation.proven(reach, answer.duals)
     assert proven == pytest.approx(answer.bound, rel=close)
-    node = ModeNode(-1, -1, reach.allowed, answer.bound, relaxation.path_multipliers(answer.duals))
+    node = ModeNode(-1, -1, reach.allowed, answer.bound, relaxation.multipliers(answer.duals))
     assert tree_bound(problem, ModeTree((node,))).value == pytest.approx(answer.bound, rel=close)
     best, shares = lfo.solve(problem).cost, relaxed(*root(problem, ModeRelaxation)).bound
     assert shares - 1e-6 * abs(best) <= answer.bound <= best + 1e-6 * abs(best)
@@ -72,17 +72,17 @@ def test_paths_leave_less_open_than_shares():
 def test_any_duals_prove_less_than_any_trajectory_costs(name):
     problem = random_problem(1, horizon=4, **FIELDS[name])
     relaxation, reach = root(problem)
-    best, rng, member = lfo.solve(problem).cost, np.random.default_rng(0), relaxation.path_member(reach)
+    best, rng = lfo.solve(problem).cost, np.random.default_rng(0)
     duals = relaxed(relaxation, reach).duals
     for size in (0.01, 0.1, 1.0):
-        factor = {part: 1 + size * rng.normal() for part in ("vertices", "images", "coupled")}
+        factor = {part: 1 + size * rng.normal() for part in ("vertices", "images", "sides")}
         moved = replace(
             duals,
             regions=np.abs(duals.regions + size * rng.normal(size=duals.regions.shape)),
             **{part: factor[part] * (getattr(duals, part) + size * rng.normal()) for part in factor},
         )
-        assert relaxation.path_bound(member, moved) <= best + 1e-9 * abs(best)
-        node = ModeNode(-1, -1, reach.allowed, 0.0, relaxation.path_multipliers(moved))
+        assert relaxation.proven(reach, moved) <= best + 1e-9 * abs(best)
+        node = ModeNode(-1, -1, reach.allowed, 0.0, relaxation.multipliers(moved))
         judged = tree_bound(problem, ModeTree((node,))).value
         assert judged <= best + 1e-9 * abs(best)
 
@@ -101,10 +101,10 @@ def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(compiled):
 def test_the_bound_of_compiled_code_is_that_of_its_multipliers(name):
     pytest.importorskip("numba", reason="the extra fast is not installed")
     relaxation, reach = root(random_problem(2, horizon=6, kinks=2, **FIELDS[name]))
-    exact, member = relaxed(relaxation, reach).bound, relaxation.path_member(reach)
+    exact = relaxed(relaxation, reach).bound
     for cutoff in (exact - abs(exact), exact - 0.1 * abs(exact), exact + 0.1 * abs(exact), exact + 5 * abs(exact)):
         answer = relaxed(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled=True)
-        assert answer.bound == pytest.approx(relaxation.path_bound(member, answer.duals), rel=1e-9)
+        assert answer.bound == pytest.approx(relaxation.proven(reach, answer.duals), rel=1e-9)
         assert answer.bound < exact - 1e-3 * abs(exact)  # it ended early
         assert (answer.bound > cutoff) == (exact > cutoff)
 
@@ -114,7 +114,7 @@ def test_what_has_no_trajectory_is_proven_empty(compiled):
     relaxation, reach = root(problem)
     answer = relaxed(relaxation, reach, compiled=compiled)
     assert answer.bound == np.inf
-    node = ModeNode(-1, -1, reach.allowed, np.inf, relaxation.path_multipliers(answer.duals))
+    node = ModeNode(-1, -1, reach.allowed, np.inf, relaxation.multipliers(answer.duals))
     assert tree_bound(problem, ModeTree((node,))).value == np.inf
 
 

@@ -1,12 +1,14 @@
 """What duals prove stage by stage: what a solution does, and less than any trajectory costs whatever they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, relaxed
-from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Quadratic
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
@@ -34,8 +36,10 @@ def test_any_duals_prove_less_than_any_trajectory_costs(seed):
     best, rng = lfo.solve(problem).cost, np.random.default_rng(seed)
     duals = relaxed(relaxation, reach).duals
     for size in (0.01, 0.1, 1.0):
-        y = duals.y * (1 + size * rng.normal(size=len(duals.y)))
-        assert relaxation.proven(reach, Duals(duals.rows, y, 1.0)) <= best + 1e-9 * abs(best)
+        parts = {part: getattr(duals, part) for part in ("adjoint", "sides", "regions")}
+        moved = {part: value * (1 + size * rng.normal(size=value.shape)) for part, value in parts.items()}
+        moved["regions"] = np.abs(moved["regions"])
+        assert relaxation.proven(reach, replace(duals, **moved)) <= best + 1e-9 * abs(best)
 
 
 def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds():

@@ -27,15 +27,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
-    CUTOFF_MARGIN,
-    FINEST_CELL,
-    FIRST_BOXES,
-    FIRST_CELLS,
-    FIRST_LOSS,
-    MAX_LATTICE,
-    MAX_STATES,
     ROUNDING,
-    STEP_SHARE,
     CostToGo,
     Lattice,
     PricedProblem,
@@ -51,6 +43,15 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 Progress = Callable[[float], None] | None  # told the share of a level that is done
+FINEST_CELL = 1e-12  # width over the largest state at which a cell is not halved: it consists of rounding errors
+
+MAX_STATES = 3  # the number of cells grows with this power: four states would need hours
+MAX_LATTICE = 4_000_000  # entries of a lattice that fit into memory
+FIRST_CELLS = {1: 50, 2: 8, 3: 4}  # cells of each state on the first level, by the number of states
+FIRST_BOXES = 16  # boxes of the controls of a cell on the first level; the root of it for each of two
+CUTOFF_MARGIN = 5e-2  # part of the cost by which the first estimate of the cost-to-come may be too large
+FIRST_LOSS = 1e-2  # part of the cost that the first level is expected to lose
+STEP_SHARE = 0.25  # part of the gap of a level that all steps together may lose in the search for the least
 
 
 @dataclass(frozen=True, eq=False)

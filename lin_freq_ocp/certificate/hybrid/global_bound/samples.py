@@ -9,25 +9,22 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
-    ARRIVAL_SAMPLES,
-    ARRIVAL_SPREAD,
-    FIXED_PRICE,
-    MAX_SLOPE,
-    RIDGE,
-    SIDES,
-    SLOPE_SAMPLES,
-    ZOOM_SAMPLES,
-    ZOOMS,
-    ZOOMS_TO_END,
-    CostToGo,
-    Lattice,
-    PricedProblem,
-    index_tuples,
-)
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import CostToGo, Lattice, PricedProblem, index_tuples
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
+
+ARRIVAL_SAMPLES = 256  # controls at which the cost-to-come is estimated
+SLOPE_SAMPLES = 128  # controls at which slopes are estimated
+ZOOM_SAMPLES = 25  # controls around the best sample, each time closer
+ZOOMS, ZOOMS_TO_END = 2, 5  # refinements; more where a state is met exactly, until its distance is negligible
+ARRIVAL_SPREAD = 5  # cells around a sample that count as reached, beside a fortieth of all of them
+FIXED_PRICE = 20.0  # multiple of what a stage costs per change of a state, for the distance to where it is fixed
+# Parts of half a cell at which slopes are sampled, by states: kinks in 1-D only
+SIDES = {1: (-0.999, 0.999), 2: (0.0,), 3: (0.0,)}
+# Multiple of the median slope, by states: slopes next to infeasible states are poor
+MAX_SLOPE = {1: 20.0, 2: 4.0, 3: 4.0}
+RIDGE = 1e-12  # of the squares of all columns: combinations of slopes with less effect stay as they are
 
 
 def costs_to_come(stages: PricedProblem, lattices: list[Lattice]) -> list[Array]:

@@ -12,22 +12,17 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
-    BISECTIONS,
-    BOXES_PER_CELL,
-    MAX_PAIRS,
-    MAX_SPAN,
-    ROUNDING,
-    SMALL_BATCH,
-    CostToGo,
-    Lattice,
-    Minima,
-    PricedProblem,
-)
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import ROUNDING, CostToGo, Lattice, Minima, PricedProblem
 from lin_freq_ocp.certificate.hybrid.global_bound.samples import Samples, freed_slopes, holds
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
+
+BISECTIONS = 10  # bisections at one time of a level; boxes that are still weak are the next level's work
+SMALL_BATCH = 2000  # boxes that are bounded in the time a round needs to start: fewer are cut into four
+BOXES_PER_CELL = 100  # boxes bounded at one time of a level, beside SMALL_BATCH
+MAX_SPAN = {1: 12, 2: 12, 3: 5}  # cells along a state that an image may meet to be bounded by each, by states
+MAX_PAIRS = 400_000  # pairs of boxes and cells bounded at once: some hundred megabytes
 
 
 def least_of(

@@ -32,7 +32,7 @@ from lin_freq_ocp.methods.hybrid.search.common import (
     proven_tree,
     relaxed,
 )
-from lin_freq_ocp.methods.hybrid.search.node import Relaxed, adjoint_of, compiled_is_loaded, multipliers_of
+from lin_freq_ocp.methods.hybrid.search.node import Relaxed, compiled_is_loaded
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
@@ -40,10 +40,11 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import search_scale
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
-from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.rows import Duals
 
-Shift = Callable[[PathDuals], PathDuals]
+Shift = Callable[[Duals], Duals | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +54,11 @@ class CoverNode:
     parent: int
     stage: int
     allowed: Mask
-    duals: PathDuals | None
+    duals: Duals | None
 
 
 def shifted_cover(
-    nodes: Sequence[ModeNode], duals: Sequence[Duals | PathDuals | None], first: int, shift: Shift
+    nodes: Sequence[ModeNode], duals: Sequence[Duals | None], first: int, shift: Shift
 ) -> tuple[CoverNode, ...]:
     """Return the cover that a tree leaves after a step in mode ``first``; ``shift`` moves duals by one time."""
     children: dict[int, list[int]] = {}
@@ -74,7 +75,7 @@ def shifted_cover(
             index = followed[0] if followed else -1  # -1: a leaf of which nothing is known
             own = children.get(index, [])
         kept = None if own or index < 0 else duals[index]
-        cover.append(CoverNode(parent, stage, mask, shift(kept) if isinstance(kept, PathDuals) else None))
+        cover.append(CoverNode(parent, stage, mask, None if kept is None else shift(kept)))
         if own:
             split, here = nodes[own[0]].stage, len(cover) - 1
             chosen = [nodes[child].allowed[split] for child in own]
@@ -117,7 +118,7 @@ class TreeSearch:
         self._first_level = self._relaxation.level
         self._arrays = self._relaxation.reach.arrays
         self._nodes: list[ModeNode] = []
-        self._duals: list[Duals | PathDuals | None] = []
+        self._duals: list[Duals | None] = []
         self._heap: list[OpenNode] = []
         self._best: Indices | None = None
         self._cost, self._scale = np.inf, 0.0
@@ -195,12 +196,12 @@ class TreeSearch:
         leaves = [index for index in range(len(cover)) if index not in parents]
         reaches = self._relaxation.reach.from_start_each([cover[index].allowed for index in leaves])
         nodes = [ModeNode(node.parent, node.stage, node.allowed, -np.inf, None) for node in cover]
-        duals, open_ = list[Duals | PathDuals | None](None for _ in cover), list[tuple[float, int, Reach]]()
+        duals, open_ = list[Duals | None](None for _ in cover), list[tuple[float, int, Reach]]()
         for index, reach in zip(leaves, reaches, strict=True):
             bound, given = np.inf if reach is None else -np.inf, cover[index].duals
-            if reach is not None and given is not None and isinstance(self._relaxation, PathRelaxation):
+            if reach is not None and given is not None:
                 given = given.times(self._relaxation.level / self._first_level)  # the first answer may have changed it
-                bound, duals[index] = self._relaxation.proven_by(reach, given), given
+                bound, duals[index] = self._relaxation.proven(reach, given), given
             nodes[index] = replace(nodes[index], bound=bound)
             if reach is not None and bound < np.inf:
                 open_.append((bound, index, reach))
@@ -291,9 +292,9 @@ class TreeSearch:
         self._scale = search_scale(self.problem, answer.trajectory)
         self._try(self._flips(sequence, answer.trajectory, answer.duals))
 
-    def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals | PathDuals) -> Iterator[Indices]:
+    def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals) -> Iterator[Indices]:
         """Yield the sequences with one mode flipped across a facet with a positive multiplier, the largest first."""
-        largest = multipliers_of(self._relaxation, duals).region_along(sequence).max(axis=1, initial=0.0)
+        largest = self._relaxation.multipliers(duals).region_along(sequence).max(axis=1, initial=0.0)
         near = self._arrays.active(trajectory.x, trajectory.u)
         for t in np.argsort(-largest):
             if largest[t] <= 0:
@@ -315,7 +316,7 @@ class TreeSearch:
         x, u = answer.trajectory.x, answer.trajectory.u
         nearest = np.argmin(self._arrays.distance(x, u), axis=1)
         images = self._arrays.images(x, u)[np.arange(len(u)), nearest]
-        miss, eta = np.abs(x[1:] - images), adjoint_of(self._relaxation, duals)
+        miss, eta = np.abs(x[1:] - images), self._relaxation.adjoint(duals)
         loss = (miss * np.abs(eta)).sum(axis=1) + CURVED_LOSS * miss**2 @ self._relaxation.state_curvature
         undecided = 1 - answer.weights.max(axis=1)
         return int(np.lexsort((undecided, np.where(several, loss, -1.0)))[-1])
@@ -335,6 +336,6 @@ class TreeSearch:
             first, self._relaxation = self._relaxation, self._relaxation.for_cost(answer.bound)
             if self._relaxation is not first:
                 factor = self._relaxation.level / first.level
-                self._duals = [one.times(factor) if isinstance(one, PathDuals) else one for one in self._duals]
+                self._duals = [None if one is None else one.times(factor) for one in self._duals]
                 return relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
         return answer

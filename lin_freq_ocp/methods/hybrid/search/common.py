@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.hybrid.search.node import Decision, Relaxed, multipliers_of, relaxed_path
+from lin_freq_ocp.methods.hybrid.search.node import Relaxed, relaxed_path, solve_by_clarabel
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.backends.base import Claim
-from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathRelaxation
-from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.rows import Duals
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
 SEARCH_SHARE = 0.6  # of the time: in the rest the leaves are checked, each about as long as a node takes
@@ -106,7 +107,10 @@ def relaxed(
         checked = None if answer is None else _check_answer(relaxation, answer)
         if checked is not None and (checked is answer or (cutoff is not None and checked.bound >= cutoff)):
             return checked
-    return _check_answer(relaxation, _relaxed_by_shares(relaxation, reach, tolerances, end, cutoff))
+    member = relaxation.member(reach)
+    duals_of, point_of = partial(relaxation.duals, member), partial(relaxation.point, member)
+    answer = solve_by_clarabel(relaxation, reach, member.form, duals_of, point_of, tolerances, end, cutoff)
+    return _check_answer(relaxation, answer or Relaxed(reach, -np.inf))
 
 
 def _check_answer(relaxation: ModeRelaxation, answer: Relaxed) -> Relaxed:
@@ -117,49 +121,11 @@ def _check_answer(relaxation: ModeRelaxation, answer: Relaxed) -> Relaxed:
     return replace(answer, trajectory=None)
 
 
-def _relaxed_by_shares(
-    relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float], end: float, cutoff: float | None
-) -> Relaxed:
-    """Solve the relaxation of a reach by shares of modes, as ``relaxed``."""
-    from lin_freq_ocp.program.backends.clarabel_ import solve_form  # slow to import
-
-    member, several = relaxation.member(reach), bool((reach.allowed.sum(axis=1) > 1).any())
-    attempts: list[tuple[float, Decision | None]] = [(tolerance, None) for tolerance in tolerances]
-    if cutoff is not None and relaxation.proves:
-        attempts.insert(0, (tolerances[0], Decision(relaxation.objective(cutoff), several)))
-    for tolerance, enough in attempts:
-        left = end - now()
-        if left <= 0:
-            break
-        solution = solve_form(member.form, tolerance, None if left == np.inf else left, enough)
-        z, y = solution.z, solution.y
-        if solution.claim is Claim.INTERRUPTED:
-            raise KeyboardInterrupt
-        if enough is not None:  # a rough solution may decide: closed by its duals, or to be split
-            if solution.claim in (Claim.STOPPED, Claim.SOLVED) and z is not None and y is not None:
-                duals = member.duals(y, 1.0)
-                bound = relaxation.proven(reach, duals)
-                split = several and solution.claim is Claim.STOPPED
-                if split or not relaxation.objective(bound) <= enough.cutoff:
-                    return Relaxed(reach, bound, duals, *relaxation.point(member, z))
-            continue
-        if solution.claim is Claim.INFEASIBLE:
-            return Relaxed(reach, -np.inf) if y is None else Relaxed(reach, np.inf, member.duals(y, 0.0))
-        if solution.claim is Claim.SOLVED:
-            if z is None or y is None:
-                break
-            bound = relaxation.cost(member.form.dual_objective(z, y))
-            return Relaxed(reach, bound, member.duals(y, 1.0), *relaxation.point(member, z))
-    return Relaxed(reach, -np.inf)
-
-
-def proven_tree(
-    relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | PathDuals | None]
-) -> ModeTree:
+def proven_tree(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | None]) -> ModeTree:
     """Return the tree with the multipliers of every node that has duals."""
     pairs = zip(nodes, duals, strict=True)
     return ModeTree(
-        tuple(node if own is None else replace(node, proof=multipliers_of(relaxation, own)) for node, own in pairs)
+        tuple(node if own is None else replace(node, proof=relaxation.multipliers(own)) for node, own in pairs)
     )
 
 
@@ -176,7 +142,7 @@ def refined(
         reach = relaxation.reach.from_start(nodes[index].allowed)
         answer = None if reach is None else relaxed(relaxation, reach, FINE, end)
         if answer is not None and answer.duals is not None:
-            nodes[index] = replace(nodes[index], bound=answer.bound, proof=multipliers_of(relaxation, answer.duals))
+            nodes[index] = replace(nodes[index], bound=answer.bound, proof=relaxation.multipliers(answer.duals))
     return ModeTree(tuple(nodes))
 
 

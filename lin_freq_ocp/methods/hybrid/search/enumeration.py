@@ -21,8 +21,8 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals
-from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.rows import Duals
 
 MOST_SEQUENCES = 10_000  # solved within minutes
 
@@ -64,7 +64,7 @@ def enumerate_sequences(
             )
     if unsplit:  # too late: the root alone covers all sequences
         nodes, leaves = nodes[:1], []
-    duals: list[Duals | PathDuals | None] = [None] * len(nodes)
+    duals: list[Duals | None] = [None] * len(nodes)
     setup = now() - started
     best, cost, interrupted, solved = None, np.inf, False, 0
     message = limits.reached(setup, solved)

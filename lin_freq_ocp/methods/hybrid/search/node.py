@@ -7,9 +7,9 @@ enter the bound over boxes (program/hybrid/path_relaxation.py), and only that bo
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
 
 import numpy as np
@@ -17,11 +17,12 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import Claim
-from lin_freq_ocp.program.hybrid.path_relaxation import PathDuals, PathMember, PathRelaxation, path_form
-from lin_freq_ocp.program.hybrid.relaxation import Duals, ModeRelaxation
+from lin_freq_ocp.program.hybrid.path_relaxation import PathProgram, PathRelaxation, path_form
+from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid.rows import Duals
+from lin_freq_ocp.program.program import StandardForm
 
 # Relative residual and gap of a point that is good enough to say that a node must be split
 CLEAR_RESIDUAL, CLEAR_GAP = 1e-3, 3e-5
@@ -33,7 +34,7 @@ class Relaxed:
 
     reach: Reach
     bound: float
-    duals: Duals | PathDuals | None = None
+    duals: Duals | None = None
     trajectory: Trajectory | None = None
     weights: Array | None = None
 
@@ -63,22 +64,6 @@ class Decision:
         return split or dual - gap > self.cutoff
 
 
-def multipliers_of(relaxation: ModeRelaxation, duals: Duals | PathDuals) -> ModeMultipliers:
-    """Return the multipliers of the duals of a node."""
-    if isinstance(duals, Duals):
-        return relaxation.multipliers(duals)
-    assert isinstance(relaxation, PathRelaxation)
-    return relaxation.path_multipliers(duals)
-
-
-def adjoint_of(relaxation: ModeRelaxation, duals: Duals | PathDuals) -> Array:
-    """Return eta alone, (T, n)."""
-    if isinstance(duals, Duals):
-        return relaxation.adjoint(duals)
-    assert isinstance(relaxation, PathRelaxation)
-    return relaxation.path_adjoint(duals)
-
-
 COMPILED_TOLERANCE = 5e-8  # residual and gap: a tenth of what leaves leave of the gap to be proven
 # Part of what is left to the cutoff by which the bound of a node that is split may miss its cost: points within give
 # better splits than solutions, and take fewer steps
@@ -103,18 +88,12 @@ def relaxed_path(
         return None
     if member.program is None:
         return Relaxed(reach, np.inf, relaxation.no_path())
-    several = bool((reach.allowed.sum(axis=1) > 1).any())
-    enough = None if cutoff is None else Decision(relaxation.objective(cutoff), several)
     if compiled and compiled_is_there():
-        found = _by_compiled_code(relaxation, member, enough)
+        found = _by_compiled_code(relaxation, reach, member.program, cutoff)
         if found is not None:
             return found
-    attempts = [(tolerance, None) for tolerance in tolerances]
-    for tolerance, early in attempts if enough is None else [(tolerances[0], enough), *attempts]:
-        found = _by_clarabel(relaxation, member, tolerance, end, early)
-        if found is not None:
-            return found
-    return None
+    duals_of, point_of = partial(relaxation.form_duals, member.program), partial(relaxation.path_point, member.program)
+    return solve_by_clarabel(relaxation, reach, path_form(member.program), duals_of, point_of, tolerances, end, cutoff)
 
 
 @cache
@@ -133,12 +112,12 @@ def compiled_is_loaded() -> bool:
     return paths is not None and paths.KERNELS.loaded
 
 
-def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: Decision | None) -> Relaxed | None:
+def _by_compiled_code(
+    relaxation: PathRelaxation, reach: Reach, program: PathProgram, cutoff: float | None
+) -> Relaxed | None:
     """Return the node if compiled code decides it, and its bound holds."""
     from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
 
-    program = member.program
-    assert program is not None
     paths.KERNELS.prepare()
     k, n = program.middle.shape[1], (program.C.shape[1] - 2) // 2
     G = np.concatenate([program.linear, program.cone], axis=1)
@@ -156,53 +135,64 @@ def _by_compiled_code(relaxation: PathRelaxation, member: PathMember, enough: De
         program.j,
         n,
     )
-    cutoff, clear = (np.inf, 0.0) if enough is None else (enough.cutoff, CLEAR * enough.several)
+    clear = 0.0 if cutoff is None else CLEAR * _leaves_several(reach)
+    decisive = np.inf if cutoff is None else relaxation.objective(cutoff)
     rows = len(data.G), len(program.t)
     point = np.empty(data.cost.shape), np.empty(len(program.b)), np.empty(rows), np.empty(rows)
     numbers = np.empty(paths.NUMBERS)
-    end = paths.path_run(*data, *point, numbers, COMPILED_TOLERANCE, PROVEN, cutoff, clear)
+    end = paths.path_run(*data, *point, numbers, COMPILED_TOLERANCE, PROVEN, decisive, clear)
     w, p, z, tau = point[0].T, point[1], point[2][: data.linear].T, float(numbers[paths.TAU])
     if end == paths.STALLED or not (np.isfinite(p).all() and np.isfinite(z).all()):
         return None
     if end == paths.INFEASIBLE:
         unit = tau * float(numbers[paths.BOUND])
         duals = relaxation.path_duals(program, p / unit, z / unit, None)
-        return Relaxed(member.reach, np.inf, duals) if relaxation.path_bound(member, duals) > 0 else None
+        return Relaxed(reach, np.inf, duals) if relaxation.proven(reach, duals) == np.inf else None
     duals, bound = relaxation.path_duals(program, p / tau, z / tau, w / tau), float(numbers[paths.PROVEN])
-    return Relaxed(member.reach, relaxation.cost(bound), duals, *relaxation.path_point(program, w / tau))
+    return Relaxed(reach, relaxation.cost(bound), duals, *relaxation.path_point(program, w / tau))
 
 
-def _by_clarabel(
-    relaxation: PathRelaxation, member: PathMember, tolerance: float, end: float, enough: Decision | None
+def solve_by_clarabel(
+    relaxation: ModeRelaxation,
+    reach: Reach,
+    form: StandardForm,
+    duals_of: Callable[[Array, Array | None], Duals],
+    point_of: Callable[[Array], tuple[Trajectory, Array]],
+    tolerances: Sequence[float],
+    end: float,
+    cutoff: float | None,
 ) -> Relaxed | None:
-    """Return the node if Clarabel solves it to a tolerance, or ``enough`` ends it and its bound holds."""
+    """Return the node if Clarabel solves its form to a tolerance, or a rough solution decides; None where neither.
+
+    ``duals_of`` makes duals of (y, z), or of the ray y; ``point_of`` makes trajectory and weights of z.
+    """
     from lin_freq_ocp.program.backends.clarabel_ import solve_form  # slow to import
 
-    program, left = member.program, end - now()
-    assert program is not None
-    if left <= 0:
-        return Relaxed(member.reach, -np.inf)
-    form = path_form(program)
-    solution = solve_form(form, tolerance, None if left == np.inf else left, enough)
-    if solution.claim is Claim.INTERRUPTED:
-        raise KeyboardInterrupt
-    if (
-        solution.claim not in (Claim.SOLVED, Claim.STOPPED, Claim.INFEASIBLE)
-        or solution.y is None
-        or solution.z is None
-    ):
-        return None
-    p, rest = np.split(solution.y, [len(program.b)])
-    z = np.zeros(program.present.shape)
-    z[program.present] = rest[: np.count_nonzero(program.present)]
-    w = solution.z.reshape(program.cost.shape)
-    if solution.claim is Claim.INFEASIBLE:
-        return Relaxed(member.reach, np.inf, relaxation.path_duals(program, p, z, None)) if enough is None else None
-    duals = relaxation.path_duals(program, p, z, w)
-    bound = relaxation.cost(form.dual_objective(solution.z, solution.y))
-    if enough is not None:
-        bound = relaxation.path_bound(member, duals)
-        split = enough.several and solution.claim is Claim.STOPPED
-        if not split and relaxation.objective(bound) <= enough.cutoff:
-            return None
-    return Relaxed(member.reach, bound, duals, *relaxation.path_point(program, w))
+    attempts: list[tuple[float, Decision | None]] = [(tolerance, None) for tolerance in tolerances]
+    if cutoff is not None and relaxation.proves:
+        attempts.insert(0, (tolerances[0], Decision(relaxation.objective(cutoff), _leaves_several(reach))))
+    for tolerance, enough in attempts:
+        left = end - now()
+        if left <= 0:
+            return Relaxed(reach, -np.inf)
+        solution = solve_form(form, tolerance, None if left == np.inf else left, enough)
+        y, z = solution.y, solution.z
+        if solution.claim is Claim.INTERRUPTED:
+            raise KeyboardInterrupt
+        if y is not None and enough is None and solution.claim is Claim.INFEASIBLE:
+            return Relaxed(reach, np.inf, duals_of(y, None))
+        if y is None or z is None or solution.claim not in (Claim.SOLVED, Claim.STOPPED):
+            continue
+        duals = duals_of(y, z)
+        if enough is None:
+            return Relaxed(reach, relaxation.cost(form.dual_objective(z, y)), duals, *point_of(z))
+        # a rough solution may decide: the node is closed by its duals, or to be split
+        bound = relaxation.proven(reach, duals)
+        if (enough.several and solution.claim is Claim.STOPPED) or not relaxation.objective(bound) <= enough.cutoff:
+            return Relaxed(reach, bound, duals, *point_of(z))
+    return None
+
+
+def _leaves_several(reach: Reach) -> bool:
+    """Whether a reach leaves several modes at some time."""
+    return bool((reach.allowed.sum(axis=1) > 1).any())

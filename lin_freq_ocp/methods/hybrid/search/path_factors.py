@@ -13,7 +13,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.structured.kkt.compilation import jit
-from lin_freq_ocp.methods.structured.kkt.kernels import PIVOT, cholesky, cholesky_solve
+from lin_freq_ocp.methods.structured.kkt.dense import PIVOT
+from lin_freq_ocp.methods.structured.kkt.kernels import cholesky, cholesky_solve
 
 
 class PathData(NamedTuple):
@@ -95,27 +96,27 @@ def band_backward(S: Array, v: Array) -> None:
 
 
 @jit
-def edges_weighted(G: Array, linear: int, w: Array, eta: Array) -> Array:
-    """Return the lower triangles of G'W^-2 G, (W, W, E)."""
+def edges_weighted(G: Array, linear: int, inverse: tuple[Array, Array]) -> Array:
+    """Return the lower triangles of G'W^-2 G, (W, W, E), from (w, eta) of W^-1."""
     rows, size, edges = G.shape
+    w, eta = inverse[0], inverse[1][0]
     out, q, weight = np.zeros((size, size, edges)), np.zeros((size, edges)), np.empty(edges)
     for i in range(rows):
         for e in range(edges):
-            weight[e] = 1 / (w[i, e] * w[i, e]) if i < linear else 1 / (eta[e] * eta[e])
+            weight[e] = w[i, e] * w[i, e] if i < linear else eta[e] * eta[e]
         if i == linear:
             weight *= -1.0
         for a in range(size):
             if i >= linear:
-                sign = 1.0 if i == linear else -1.0
                 for e in range(edges):
-                    q[a, e] += sign * w[i, e] * G[i, a, e]
+                    q[a, e] += w[i, e] * G[i, a, e]
             for b in range(a + 1):
                 for e in range(edges):
                     out[a, b, e] += weight[e] * G[i, a, e] * G[i, b, e]
     for a in range(size):
         for b in range(a + 1):
             for e in range(edges):
-                out[a, b, e] += 2 * q[a, e] * q[b, e] / (eta[e] * eta[e])
+                out[a, b, e] += 2 * q[a, e] * q[b, e] * eta[e] * eta[e]
     return out
 
 

@@ -7,19 +7,15 @@ minimise cost'w subject to C w = b, G w + s = 0, s in K. With multipliers p and 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import types
+from numba.extending import overload, register_jitable
 
+from lin_freq_ocp.base import cones
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.hybrid.search import path_cones, path_factors, path_lengths
-from lin_freq_ocp.methods.hybrid.search.path_cones import (
-    cones_margin,
-    cones_product,
-    cones_quotient,
-    cones_scale,
-    cones_scaled,
-    cones_steepest,
-)
+from lin_freq_ocp.methods.hybrid.search import path_factors, path_lengths
 from lin_freq_ocp.methods.hybrid.search.path_factors import (
     PathData,
     PathFactors,
@@ -33,9 +29,47 @@ from lin_freq_ocp.methods.hybrid.search.path_factors import (
 from lin_freq_ocp.methods.hybrid.search.path_lengths import path_proven
 from lin_freq_ocp.methods.structured import embedding
 from lin_freq_ocp.methods.structured.embedding import FRACTION, INTERIOR, MOVED
-from lin_freq_ocp.methods.structured.kkt import kernels
-from lin_freq_ocp.methods.structured.kkt.compilation import WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
+from lin_freq_ocp.methods.structured.kkt import dense, kernels
+from lin_freq_ocp.methods.structured.kkt.compilation import FASTMATH, WRITTEN, WRITTEN_INDICES, Kernels, inlined, jit
 from lin_freq_ocp.methods.structured.kkt.kernels import dot, largest
+
+
+@overload(cones.inner, jit_options={"fastmath": FASTMATH, "error_model": "numpy"})
+def sum_products(a: Array, b: Array) -> Callable[[Array, Array], Array]:
+    """Return what stands for ``cones.inner`` in compiled code: loops that need no array of the products."""
+
+    def inner(a: Array, b: Array) -> Array:
+        out = np.zeros(a.shape[1])
+        for i in range(len(a)):
+            for e in range(len(out)):
+                out[e] += a[i, e] * b[i, e]
+        return out
+
+    return inner
+
+
+@overload(cones.largest, jit_options={"fastmath": FASTMATH, "error_model": "numpy"})
+def compare_entries(v: Array) -> Callable[[Array], float]:
+    """Return what stands for ``cones.largest`` in compiled code: one maximum for each member first, side by side."""
+
+    def largest_entry(v: Array) -> float:
+        most, value = np.zeros(v.shape[1]), 0.0
+        for i in range(len(v)):
+            for e in range(len(most)):
+                most[e] = max(most[e], v[i, e])
+        for e in range(len(most)):
+            value = max(value, most[e])
+        return value
+
+    return largest_entry
+
+
+ALGEBRA = (
+    *(cones.tail_norms, cones.determinants, cones.spectral_values, cones.product, cones.quotient),
+    *(cones.compute_scaling, cones.apply_scaling, cones.steepest),
+)
+for function in ALGEBRA:  # compiled code may call these, which become part of it and stay what they are in Python
+    register_jitable(fastmath=FASTMATH, error_model="numpy")(function)
 
 OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 """How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
@@ -119,24 +153,25 @@ def ended(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear:
 def path_directed(
     data: PathData,
     factors: PathFactors,
-    scaling: tuple[Array, Array, Array],
+    inverse: tuple[Array, Array],
+    lam: Array,
     residuals: Residuals,
+    scaled_rows: Array,
     constant: tuple[Array, Array],
-    second: Array,
-    numbers: tuple[float, float, float, float, float, float],
+    aim: Array,
+    numbers: tuple[float, float, float, float, float],
 ) -> tuple[Array, Array, Array, Array, Array, tuple[float, float, float]]:
     """Return dw, dp, dz, ds, W^-1 ds o W dz; dtau, dkappa, and 1/a for the longest step a.
 
-    second: what is added to the complementarity lam o lam. numbers: sigma, sigma mu, r_tau, tau, kappa, d_kappa.
+    inverse: (w, eta) of W^-1. scaled_rows: W^-1 r_s. aim: what is taken from lam o lam. numbers: sigma, r_tau, tau,
+    kappa, d_kappa.
     """
-    (r_w, r_p, r_s), (w, eta, lam), linear = residuals, scaling, data.linear
-    sigma, centre, r_tau, tau, kappa, d_kappa = numbers
-    rest, d_s = 1.0 - sigma, cones_product(linear, lam, lam)
-    d_s += second
-    d_s[: linear + 1] -= centre
-    moved = rest * cones_scaled(linear, w, eta, r_s, True) - cones_quotient(linear, lam, d_s)
+    (r_w, r_p, r_s), (w, eta), ends = residuals, inverse, (data.linear, len(data.G))
+    sigma, r_tau, tau, kappa, d_kappa = numbers
+    rest = 1.0 - sigma
+    moved = rest * scaled_rows - cones.quotient(ends, lam, aim)
     of_w = -rest * r_w
-    subtract_cone_adjoint(data.G, cones_scaled(linear, w, eta, moved, True), of_w)
+    subtract_cone_adjoint(data.G, cones.apply_scaling(ends, w, eta, moved), of_w)
     dw, dp = path_solved(data, factors, of_w, -rest * r_p)
     cost, b = data.cost.ravel(), data.b
     steepness = dot(cost, constant[0].ravel()) + dot(b, constant[1]) - kappa / tau
@@ -145,32 +180,37 @@ def path_directed(
     dp += dtau * constant[1]
     of_rows = np.zeros(r_s.shape)
     add_cone_rows(data.G, dw, of_rows)
-    of_z = cones_scaled(linear, w, eta, of_rows, True) + moved
-    dz, ds = cones_scaled(linear, w, eta, of_z, True), -rest * r_s - of_rows
-    of_s = cones_scaled(linear, w, eta, ds, True)
+    of_s = cones.apply_scaling(ends, w, eta, of_rows)
+    of_z = of_s + moved
+    of_s = -rest * scaled_rows - of_s
+    dz, ds = cones.apply_scaling(ends, w, eta, of_z), -rest * r_s - of_rows
     dkappa = -(d_kappa + kappa * dtau) / tau
-    steepest = max(cones_steepest(linear, lam, of_s), cones_steepest(linear, lam, of_z))
-    inverse = max(steepest, -dtau / tau, -dkappa / kappa)
-    return dw, dp, dz, ds, cones_product(linear, of_s, of_z), (dtau, dkappa, inverse)
+    steepest = max(cones.steepest(ends, lam, of_s), cones.steepest(ends, lam, of_z), -dtau / tau, -dkappa / kappa)
+    return dw, dp, dz, ds, cones.product(ends, of_s, of_z), (dtau, dkappa, steepest)
 
 
 @inlined
 def path_step(data: PathData, point: Point, residuals: Residuals, numbers: Array, width: int) -> float:
     """Move the point by predictor and corrector; return the length of the step."""
     (w, p, z, s), tau, kappa = point, numbers[TAU], numbers[KAPPA]
-    of_scaling, eta = cones_scale(data.linear, s, z)
-    scaling = of_scaling, eta, cones_scaled(data.linear, of_scaling, eta, z, False)
-    factors = path_factored(data, edges_weighted(data.G, data.linear, of_scaling, eta), width)
+    ends = data.linear, len(data.G)
+    inverse = cones.compute_scaling(ends, z, s)
+    lam = cones.apply_scaling(ends, inverse[0], inverse[1], s)
+    scaled_rows, square = cones.apply_scaling(ends, inverse[0], inverse[1], residuals[2]), cones.product(ends, lam, lam)
+    factors = path_factored(data, edges_weighted(data.G, data.linear, inverse), width)
     constant = path_solved(data, factors, -data.cost, data.b)
     r_tau = kappa + tau * (numbers[COST] - numbers[BOUND])
-    sigma, centre, d_kappa, second, a = 0.0, 0.0, kappa * tau, np.zeros(s.shape), 0.0
+    sigma, d_kappa, aim, a = 0.0, kappa * tau, square, 0.0
     for phase in range(2):
-        given = sigma, centre, r_tau, tau, kappa, d_kappa
-        dw, dp, dz, ds, second, found = path_directed(data, factors, scaling, residuals, constant, second, given)
+        given = sigma, r_tau, tau, kappa, d_kappa
+        dw, dp, dz, ds, second, found = path_directed(
+            data, factors, inverse, lam, residuals, scaled_rows, constant, aim, given
+        )
         if phase == 0:
             sigma = (1 - min(1 / max(found[2], FRACTION), 1.0)) ** 3
-            centre = sigma * numbers[MU]
-            d_kappa += found[1] * found[0] - centre
+            aim = square + second
+            aim[: data.linear + 1] -= sigma * numbers[MU]
+            d_kappa += found[1] * found[0] - sigma * numbers[MU]
         else:
             a = FRACTION / max(found[2], FRACTION)
             w += a * dw
@@ -184,7 +224,7 @@ def path_step(data: PathData, point: Point, residuals: Residuals, numbers: Array
 @jit
 def move_within(linear: int, v: Array) -> None:
     """Move v well inside the cone if it is not."""
-    least, size = cones_margin(linear, v), max(1.0, largest(v.ravel()))
+    least, size = cones.spectral_values((linear, len(v)), v).min(), max(1.0, largest(v.ravel()))
     if least < INTERIOR * size:
         v[: linear + 1] += max(1.0, MOVED * size) - least
 
@@ -195,7 +235,7 @@ def path_begin(data: PathData, point: Point, width: int) -> None:
     (w, p, z, s), linear = point, data.linear
     unit = np.zeros(s.shape)
     unit[: linear + 1] = 1.0
-    factors = path_factored(data, edges_weighted(data.G, linear, unit, np.ones(s.shape[1])), width)
+    factors = path_factored(data, edges_weighted(data.G, linear, (unit, np.ones((1, s.shape[1])))), width)
     first = path_solved(data, factors, -data.cost, data.b)
     w[:], p[:], z[:] = first[0], first[1], 0.0
     add_cone_rows(data.G, w, z)
@@ -255,7 +295,6 @@ _PLACES, _REAL = types.Array(types.intp, 2, "C"), types.float64
 _DATA = (_THREE, _PLACES, WRITTEN_INDICES, _THREE, _ONE, _TWO, _THREE, types.intp)
 _DATA += _TWO, WRITTEN_INDICES, WRITTEN_INDICES, types.intp
 _POINT = _TWO, _ONE, _TWO, _TWO, _ONE
-KERNELS = Kernels(
-    (__file__, path_factors.__file__, path_cones.__file__, path_lengths.__file__, kernels.__file__, embedding.__file__),
-    (path_run, (*_DATA, *_POINT, _REAL, _REAL, _REAL, _REAL)),
-)
+_SOURCES = __file__, cones.__file__, path_factors.__file__, path_lengths.__file__
+_SOURCES += kernels.__file__, dense.__file__, embedding.__file__
+KERNELS = Kernels(_SOURCES, (path_run, (*_DATA, *_POINT, _REAL, _REAL, _REAL, _REAL)))

@@ -9,25 +9,25 @@ until a filter takes them (Waechter and Biegler, 2006: pairs of infeasibility th
 where the curvature of the dynamics is what it rejects. Where even short steps fail, the infeasibility alone is reduced
 first, by steps to the nearest point of the linearised constraints.
 
-The file has, in this order: the filter, the barrier of a product of cones, sum log s_i + 1/2 sum log s'J s, the barrier
-problem at a point, the iteration, and the local optimum of a problem from a trajectory that need not be feasible.
+The file has, in this order: the filter, the barrier problem at a point, the iteration, and the local optimum of a
+problem from a trajectory that need not be feasible.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.cones import Cone
 from lin_freq_ocp.methods.hybrid.smooth.model import Derivatives, SmoothModel
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver
-from lin_freq_ocp.methods.structured.cones import Cone
+from lin_freq_ocp.methods.structured.embedding import EmbeddedPoint, End
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver, sort_rows
 from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
@@ -91,61 +91,8 @@ class Filter:
 MARGIN = 1e-2  # distance of the first point to the boundary, in units in which limits are of order 1
 
 
-def log_determinant(cone: Cone, s: Array) -> float:
-    """Return the logarithm that the barrier is made of; -inf outside of the interior."""
-    inside = s[:, cone.orthant][cone.present[:, cone.orthant]]
-    if not (inside > 0).all():
-        return -np.inf
-    total = float(np.log(inside).sum())
-    for block in cone.blocks:
-        v = s[cone.present[:, block.start], block]
-        square = _square(v)
-        if not ((square > 0) & (v[:, 0] > 0)).all():
-            return -np.inf
-        total += 0.5 * float(np.log(square).sum())
-    return total
-
-
-def inverse(cone: Cone, s: Array) -> Array:
-    """Return s^-1 of an interior point: the gradient of ``log_determinant``; zero in rows that there are not."""
-    result, inside = np.zeros_like(s), cone.present[:, cone.orthant]
-    result[:, cone.orthant] = np.where(inside, 1 / np.where(inside, s[:, cone.orthant], 1.0), 0.0)
-    for block in cone.blocks:
-        present = cone.present[:, block.start]
-        v = s[present, block]
-        mirrored = v * np.where(np.arange(v.shape[1]) == 0, 1.0, -1.0)
-        result[present, block] = mirrored / _square(v)[:, None]
-    return result
-
-
-def moved_inside(cone: Cone, v: Array) -> Array:
-    """Return the point with entries, and heads of second-order cones, raised to a margin from the boundary."""
-    result = np.where(cone.present, v, 0.0)
-    heads = np.zeros_like(v)
-    heads[:, cone.orthant] = MARGIN
-    for block in cone.blocks:
-        heads[:, block.start] = MARGIN + np.linalg.norm(result[:, block][:, 1:], axis=1)
-        heads[:, block.start + 1 : block.stop] = -np.inf
-    return np.where(cone.present, np.maximum(result, heads), 0.0)
-
-
-def _square(v: Array) -> Array:
-    """Return v'J v, (rows,)."""
-    size = np.linalg.norm(v[:, 1:], axis=1)
-    return (v[:, 0] - size) * (v[:, 0] + size)
-
-
 NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second side to know that a step is convex
 FRACTION = 0.99  # of the way to the boundary, at least
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """Variables, duals of all rows, and slacks of those in cones."""
-
-    y: Array
-    z: Values
-    s: dict[int, Array]
 
 
 class Trial(NamedTuple):
@@ -170,7 +117,9 @@ class Objective:
 class Local:
     """A barrier problem near a point."""
 
-    def __init__(self, model: SmoothModel, objective: Objective, loops: Loops, point: Point, found: Derivatives):
+    def __init__(
+        self, model: SmoothModel, objective: Objective, loops: Loops, point: EmbeddedPoint, found: Derivatives
+    ):
         self._model, self._objective, self._loops, self.point, self._found = model, objective, loops, point, found
         self.system = System(model.linearised(point.y, found), loops)
         rows = zip(self.system.rows(point.y), self.system.b, strict=True)
@@ -196,7 +145,7 @@ class Local:
         """Return the objective with the barrier."""
         objective = self._objective
         cost = 0.5 * float(np.vdot(y, self._loops.times(objective.H, y))) + float(np.vdot(objective.h, y))
-        return cost + objective.constant - mu * sum(log_determinant(cone, s[i]) for i, cone in self.cones.items())
+        return cost + objective.constant - mu * sum(cone.log_determinant(s[i]) for i, cone in self.cones.items())
 
     def measure(self, mu: float) -> Measure:
         """Return the infeasibility and the objective here."""
@@ -246,7 +195,7 @@ class Local:
 
     def slope(self, y: Array, s: dict[int, Array]) -> float:
         """Return the derivative of the objective along a step."""
-        barrier = sum(float(np.vdot(inverse(cone, self.point.s[i]), s[i])) for i, cone in self.cones.items())
+        barrier = sum(float(np.vdot(cone.inverse(self.point.s[i]), s[i])) for i, cone in self.cones.items())
         return float(np.vdot(self._gradient, y)) - self.mu * barrier
 
     def longest(self, change: dict[int, Array], power: int) -> float:
@@ -280,22 +229,12 @@ FEW_ROWS = 250  # that couple times
 ACCURATE = 1e-10  # residuals in units of order 1
 
 
-class End(Enum):
-    """How the iteration ended."""
-
-    OPTIMAL = "optimal"
-    STALLED = "stalled"
-    TIME = "time limit"
-    INTERRUPTED = "interrupted"
-    UNDEFINED = "undefined"
-
-
 @dataclass(frozen=True, eq=False)
 class Answer:
     """The last point, and the largest violation of its rows."""
 
     end: End
-    point: Point
+    point: EmbeddedPoint
     violation: float
     steps: int
 
@@ -328,16 +267,16 @@ class Barrier:
             ended = End.INTERRUPTED
         last = self._last
         if last is None:
-            return Answer(ended, Point(y, [], {}), np.inf, 0)
+            return Answer(ended, EmbeddedPoint(y, [], {}), np.inf, 0)
         return Answer(ended, last.point, largest(last.left), self._steps)
 
     def _iterate_newton(self, y: Array) -> End:
         mu, last, system = self.mu, 0.0, System(self.model.stages, self.loops)
         rows, z = system.rows(y), [np.zeros_like(right) for right in system.b]
-        s = {i: moved_inside(cone, system.b[i] - rows[i]) for i, cone in system.cones.items()}
+        s = {i: cone.raised((system.b[i] - rows[i]) * cone.present, MARGIN) for i, cone in system.cones.items()}
         for i, cone in system.cones.items():
-            z[i] = mu * inverse(cone, s[i])
-        local = self._at(Point(y, z, s))
+            z[i] = mu * cone.inverse(s[i])
+        local = self._at(EmbeddedPoint(y, z, s))
         if local is None:
             return End.UNDEFINED
         entries = Filter(local.theta)
@@ -359,7 +298,7 @@ class Barrier:
             last = now() - clock  # the next one takes about as long
         return End.STALLED
 
-    def _at(self, point: Point, objective: Objective | None = None) -> Local | None:
+    def _at(self, point: EmbeddedPoint, objective: Objective | None = None) -> Local | None:
         """Return what there is at a point; None if the map is not defined there."""
         found = self.model.derivatives(point.y)
         return Local(self.model, objective or self._cost, self.loops, point, found) if found.finite else None
@@ -444,11 +383,11 @@ def sides_for(stages: Stages, loops: Loops) -> tuple[KKTSolver, ...]:
     return range_space_solver(stages, loops), *kept
 
 
-def _moved_point(point: Point, trial: Trial, z: list[Array], length: float, of_duals: float) -> Point:
+def _moved_point(point: EmbeddedPoint, trial: Trial, z: list[Array], length: float, of_duals: float) -> EmbeddedPoint:
     """Return a point with new variables, and its duals moved: those of cones by a length of their own."""
     lengths = [of_duals if i in trial.s else length for i in range(len(z))]
     moved = [own + part * change for own, part, change in zip(point.z, lengths, z, strict=True)]
-    return Point(trial.y, moved, trial.s)
+    return EmbeddedPoint(trial.y, moved, trial.s)
 
 
 WARM_MU = 1e-3  # first weight of the barrier at a start that is believed to be near

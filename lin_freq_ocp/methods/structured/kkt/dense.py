@@ -19,6 +19,10 @@ from scipy.linalg import blas, lapack
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
 LEAST_SHIFT = 1e-14  # of the diagonal of ones, at first, for a matrix that rounding made indefinite
+PIVOT = 1e-14
+"""Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
+CURVED = 1e-9
+"""Least pivot relative to the curvature of a stage's own, of a problem that counts as strictly convex."""
 NARROW = 8
 """So few columns are solved for alone: finding the matrices of the blocks costs more."""
 CALL = 500

@@ -14,11 +14,9 @@ from typing import ClassVar
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.methods.structured.kkt import dense
 from lin_freq_ocp.methods.structured.kkt.compilation import INDICES, REALS, WRITTEN, Kernels, jit
-from lin_freq_ocp.methods.structured.kkt.dense import BlockRegulator, Gains
-
-PIVOT = 1e-14
-"""Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
+from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, BlockRegulator, Gains
 
 
 @jit
@@ -74,10 +72,6 @@ def largest(x: Array) -> float:
     for i in range(len(x)):
         value = max(value, abs(x[i]))
     return value
-
-
-CURVED = 1e-9
-"""Least pivot relative to the curvature of a stage's own, of a problem that counts as strictly convex."""
 
 
 @jit
@@ -140,6 +134,17 @@ def cost_to_go(Phi: Array, P: Array, K: Array, Ac: Array, UK: Array, PA: Array, 
 
 
 @jit
+def first_factor(P: Array, free: Indices) -> Array:
+    """Return the factor of the free block of P_0."""
+    P0 = np.zeros((len(free), len(free)))
+    for i in range(len(free)):
+        for j in range(i + 1):
+            P0[i, j] = P[free[i], free[j]]
+    cholesky(P0, len(free))
+    return P0
+
+
+@jit
 def factor(A: Array, B: Array, Phi: Array, free: Indices) -> tuple[Array, Array, Array, Array, Array]:
     """Return K, the factors of S, A_c, P (T+2, n, n), and the factor of the free block of P_0."""
     stages, n, k = B.shape
@@ -148,11 +153,7 @@ def factor(A: Array, B: Array, Phi: Array, free: Indices) -> tuple[Array, Array,
     for t in range(stages - 1, -1, -1):
         gains(A[t], B[t], Phi[t], P[t + 1], K[t], L[t], Ac[t], PB)
         cost_to_go(Phi[t], P[t + 1], K[t], Ac[t], UK, PA, P[t])
-    P0 = np.zeros((len(free), len(free)))
-    for i in range(len(free)):
-        for j in range(i + 1):
-            P0[i, j] = P[0, free[i], free[j]]
-    cholesky(P0, len(free))
+    P0 = first_factor(P[0], free)
     return K, L, Ac, P, P0
 
 
@@ -169,11 +170,7 @@ def is_convex(A: Array, B: Array, Phi: Array, free: Indices) -> bool:
                 return False
         cost_to_go(Phi[t], after, K, Ac, UK, PA, P)
         after[:] = P
-    P0 = np.zeros((len(free), len(free)))
-    for i in range(len(free)):
-        for j in range(i + 1):
-            P0[i, j] = P[free[i], free[j]]
-    cholesky(P0, len(free))
+    P0 = first_factor(P, free)
     for i in range(len(free)):
         if not P0[i, i] * P0[i, i] > CURVED * abs(Phi[0, free[i], free[i]]):
             return False
@@ -184,15 +181,13 @@ def is_convex(A: Array, B: Array, Phi: Array, free: Indices) -> bool:
 def first_state(P: Array, p: Array, P0: Array, free: Indices, x0: Array) -> tuple[Array, Array]:
     """Return x_0 and lam0 from the cost-to-go of the first stage."""
     n = len(x0)
-    x, lam0, v = x0.copy(), np.zeros(n), np.empty(len(free))
+    x, lam0, v = x0.copy(), np.ones(n), np.empty(len(free))
     for f in range(len(free)):
         value = p[free[f]]
         for j in range(n):
             value += P[free[f], j] * x0[j]
         v[f] = -value
     cholesky_solve(P0, len(free), v)
-    for i in range(n):
-        lam0[i] = 1.0
     for f in range(len(free)):
         x[free[f]] = v[f]
         lam0[free[f]] = 0.0
@@ -360,7 +355,7 @@ def transposed_times(matrices: Array, vectors: Array) -> Array:
 
 
 KERNELS = Kernels(
-    (__file__,),
+    (__file__, dense.__file__),
     (factor, (*REALS[3:] * 3, INDICES)),
     (is_convex, (*REALS[3:] * 3, INDICES)),
     (solve, (*REALS[3:] * 6, REALS[2], INDICES, REALS[2], REALS[2], REALS[1])),
@@ -406,20 +401,7 @@ class CompiledLoops:
         """Return H + G'W^-2 G."""
         return gram(H, G, weights, points, np.cumsum([G.shape[1] - sum(cones), *cones]))
 
-    def times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t v_t."""
-        return times(matrices, vectors)
-
-    def transposed_times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t'v_t."""
-        return transposed_times(matrices, vectors)
-
-    def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
-        """Write the states of y, and return the ends."""
-        return forward(A, B, c, breaks, starts, y)
-
-    def backward(
-        self, A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return the costates, and the gradients in w and in the starts."""
-        return backward(A, B, gradient, breaks, prices)
+    times = staticmethod(times)
+    transposed_times = staticmethod(transposed_times)
+    forward = staticmethod(forward)
+    backward = staticmethod(backward)

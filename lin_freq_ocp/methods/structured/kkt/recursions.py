@@ -20,12 +20,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.dense import BlockRegulator, Gains
-
-PIVOT = 1e-14
-"""Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
-CURVED = 1e-9
-"""Least pivot relative to the curvature of a stage's own, of a problem that counts as strictly convex."""
+from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, BlockRegulator, Gains
 
 
 class Regulator(Protocol):

@@ -23,7 +23,7 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.structured.cones import Cone
+from lin_freq_ocp.base.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.stages import Stages
 
@@ -99,11 +99,6 @@ class System:
     def curvature(self, y: Array) -> Array:
         """Return P y."""
         return self.loops.times(self.stages.H, y)
-
-    @property
-    def degree(self) -> int:
-        """Return the degree of the cone."""
-        return sum(cone.degree for cone in self.cones.values())
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,44 +1,13 @@
-"""The parts of the barrier method against differences and dense matrices."""
+"""The parts of the barrier method against differences."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from lin_freq_ocp import library
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import Filter, Measure, inverse, log_determinant, moved_inside
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import Filter, Measure
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
-from lin_freq_ocp.methods.structured.cones import Cone
 from lin_freq_ocp.problem.simulation import simulate
-
-
-def cone() -> Cone:
-    present = np.ones((3, 7), dtype=bool)
-    present[1, 1] = False
-    present[2, 2:5] = False
-    return Cone(present, (3, 2))
-
-
-def test_points_are_moved_inside_and_the_inverse_is_the_gradient_of_the_barrier():
-    rng, own = np.random.default_rng(0), cone()
-    s = moved_inside(own, rng.normal(size=(3, 7)))
-    assert np.isfinite(log_determinant(own, s))
-    assert (s[~own.present] == 0).all()
-    direction = np.where(own.present, rng.normal(size=(3, 7)), 0.0)
-    step = 1e-6 * own.margin(s)
-    slope = (log_determinant(own, s + step * direction) - log_determinant(own, s - step * direction)) / (2 * step)
-    assert slope == pytest.approx(float(np.vdot(inverse(own, s), direction)), rel=1e-5)
-    np.testing.assert_allclose(own.product(s, inverse(own, s)), own.identity, atol=1e-12)
-
-
-def test_outside_there_is_no_barrier():
-    own = cone()
-    s = moved_inside(own, np.zeros((3, 7)))
-    s[0, 0] = -1.0
-    assert log_determinant(own, s) == -np.inf
-    s = moved_inside(own, np.zeros((3, 7)))
-    s[0, 2:5] = -1.0, 0.1, 0.1  # s'J s > 0 in the cone below
-    assert log_determinant(own, s) == -np.inf
 
 
 def test_a_filter_takes_what_improves_either_and_remembers_where_it_was():
