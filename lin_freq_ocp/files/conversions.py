@@ -21,8 +21,8 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.stop_band_rows import real_rows
-from lin_freq_ocp.program.transcription import TermRows, conic_terms
+from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.rows import ProgramRows, real_rows
 
 if TYPE_CHECKING:
     import cvxpy
@@ -262,8 +262,9 @@ def _conic_constraints(
     signals = cp.hstack([cp.vec(x, order="C"), cp.vec(u, order="C")])
     costs: list[cvxpy.Expression] = []
     constraints: list[cvxpy.Constraint] = []
-    for rows in conic_terms(problem).parts:
-        values, name = rows.signals @ signals, rows.term.name
+    origin = Trajectory(np.zeros(x.shape), np.zeros(u.shape))
+    for term, rows in zip(problem.terms, LinearProgram(problem, origin).of_terms, strict=True):
+        values, name = rows.signals @ signals, term.name
         if len(rows.prices):
             slacks, name = cp.Variable(len(rows.prices), name=f"slacks of {name}"), f"{name} slack"
             values, costs = values + rows.slacks @ slacks, [*costs, rows.prices @ slacks]
@@ -272,15 +273,15 @@ def _conic_constraints(
     return costs, constraints
 
 
-def _constraints_of_term(rows: TermRows, values: cvxpy.Expression) -> list[tuple[str, cvxpy.Constraint]]:
+def _constraints_of_term(rows: ProgramRows, values: cvxpy.Expression) -> list[tuple[str, cvxpy.Constraint]]:
     """Return the cones, intervals, equations and inequalities of a term, each with the name of its kind."""
     import cvxpy as cp
 
     lower, upper = rows.lower, rows.upper
     found: list[tuple[str, cvxpy.Constraint]] = []
     free = np.ones(len(lower), dtype=bool)
-    if rows.cones:
-        inside = np.array([np.arange(cone.start, cone.stop) for cone in rows.cones])  # all of one size
+    if len(rows.cones):
+        inside = rows.cones[:, :1] + np.arange(rows.cones[0, 1] - rows.cones[0, 0])  # all of one size
         free[inside] = False
         cone = cp.reshape(values[inside.ravel()], inside.shape, order="C") - lower[inside]
         found.append(("cone", cp.SOC(cone[:, 0], cone[:, 1:], axis=1)))

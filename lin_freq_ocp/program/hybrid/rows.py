@@ -70,7 +70,7 @@ def _view(whole: NDArray[Scalar], places: Indices) -> NDArray[Scalar]:
 
 @dataclass(frozen=True, eq=False)
 class StandardRows:
-    """The rows of a standard form (``transcription.program``), from ``row`` of the template with these signs."""
+    """The rows of a standard form (``LinearProgram.sparse``), from ``row`` of the template with these signs."""
 
     A: sp.csc_array
     b: Array
