@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.rows import ProgramRows, real_rows
+from lin_freq_ocp.program.program_rows import ProgramRows, real_rows
 
 if TYPE_CHECKING:
     import cvxpy

@@ -32,7 +32,7 @@ from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Block, Program
-from lin_freq_ocp.program.rows import ProgramRows, box_rows, map_rows, stop_band_rows
+from lin_freq_ocp.program.program_rows import ProgramRows, box_rows, map_rows, stop_band_rows
 
 BYTES_PER_ENTRY = 100.0  # of a dense row at the peak, with indices during assembly and the scaled copies for solvers
 BYTES_OF_FACTOR = 12.0  # per entry of a solver's factor: a value and an index
@@ -70,19 +70,16 @@ class LinearProgram:
     def rows(self) -> tuple[ProgramRows, ...]:
         """All rows but those of the dynamics, by blocks in their order; those of terms come last, one for each."""
         problem, origin, layout = self.problem, self.origin, self.layout
-        spectra = (
-            (Block.STATE_SPECTRUM, problem.state_stop, problem.state_samples, layout.rho_x),
-            (Block.CONTROL_SPECTRUM, problem.control_stop, problem.horizon, layout.rho_u),
-        )
-        return (
+        rows = [
             box_rows(Block.STATE_SET, problem.state_tube, origin, layout.mu),
             box_rows(Block.CONTROL_SET, problem.control_tube, origin, layout.nu),
-            *(rows for block, stop, N, target in spectra for rows in stop_band_rows(block, stop, origin, N, target)),
-            *(
-                map_rows(Block.TERMS, term.map, term.penalty, origin, target + np.arange(np.prod(term.shape)))
-                for term, target in zip(problem.terms, layout.terms, strict=True)
-            ),
-        )
+            *stop_band_rows(Block.STATE_SPECTRUM, problem.state_stop, origin, problem.state_samples, layout.rho_x),
+            *stop_band_rows(Block.CONTROL_SPECTRUM, problem.control_stop, origin, problem.horizon, layout.rho_u),
+        ]
+        for term, target in zip(problem.terms, layout.terms, strict=True):
+            targets = target + np.arange(term.shape[0] * term.shape[1])
+            rows.append(map_rows(Block.TERMS, term.name, term.map, term.penalty, origin, targets))
+        return tuple(rows)
 
     @property
     def of_terms(self) -> tuple[ProgramRows, ...]:
@@ -119,12 +116,15 @@ class LinearProgram:
 
     def matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
         """Return the coefficients of all variables in chosen ones of the rows."""
-        firsts = dict(zip(self.rows, np.cumsum([0, *(len(rows.prices) for rows in self.rows)]), strict=False))
-        of_signals = [(rows.signals, 0) for rows in chosen]
-        of_slacks = [(rows.slacks, self.signals + int(firsts[rows])) for rows in chosen]
-        columns = self.signals + len(self.prices)
-        signals, slacks = _stack_rows(of_signals, columns), _stack_rows(of_slacks, columns)
-        return sp.csr_array(signals + slacks) if slacks.nnz else signals
+        signals, slacks = [(rows.signals, 0) for rows in chosen], self.slack_matrix(chosen)
+        of_signals = _stack_rows(signals, self.signals + len(self.prices))
+        return sp.csr_array(of_signals + slacks) if slacks.nnz else of_signals
+
+    def slack_matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
+        """Return the coefficients of slacks among all variables in chosen ones of the rows."""
+        ends = self.signals + np.cumsum([0, *(len(rows.prices) for rows in self.rows)])
+        firsts = {rows: int(first) for rows, first in zip(self.rows, ends, strict=False)}
+        return _stack_rows([(rows.slacks, firsts[rows]) for rows in chosen], int(ends[-1]))
 
     @cached_property
     def sparse(self) -> Program:

@@ -14,7 +14,7 @@ from lin_freq_ocp.formulas.operations import POWER, PRODUCT, QUOTIENT, SUM, VARI
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.rows import real_rows
+from lin_freq_ocp.program.program_rows import real_rows
 
 TOLERANCE = 1e-9  # of IPOPT, relative
 

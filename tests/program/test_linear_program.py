@@ -14,7 +14,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import backend
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block
-from lin_freq_ocp.program.rows import real_rows
+from lin_freq_ocp.program.program_rows import real_rows
 
 
 def random_trajectory(problem: OptimalControlProblem, seed: int) -> Trajectory:

@@ -33,6 +33,7 @@ class ProgramRows:
     """The rows of the bounds on one signal (without a map: each value is a signal), of a stop band, or of a term."""
 
     block: Block
+    name: str  # of the term
     shape: tuple[int, int, int]  # T, n, m
     map: AffineMap | None  # L
     entries: Indices  # (rows,): the value in each row; -1 without one
@@ -119,11 +120,17 @@ def box_rows(block: Block, tube: Box, origin: Trajectory, target: int) -> Progra
     lower, upper = ((side - signal).ravel()[bounded] for side in (tube.lower, tube.upper))
     none = sp.csr_array((len(bounded), 0)), np.zeros(0), np.zeros((0, 1), dtype=int), np.zeros((0, 2), dtype=int)
     shape = len(origin.u), origin.x.shape[1], origin.u.shape[1]
-    return ProgramRows(block, shape, None, first + bounded, target + bounded, None, lower, upper, *none)
+    return ProgramRows(block, block.value, shape, None, first + bounded, target + bounded, None, lower, upper, *none)
 
 
 def map_rows(
-    block: Block, map: AffineMap, penalty: Penalty, origin: Trajectory, targets: Indices, weights: Array | None = None
+    block: Block,
+    name: str,
+    map: AffineMap,
+    penalty: Penalty,
+    origin: Trajectory,
+    targets: Indices,
+    weights: Array | None = None,
 ) -> ProgramRows:
     """Return the rows of h(L(x, u)) in deviations from the origin; ``targets`` (values,) of the multipliers.
 
@@ -137,7 +144,7 @@ def map_rows(
         at = at * weights
     cones = np.array([(cone.start, cone.stop) for cone in form.cones], dtype=int).reshape(-1, 2)
     limits, slacks = (form.lower - at, form.upper - at), (form.slacks, form.prices, form.paid)
-    rows = ProgramRows(block, shape, map, form.entries, targets, weights, *limits, *slacks, cones)
+    rows = ProgramRows(block, name, shape, map, form.entries, targets, weights, *limits, *slacks, cones)
     equal = np.flatnonzero(form.lower == form.upper)
     empty = equal[rows.empty[equal]] if len(equal) else equal
     if not len(empty):
@@ -156,7 +163,8 @@ def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, ta
         row = np.eye(1, stop.shape[1], j)[0]
         map, weights = orthonormal_spectrum(length, stop[:, j], row if of_states else None, None if of_states else row)
         pairs = (2 * map.bins[:, None] + [0, 1]).ravel()[map.kept]
-        yield map_rows(block, map, Within(0.0), origin, target + int(j) * 2 * len(stop) + pairs, weights)
+        targets = target + int(j) * 2 * len(stop) + pairs
+        yield map_rows(block, block.value, map, Within(0.0), origin, targets, weights)
 
 
 def orthonormal_spectrum(length: int, stopped: Mask, C: Array | None, D: Array | None) -> tuple[SpectrumMap, Array]:

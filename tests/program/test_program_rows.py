@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lin_freq_ocp.problem.spectrum.bands import time_signal
-from lin_freq_ocp.program.rows import bin_multipliers, real_rows
+from lin_freq_ocp.program.program_rows import bin_multipliers, real_rows
 
 
 def masks(length: int) -> list[np.ndarray]:
