@@ -77,8 +77,7 @@ class LinearProgram:
             *stop_band_rows(Block.CONTROL_SPECTRUM, problem.control_stop, origin, problem.horizon, layout.rho_u),
         ]
         for term, target in zip(problem.terms, layout.terms, strict=True):
-            targets = target + np.arange(term.shape[0] * term.shape[1])
-            rows.append(map_rows(Block.TERMS, term.name, term.map, term.penalty, origin, targets))
+            rows.append(map_rows(term.name, term.map, term.penalty, origin, target))
         return tuple(rows)
 
     @property
@@ -136,9 +135,9 @@ class LinearProgram:
             "Method 'spectral' needs no dense rows (time-invariant linear dynamics, quadratic costs, boxes, joint rows "
             "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
         )
-        origin, drift, rows = self.origin, self.drift.ravel(), sp.coo_array(self.matrix(self.rows))
-        of_rows = rows.data, rows.coords[0] + len(drift), rows.coords[1]
-        A = _sparse_matrix([*self._dynamics_rows(), of_rows], (len(drift) + rows.shape[0], rows.shape[1]))
+        origin, drift, variables = self.origin, self.drift.ravel(), self.signals + len(self.prices)
+        dynamics = sp.csr_array(_sparse_matrix(self._dynamics_rows(), (len(drift), variables)))
+        A = sp.csc_array(_stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], variables))
         A.eliminate_zeros()
         blocks, cones, first = {Block.DYNAMICS: slice(0, len(drift))}, list[slice](), len(drift)
         for block in BLOCKS:
@@ -239,12 +238,12 @@ def _sparse_matrix(parts: Sequence[Entries], shape: tuple[int, int]) -> sp.csc_a
 
 def _stack_rows(parts: Sequence[tuple[sp.csr_array, int]], columns: int) -> sp.csr_array:
     """Return rows one after the other, each part from its column on; scipy's takes several times as long."""
-    entries = np.cumsum([0, *(part.nnz for part, _ in parts)])
-    indices = [part.indices.astype(np.intp) + first for part, first in parts]
+    entries = np.cumsum([0, *(part.nnz for part, _ in parts)]).tolist()
+    indices = [part.indices + first for part, first in parts]
     pointers = [part.indptr[1:] + first for (part, _), first in zip(parts, entries, strict=False)]
     data = np.concatenate([np.zeros(0), *(part.data for part, _ in parts)])
-    pointers = np.concatenate([np.zeros(1, dtype=np.intp), *pointers])
-    indices = np.concatenate([np.zeros(0, dtype=np.intp), *indices])
+    pointers = np.concatenate([np.zeros(1, dtype=np.int32), *pointers])
+    indices = np.concatenate([np.zeros(0, dtype=np.int32), *indices])
     return sp.csr_array((data, indices, pointers), shape=(len(pointers) - 1, columns))
 
 

@@ -19,7 +19,6 @@ import scipy.sparse as sp
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.maps import AffineMap, SpectrumForm
-from lin_freq_ocp.problem.terms.penalties import Within
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -54,7 +53,8 @@ class ProgramRows:
             count, shape = len(self.entries), (len(self.entries), (T + 1) * n + T * m)
             return sp.csr_array((np.ones(count), self.entries, np.arange(count + 1)), shape=shape)
         L = self.map.rows(T, n, m)[0]
-        L = sp.csr_array(sp.vstack([L, sp.csr_array((1, L.shape[1]))]))[self.entries]  # -1: the row of zeros
+        if not np.array_equal(self.entries, np.arange(L.shape[0])):
+            L = sp.csr_array(sp.vstack([L, sp.csr_array((1, L.shape[1]))]))[self.entries]  # -1: the row of zeros
         if self.weights is not None:
             L.data *= np.repeat(self.weights, np.diff(L.indptr))
         return L
@@ -100,10 +100,9 @@ class ProgramRows:
 
     def selected(self, chosen: Indices) -> ProgramRows:
         """Return some of the rows, with all of those in cones."""
-        names = "entries", "targets", "lower", "upper"
-        weights = None if self.weights is None else self.weights[chosen]
-        parts = {name: getattr(self, name)[chosen] for name in names}
-        return replace(self, **parts, weights=weights, slacks=sp.csr_array(self.slacks[chosen]))
+        assert self.weights is None  # of stop bands none are left out
+        parts = {name: getattr(self, name)[chosen] for name in ("entries", "targets", "lower", "upper")}
+        return replace(self, **parts, slacks=sp.csr_array(self.slacks[chosen]))
 
     def slack_units(self, x: Array, u: Array) -> Array:
         """Return one unit for each slack, with states and controls as large as x (T+1, n) and u (T, m)."""
@@ -117,40 +116,9 @@ def box_rows(block: Block, tube: Box, origin: Trajectory, target: int) -> Progra
     """Return the finite bounds on the states, or on the controls, in deviations from the origin."""
     signal, first = (origin.x, 0) if block is Block.STATE_SET else (origin.u, origin.x.size)
     bounded = np.flatnonzero(np.isfinite(tube.lower) | np.isfinite(tube.upper))
-    lower, upper = ((side - signal).ravel()[bounded] for side in (tube.lower, tube.upper))
-    none = sp.csr_array((len(bounded), 0)), np.zeros(0), np.zeros((0, 1), dtype=int), np.zeros((0, 2), dtype=int)
-    shape = len(origin.u), origin.x.shape[1], origin.u.shape[1]
-    return ProgramRows(block, block.value, shape, None, first + bounded, target + bounded, None, lower, upper, *none)
-
-
-def map_rows(
-    block: Block,
-    name: str,
-    map: AffineMap,
-    penalty: Penalty,
-    origin: Trajectory,
-    targets: Indices,
-    weights: Array | None = None,
-) -> ProgramRows:
-    """Return the rows of h(L(x, u)) in deviations from the origin; ``targets`` (values,) of the multipliers.
-
-    Equations 0 = 0 are left out, such as those of the imaginary parts of real bins.
-    """
-    shape = len(origin.u), origin.x.shape[1], origin.u.shape[1]
-    form, values = penalty.conic(*map.shape), np.append(map.values(origin.x, origin.u), 0.0)
-    at, targets = values[form.entries], np.append(targets, -1)[form.entries]
-    if weights is not None:
-        weights = np.append(weights, 1.0)[form.entries]
-        at = at * weights
-    cones = np.array([(cone.start, cone.stop) for cone in form.cones], dtype=int).reshape(-1, 2)
-    limits, slacks = (form.lower - at, form.upper - at), (form.slacks, form.prices, form.paid)
-    rows = ProgramRows(block, name, shape, map, form.entries, targets, weights, *limits, *slacks, cones)
-    equal = np.flatnonzero(form.lower == form.upper)
-    empty = equal[rows.empty[equal]] if len(equal) else equal
-    if not len(empty):
-        return rows
-    satisfied = empty[np.abs(rows.lower[empty]) <= rows.rounding(origin)[empty]]
-    return rows.selected(np.setdiff1d(np.arange(len(at)), satisfied))
+    limits = ((side - signal).ravel()[bounded] for side in (tube.lower, tube.upper))
+    at, shape = (None, first + bounded, target + bounded, None), (len(origin.u), origin.x.shape[1], origin.u.shape[1])
+    return ProgramRows(block, block.value, shape, *at, *limits, *_no_slacks(len(bounded)))
 
 
 def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, target: int) -> Iterator[ProgramRows]:
@@ -158,13 +126,37 @@ def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, ta
 
     From ``target`` on stand the multipliers of (Re, Im) of every bin, component by component.
     """
-    of_states = block is Block.STATE_SPECTRUM
+    of_states, shape = block is Block.STATE_SPECTRUM, (len(origin.u), origin.x.shape[1], origin.u.shape[1])
     for j in np.flatnonzero(stop.any(axis=0)):
         row = np.eye(1, stop.shape[1], j)[0]
         map, weights = orthonormal_spectrum(length, stop[:, j], row if of_states else None, None if of_states else row)
-        pairs = (2 * map.bins[:, None] + [0, 1]).ravel()[map.kept]
-        targets = target + int(j) * 2 * len(stop) + pairs
-        yield map_rows(block, block.value, map, Within(0.0), origin, targets, weights)
+        pairs, right = (2 * map.bins[:, None] + [0, 1]).ravel()[map.kept], -weights * map.values(origin.x, origin.u)[0]
+        at = map, np.arange(len(pairs)), target + int(j) * 2 * len(stop) + pairs, weights
+        yield ProgramRows(block, block.value, shape, *at, right, right, *_no_slacks(len(pairs)))
+
+
+def _no_slacks(rows: int) -> tuple[sp.csr_array, Array, Indices, Indices]:
+    """Return the slacks of rows without any, their prices and what they measure, and no cones."""
+    return sp.csr_array((rows, 0)), np.zeros(0), np.zeros((0, 1), dtype=int), np.zeros((0, 2), dtype=int)
+
+
+def map_rows(name: str, map: AffineMap, penalty: Penalty, origin: Trajectory, target: int) -> ProgramRows:
+    """Return the rows of a term h(L(x, u)) in deviations from the origin; its multipliers stand from ``target`` on.
+
+    Equations 0 = 0 are left out, such as those of the imaginary parts of real bins.
+    """
+    form, values = penalty.conic(*map.shape), np.append(map.values(origin.x, origin.u), 0.0)
+    limits = form.lower - values[form.entries], form.upper - values[form.entries]
+    targets = np.where(form.entries >= 0, target + form.entries, -1)
+    cones = np.array([(cone.start, cone.stop) for cone in form.cones], dtype=int).reshape(-1, 2)
+    at, shape = (map, form.entries, targets, None), (len(origin.u), origin.x.shape[1], origin.u.shape[1])
+    rows = ProgramRows(Block.TERMS, name, shape, *at, *limits, form.slacks, form.prices, form.paid, cones)
+    equal = np.flatnonzero(form.lower == form.upper)
+    empty = equal[rows.empty[equal]] if len(equal) else equal
+    if not len(empty):
+        return rows
+    satisfied = empty[np.abs(rows.lower[empty]) <= rows.rounding(origin)[empty]]
+    return rows.selected(np.setdiff1d(np.arange(len(targets)), satisfied))
 
 
 def orthonormal_spectrum(length: int, stopped: Mask, C: Array | None, D: Array | None) -> tuple[SpectrumMap, Array]:

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.rows import (
@@ -223,9 +222,9 @@ def _plain_stages(
     time, control = np.nonzero(fixed)
     H[time, n + control], H[time, :, n + control], h[time, n + control] = 0.0, 0.0, 0.0
     G, g = np.zeros((T + 1, slots.count, width)), np.full((T + 1, slots.count), np.inf)
-    row, column = (entries := sp.coo_array(rows.matrix[slots.source])).coords
-    time = rows.times[slots.source]
-    G[time[row], slots.slot[row], columns.positions[column] % width] = slots.sign[row] * entries.data
+    time, entries = rows.times[slots.source], rows.matrix[slots.source]
+    row = np.repeat(np.arange(len(time)), np.diff(entries.indptr))
+    G[time[row], slots.slot[row], columns.positions[entries.indices] % width] = slots.sign[row] * entries.data
     g[time, slots.slot] = np.where(slots.sign > 0, rows.upper[slots.source], -rows.lower[slots.source])
     dynamics = _dynamics(program, fixed, width)
     return Stages(*dynamics, H, h, G, g, slots.cones, initial, coupling, cost.value(origin.x, origin.u))

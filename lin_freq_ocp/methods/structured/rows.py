@@ -61,6 +61,22 @@ class StageRowList:
         """Return which rows have no coefficient."""
         return np.diff(self.matrix.indptr) == 0
 
+    def with_nonnegative(self, first: int, chosen: Indices) -> StageRowList:
+        """Return these rows and chosen slacks >= 0; slacks are the variables from the first on."""
+        count, variables = len(chosen), self.matrix.shape[1]
+        if not count:
+            return self
+        signs = sp.csr_array((np.ones(count), first + chosen, np.arange(count + 1)), shape=(count, variables))
+        return replace(
+            self,
+            targets=np.append(self.targets, np.full(count, -1)),
+            times=np.append(self.times, self.slack_times[chosen]),
+            matrix=sp.csr_array(sp.vstack([self.matrix, signs])),
+            lower=np.append(self.lower, np.zeros(count)),
+            upper=np.append(self.upper, np.full(count, np.inf)),
+            rounding=np.append(self.rounding, np.zeros(count)),
+        )
+
 
 def stage_rows(program: LinearProgram, given: Mask, fixed: Mask) -> StageRowList:
     """Return the rows of single times.
@@ -68,47 +84,43 @@ def stage_rows(program: LinearProgram, given: Mask, fixed: Mask) -> StageRowList
     Signals that are ``given`` (signals,) need no bounds; the deviations of those that are ``fixed`` are zero.
     """
     parts = [rows for rows in program.rows if rows.times is not None]
-    times, slack_times, spread, slacks = list[Indices](), list[Indices](), 0, list[Mask]()
+    times, slack_times, coupled = list[Indices](), list[Indices](), list[Mask]()
     for rows in program.rows:
-        if rows.times is not None:
+        if rows.times is None:
+            spread = sum(int(part.sum()) for part in coupled) + np.arange(len(rows.prices))
+            slack_times.append(spread % (program.problem.horizon + 1))
+        else:
             of_rows, of_slacks = _row_times(rows, rows.times)
             times.append(of_rows)
-        else:
-            of_slacks = (spread + np.arange(len(rows.prices))) % (program.problem.horizon + 1)
-            spread += len(rows.prices)
-        slack_times.append(of_slacks)
-        slacks.append(np.full(len(of_slacks), rows.times is None))
-    matrix, count = program.matrix(parts), sum(len(rows.lower) for rows in parts)
+            slack_times.append(of_slacks)
+        coupled.append(np.full(len(rows.prices), rows.times is None))
+    matrix, of_slacks = program.matrix(parts), np.concatenate(slack_times)
     if fixed.any():
         matrix.data[np.append(fixed, np.zeros(len(program.prices), dtype=bool))[matrix.indices]] = 0.0
         matrix.eliminate_zeros()
-    of_slacks = np.concatenate(slack_times)
-    loose = np.flatnonzero(np.concatenate(slacks))  # slacks of rows that couple times
-    ones = np.ones(len(loose)), program.signals + loose, np.arange(len(loose) + 1)
-    firsts = np.cumsum([0, *(len(rows.lower) for rows in parts)])
-    bounds = [given[rows.entries] if rows.map is None else np.zeros(len(rows.lower), dtype=bool) for rows in parts]
-    kept = np.flatnonzero(~np.concatenate(bounds))
-    # bounds come first and are in no cone
-    shift = count - len(kept)
-    cones = np.concatenate([rows.cones + first - shift for rows, first in zip(parts, firsts, strict=False)])
-    rounding = np.zeros(count)
+    rounding = np.zeros(matrix.shape[0])
     if (np.diff(matrix.indptr) == 0).any():
         rounding = np.concatenate([rows.rounding(program.origin) for rows in parts])
-    none = np.zeros(len(loose))
-    return StageRowList(
-        np.append(np.concatenate([rows.targets for rows in parts])[kept], np.full(len(loose), -1)),
-        np.append(np.concatenate(times)[kept], of_slacks[loose]),
-        sp.csr_array(sp.vstack([matrix[kept], sp.csr_array(ones, shape=(len(loose), matrix.shape[1]))])),
-        np.append(np.concatenate([rows.lower for rows in parts])[kept], none),
-        np.append(np.concatenate([rows.upper for rows in parts])[kept], none + np.inf),
-        np.append(rounding[kept], none),
-        cones,
+    # bounds come first; they are in no cone
+    kept = np.concatenate([~given[rows.entries] if rows.map is None else rows.lower <= np.inf for rows in parts])
+    firsts = np.cumsum([0, *(len(rows.lower) for rows in parts)]) - int((~kept).sum())
+    own = StageRowList(
+        np.concatenate([rows.targets for rows in parts])[kept],
+        np.concatenate(times)[kept],
+        matrix if kept.all() else sp.csr_array(matrix[np.flatnonzero(kept)]),
+        np.concatenate([rows.lower for rows in parts])[kept],
+        np.concatenate([rows.upper for rows in parts])[kept],
+        rounding[kept],
+        np.concatenate([rows.cones + first for rows, first in zip(parts, firsts, strict=False)]),
         of_slacks,
     )
+    return own.with_nonnegative(program.signals, np.flatnonzero(np.concatenate(coupled)))
 
 
 def _row_times(rows: ProgramRows, of_values: Indices) -> tuple[Indices, Indices]:
     """Return the time of each row and of each slack, from those of the values in them (-1: no value)."""
+    if not (len(rows.prices) or len(rows.cones)):
+        return of_values, np.zeros(0, dtype=int)
     times = of_values.copy()
     in_cones, cone = rows.in_cones
     of_cones = np.full(len(rows.cones), -1)
