@@ -108,6 +108,11 @@ class LinearProgram:
         return self.states + self.problem.horizon * self.problem.control_dim
 
     @property
+    def variables(self) -> int:
+        """Return how many variables there are."""
+        return self.signals + len(self.prices)
+
+    @property
     def gradient(self) -> Array:
         """Return the slope of the cost in all variables at the origin."""
         parts = self.problem.quadratic.gradient(self.origin.x, self.origin.u)
@@ -116,7 +121,7 @@ class LinearProgram:
     def matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
         """Return the coefficients of all variables in chosen ones of the rows."""
         signals, slacks = [(rows.signals, 0) for rows in chosen], self.slack_matrix(chosen)
-        of_signals = _stack_rows(signals, self.signals + len(self.prices))
+        of_signals = _stack_rows(signals, self.variables)
         return sp.csr_array(of_signals + slacks) if slacks.nnz else of_signals
 
     def slack_matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
@@ -135,9 +140,8 @@ class LinearProgram:
             "Method 'spectral' needs no dense rows (time-invariant linear dynamics, quadratic costs, boxes, joint rows "
             "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
         )
-        origin, drift, variables = self.origin, self.drift.ravel(), self.signals + len(self.prices)
-        dynamics = sp.csr_array(_sparse_matrix(self._dynamics_rows(), (len(drift), variables)))
-        A = sp.csc_array(_stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], variables))
+        origin, drift, dynamics = self.origin, self.drift.ravel(), self.dynamics
+        A = sp.csc_array(_stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], dynamics.shape[1]))
         A.eliminate_zeros()
         blocks, cones, first = {Block.DYNAMICS: slice(0, len(drift))}, list[slice](), len(drift)
         for block in BLOCKS:
@@ -147,7 +151,7 @@ class LinearProgram:
                 first += len(part.lower)
             blocks[block] = slice(begin, first)
         return Program(
-            self._hessian(),
+            self.hessian,
             self.gradient,
             problem.quadratic.value(origin.x, origin.u),
             A,
@@ -197,43 +201,49 @@ class LinearProgram:
         slacks = (rows.slack_units(*steady) for rows in self.of_terms)
         return np.concatenate([*(part.ravel() for part in steady), *slacks])
 
-    def _dynamics_rows(self) -> list[Entries]:
-        T, n = self.problem.horizon, self.problem.state_dim
-        response = self.problem.dynamics.response(T)
-        identity = _block_diagonal(np.eye(n), 0, n, T)
+    @property
+    def dynamics(self) -> sp.csr_array:
+        """Return the coefficients of all variables in the rows of the dynamics, (T n, variables)."""
+        (T, n, m), after = self.layout.shape, np.arange(self.problem.state_dim, self.states)
+        rows, response = np.arange(T * n).reshape(T, n, 1), self.problem.dynamics.response(T)
+        parts = [_entries(np.ones(T * n), rows.ravel(), after)]
         if response is not None:  # x_{t+1} is a sum over all controls
-            return [identity, _block_diagonal(-response.matrix[n:], 0, self.states, 1)]
-        A, B = self.problem.linear.A, self.problem.linear.B
-        return [identity, _block_diagonal(-A, 0, 0, T), _block_diagonal(-B, 0, self.states, T)]
+            parts.append(_entries(-response.matrix[n:], rows.reshape(-1, 1), np.arange(self.states, self.signals)))
+        else:
+            columns, linear = signal_columns(T, n, m)[:, None], self.problem.linear
+            parts += [_entries(-linear.A, rows, columns[:, :, :n]), _entries(-linear.B, rows, columns[:, :, n:])]
+        return sp.csr_array(_sparse_matrix(parts, (T * n, self.variables)))
 
-    def _hessian(self) -> sp.csc_array:
-        cost, T, first = self.problem.quadratic, self.problem.horizon, self.states
-        last, variables = first - self.problem.state_dim, self.signals + len(self.prices)
+    @property
+    def hessian(self) -> sp.csc_array:
+        """Return the second derivatives of the cost, (variables, variables)."""
+        cost, columns = self.problem.quadratic, signal_columns(*self.layout.shape)
+        last = np.arange(self.states - self.problem.state_dim, self.states)
         parts = [
-            _block_diagonal(cost.Q, 0, 0, T),
-            _block_diagonal(cost.P, last, last, 1),
-            _block_diagonal(cost.S, 0, first, T),
-            _block_diagonal(np.swapaxes(cost.S, -1, -2), first, 0, T),
-            _block_diagonal(cost.R, first, first, T),
+            _entries(cost.stage_hessians(), columns[:, :, None], columns[:, None]),
+            _entries(cost.P, last[:, None], last),
         ]
-        P = _sparse_matrix(parts, (variables, variables))
-        P.eliminate_zeros()
-        return P
+        return _sparse_matrix(parts, (self.variables, self.variables))
 
 
-def _block_diagonal(matrices: Array, row: int, column: int, times: int) -> Entries:
-    """Return values, rows and columns of diag(M_0 .. M_{times-1}), one or one per time, from (row, column) on."""
-    rows, columns = matrices.shape[-2:]
-    i = row + np.arange(times * rows).reshape(times, rows, 1)
-    j = column + np.arange(times * columns).reshape(times, 1, columns)
-    blocks, i, j = np.broadcast_arrays(matrices, i, j)
-    return blocks.ravel(), i.ravel(), j.ravel()
+def signal_columns(horizon: int, n: int, m: int) -> Indices:
+    """Return the columns of (x_t, u_t), (T, n + m), in a program whose variables begin with all x, then all u."""
+    x, u = np.arange(horizon * n), (horizon + 1) * n + np.arange(horizon * m)
+    return np.hstack([x.reshape(horizon, n), u.reshape(horizon, m)])
+
+
+def _entries(values: Array, rows: Indices, columns: Indices) -> Entries:
+    """Return values with their rows and columns, of shapes that broadcast."""
+    values, rows, columns = np.broadcast_arrays(values, rows, columns)
+    return values.ravel(), rows.ravel(), columns.ravel()
 
 
 def _sparse_matrix(parts: Sequence[Entries], shape: tuple[int, int]) -> sp.csc_array:
     """Return the matrix of these entries: to join sparse matrices takes several times as long."""
     values, i, j = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return sp.csc_array((values, (i, j)), shape=shape)
+    matrix = sp.csc_array((values, (i, j)), shape=shape)
+    matrix.eliminate_zeros()
+    return matrix
 
 
 def _stack_rows(parts: Sequence[tuple[sp.csr_array, int]], columns: int) -> sp.csr_array:

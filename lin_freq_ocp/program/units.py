@@ -17,7 +17,7 @@ from lin_freq_ocp.base.arrays import Array, Mask, times_vectors
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program import Block, Program, Scaling
+from lin_freq_ocp.program.program import Block, Program, Scaling, regularised_kkt, scale_matrix
 
 HESSIAN_REGULARISATION = 1e-6  # relative to the mean diagonal: directions without cost get the smallest trajectory
 ROW_REGULARISATION = 1e-10  # dependent equations (an unreachable end) get a least-squares trajectory
@@ -133,13 +133,10 @@ def cost_factor(slopes: Array, priced: Mask) -> float:
 
 def _scaling_of_units(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:
     """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
-    program, problem = linear.sparse, linear.problem
+    program = linear.sparse
     # a dynamics or bound row is divided by its component's unit, any other likewise
-    rows = np.empty(program.A.shape[0])
-    rows[program.rows[Block.DYNAMICS]] = 1.0 / columns[problem.state_dim : (problem.horizon + 1) * problem.state_dim]
-    norms = _row_norms(_scale_matrix(program.A, np.ones(len(rows)), columns))
-    for block in set(program.rows) - {Block.DYNAMICS}:
-        rows[program.rows[block]] = 1.0 / norms[program.rows[block]]
+    rows = 1.0 / _row_norms(scale_matrix(program.A, np.ones(program.A.shape[0]), columns))
+    rows[program.rows[Block.DYNAMICS]] = 1.0 / columns[linear.problem.state_dim : linear.states]
     for cone in program.cones:
         rows[cone] = rows[cone].min()
     slopes = columns * (abs(program.P) @ typical + np.abs(program.q))
@@ -155,11 +152,12 @@ def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tu
     keep = keep[keep < program.rows[Block.CONTROL_SET].stop]
     signals = linear.signals
     columns = linear.column_units(*guess)[:signals]
-    P = _scale_matrix(program.P[:signals, :signals], columns, columns)
-    A = _scale_matrix(program.A[keep][:, :signals], np.ones(len(keep)), columns)
+    P = scale_matrix(program.P[:signals, :signals], columns, columns)
+    A = scale_matrix(program.A[keep][:, :signals], np.ones(len(keep)), columns)
     row_units = 1.0 / _row_norms(A)
     mean = float(P.diagonal().mean()) or 1.0
-    kkt = _kkt(P, mean, _scale_matrix(A, row_units, np.ones(signals)))
+    A = scale_matrix(A, row_units, np.ones(signals))
+    kkt = regularised_kkt(sp.csc_array(P / mean), A, HESSIAN_REGULARISATION, ROW_REGULARISATION)
     right = np.concatenate([-columns * program.q[:signals] / mean, row_units * program.lower[keep]])
     try:
         z = splu(kkt).solve(right)
@@ -173,17 +171,6 @@ def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tu
     x, u = (np.minimum(size, np.where(w > 0, w, np.inf)) for size, w in zip((x, u), widest, strict=True))
     x, u = (np.where(size > NEGLIGIBLE_SIZE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
     return x, u
-
-
-def _kkt(P: sp.csc_array, mean: float, A: sp.csc_array) -> sp.csc_array:
-    """Return the regularised matrix of min z'P z / (2 mean) subject to rows A of length 1."""
-    signals, count = P.shape[0], A.shape[0]
-    every, hessian, rows = np.arange(signals + count), sp.coo_array(P), sp.coo_array(A)
-    regularisation = np.append(np.full(signals, HESSIAN_REGULARISATION), np.full(count, -ROW_REGULARISATION))
-    values = np.concatenate([hessian.data / mean, rows.data, rows.data, regularisation])
-    i = np.concatenate([hessian.coords[0], rows.coords[0] + signals, rows.coords[1], every])
-    j = np.concatenate([hessian.coords[1], rows.coords[1], rows.coords[0] + signals, every])
-    return sp.csc_array((values, (i, j)), shape=(signals + count, signals + count))
 
 
 def _noticeable_sizes(linear: LinearProgram, z: Array) -> tuple[Array, Array]:
@@ -211,11 +198,3 @@ def _row_norms(matrix: sp.csc_array) -> Array:
     largest = np.where(largest > 0, largest, 1.0)  # squares of the largest entries overflow
     squares = np.bincount(matrix.indices, (matrix.data / largest[matrix.indices]) ** 2, minlength=matrix.shape[0])
     return largest * np.sqrt(np.where(squares > 0, squares, 1.0))
-
-
-def _scale_matrix(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_array:
-    """Return diag(rows) matrix diag(columns) by columns; products of sparse matrices take several times as long."""
-    scaled = sp.csc_array(matrix, copy=True)
-    scaled.data *= rows[scaled.indices]
-    scaled.data *= np.repeat(columns, np.diff(scaled.indptr))
-    return scaled

@@ -17,7 +17,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.program.program import Program, regularised_kkt
 from lin_freq_ocp.program.units import stated_scaling
 
 PROXIMAL_WEIGHT = 1e-8  # on the diagonal: dependent rows and flat directions keep their values
@@ -57,12 +57,9 @@ def _solve_active(
     """Return the optimum with some rows as equations, and its multipliers."""
     rows = np.flatnonzero(equal | above | below)
     A, target = sp.csc_array(program.A[rows]), np.where(below, program.lower, program.upper)[rows]
-    variables, count = len(z), len(rows)
-    weights = sp.diags_array(np.append(np.full(variables, PROXIMAL_WEIGHT), np.full(count, -PROXIMAL_WEIGHT)))
-    none = sp.csc_array((count, count))
-    matrix = sp.csc_array(sp.block_array([[program.P, A.T], [A, none]]) + weights)
+    variables = len(z)
     try:
-        factor = splu(matrix)
+        factor = splu(regularised_kkt(program.P, A, PROXIMAL_WEIGHT, PROXIMAL_WEIGHT))
     except RuntimeError:  # exactly singular
         return None
     held = y[rows]

@@ -36,8 +36,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.hybrid.rows import signal_columns
-from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Block, Program, Scaling
 from lin_freq_ocp.program.units import common_scaling
 

@@ -48,8 +48,7 @@ from lin_freq_ocp.problem.hybrid.forms import linear_along, measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.program.hybrid.rows import signal_columns
-from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import scaled_program
 

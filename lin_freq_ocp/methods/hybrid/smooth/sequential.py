@@ -24,8 +24,7 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import Claim, backend
-from lin_freq_ocp.program.hybrid.rows import signal_columns
-from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import natural_scaling
 
