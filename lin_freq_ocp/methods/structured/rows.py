@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,6 +31,7 @@ from lin_freq_ocp.methods.structured.stages import (
     SparseRows,
     SpectrumRows,
 )
+from lin_freq_ocp.problem.terms.maps import SpectrumForm
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program_rows import ProgramRows
 
@@ -199,36 +199,6 @@ class CoupledPart:
     weights: Array  # of these duals in the multipliers
 
 
-def stage_equations(rows: StageRowList, chosen: Indices, columns: Columns) -> CoupledPart:
-    """Return the chosen rows of single times as equations."""
-    family = Equations(SparseRows(columns.of_variables(rows.matrix[chosen])), rows.lower[chosen])
-    return CoupledPart(family, rows.targets[chosen], np.ones(len(chosen)))
-
-
-def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -> Iterator[CoupledPart]:
-    """Yield the families of rows that couple times."""
-    choice = _Selection(program, rows, columns)
-    weights = np.ones(len(rows.lower)) if rows.weights is None else rows.weights
-    # rows that say only that a slack is not negative are rows of stages
-    alone = (rows.entries >= 0) | (np.diff(rows.slacks.indptr) != 1) | (rows.lower != 0) | np.isfinite(rows.upper)
-    alone[rows.in_cones[0]] = False
-    equal = alone & (rows.lower == rows.upper)
-    chosen = np.flatnonzero(equal)
-    if len(chosen):
-        yield CoupledPart(Equations(choice.rows(chosen), rows.lower[chosen]), rows.targets[chosen], weights[chosen])
-    for sign, limits in ((1.0, rows.upper), (-1.0, -rows.lower)):
-        chosen = np.flatnonzero(alone & ~equal & np.isfinite(limits))
-        if len(chosen):
-            family = Inequalities(choice.rows(chosen, sign), limits[chosen])
-            yield CoupledPart(family, rows.targets[chosen], sign * weights[chosen])
-    sizes = rows.cones[:, 1] - rows.cones[:, 0]
-    for size in np.unique(sizes):
-        members = rows.cones[sizes == size, :1] + np.arange(size)
-        radius, offset = -rows.lower[members[:, 0]], -rows.lower[members[:, 1:]]
-        ball = Balls(choice.rows(members[:, 1:].ravel()), radius, choice.heads(members[:, 0]), offset)
-        yield CoupledPart(ball, rows.targets[members], -weights[members])
-
-
 @dataclass(frozen=True, eq=False)
 class Columns:
     """The positions of the program's variables in y, flat: entry i of time t at t * width + i."""
@@ -243,65 +213,76 @@ class Columns:
         return sp.csr_array((matrix.data, self.positions[matrix.indices], matrix.indptr.astype(np.intp)), shape=shape)
 
 
-@dataclass(frozen=True, eq=False)
-class _Selection:
-    """Rows of the program that couple times, as a spectrum or sparse."""
+def stage_equations(rows: StageRowList, chosen: Indices, columns: Columns) -> CoupledPart:
+    """Return the chosen rows of single times as equations."""
+    family = Equations(SparseRows(columns.of_variables(rows.matrix[chosen])), rows.lower[chosen])
+    return CoupledPart(family, rows.targets[chosen], np.ones(len(chosen)))
 
-    program: LinearProgram
-    given: ProgramRows
-    columns: Columns
 
-    @cached_property
-    def _matrix(self) -> sp.csr_array:
-        """The sparse rows; of a spectrum, their slacks."""
-        chosen = [self.given]
-        whole = self.program.matrix(chosen) if self.given.spectrum is None else self.program.slack_matrix(chosen)
-        return self.columns.of_variables(whole)
+def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -> Iterator[CoupledPart]:
+    """Yield the families of rows that couple times."""
+    # of a spectrum, the slacks alone are sparse
+    sparse = columns.of_variables(program.matrix([rows]) if rows.spectrum is None else program.slack_matrix([rows]))
 
-    def rows(self, chosen: Indices, sign: float = 1.0) -> Rows:
-        form, given = self.given.spectrum, self.given
-        if form is None:
-            return SparseRows(sp.csr_array(sign * self._matrix[chosen]))
-        entries = given.entries[chosen]
-        if (entries < 0).any() or (np.diff(entries) <= 0).any() or np.diff(given.slacks.indptr)[chosen].any():
-            raise self._unfit_error
-        kept = np.zeros(len(form.kept), dtype=bool)
-        kept[np.flatnonzero(form.kept)[entries]] = True
-        used, weights = kept.reshape(-1, 2).any(axis=1), np.ones(len(kept))
-        if given.weights is not None:
-            weights[kept] = given.weights[chosen]
-        row = np.append(sign * form.row, np.zeros(self.columns.width - len(form.row)))
-        scale = weights.reshape(-1, 2)[used, 0]  # those of (Re, Im) are equal
-        return SpectrumRows(row, form.window, form.points, form.bins[used], scale, kept[np.repeat(used, 2)])
+    def family_rows(chosen: Indices, sign: float = 1.0) -> Rows:
+        if rows.spectrum is None:
+            return SparseRows(sp.csr_array(sign * sparse[chosen]))
+        return _spectrum_rows(rows, rows.spectrum, chosen, sign, columns.width)
 
-    def heads(self, chosen: Indices) -> Rows | None:
-        if self.given.spectrum is not None and (self.given.entries[chosen] >= 0).any():
-            raise self._unfit_error
-        matrix = sp.csr_array(self._matrix[chosen])
-        return SparseRows(matrix) if matrix.nnz else None
+    weights = np.ones(len(rows.lower)) if rows.weights is None else rows.weights
+    # rows that say only that a slack is not negative are rows of stages
+    alone = (rows.entries >= 0) | (np.diff(rows.slacks.indptr) != 1) | (rows.lower != 0) | np.isfinite(rows.upper)
+    alone[rows.in_cones[0]] = False
+    equal = alone & (rows.lower == rows.upper)
+    chosen = np.flatnonzero(equal)
+    if len(chosen):
+        yield CoupledPart(Equations(family_rows(chosen), rows.lower[chosen]), rows.targets[chosen], weights[chosen])
+    for sign, limits in ((1.0, rows.upper), (-1.0, -rows.lower)):
+        chosen = np.flatnonzero(alone & ~equal & np.isfinite(limits))
+        if len(chosen):
+            family = Inequalities(family_rows(chosen, sign), limits[chosen])
+            yield CoupledPart(family, rows.targets[chosen], sign * weights[chosen])
+    sizes = rows.cones[:, 1] - rows.cones[:, 0]
+    for size in np.unique(sizes):
+        members = rows.cones[sizes == size, :1] + np.arange(size)
+        radius, offset, heads = -rows.lower[members[:, 0]], -rows.lower[members[:, 1:]], sparse[members[:, 0]]
+        if rows.spectrum is not None and (rows.entries[members[:, 0]] >= 0).any():
+            raise _unfit_error(rows)
+        of_slacks = SparseRows(sp.csr_array(heads)) if heads.nnz else None
+        ball = Balls(family_rows(members[:, 1:].ravel()), radius, of_slacks, offset)
+        yield CoupledPart(ball, rows.targets[members], -weights[members])
 
-    @property
-    def _unfit_error(self) -> UnsupportedError:
-        return UnsupportedError(f"method 'structured': {self.given.name!r} is no band, mask or energy of a spectrum.")
+
+def _spectrum_rows(rows: ProgramRows, form: SpectrumForm, chosen: Indices, sign: float, width: int) -> SpectrumRows:
+    """Return chosen rows times a sign as a spectrum of y_t."""
+    entries = rows.entries[chosen]
+    if (entries < 0).any() or (np.diff(entries) <= 0).any() or np.diff(rows.slacks.indptr)[chosen].any():
+        raise _unfit_error(rows)
+    kept, scale = np.zeros(len(form.kept), dtype=bool), np.ones(len(form.kept))
+    kept[np.flatnonzero(form.kept)[entries]] = True
+    if rows.weights is not None:
+        scale[kept] = rows.weights[chosen]
+    used = kept.reshape(-1, 2).any(axis=1)
+    row = np.append(sign * form.row, np.zeros(width - len(form.row)))
+    # weights of (Re, Im) are equal
+    return SpectrumRows(row, form.window, form.points, form.bins[used], scale[0::2][used], kept[np.repeat(used, 2)])
+
+
+def _unfit_error(rows: ProgramRows) -> UnsupportedError:
+    return UnsupportedError(f"method 'structured': {rows.name!r} is no band, mask or energy of a spectrum.")
 
 
 def on_channels(parts: Sequence[CoupledPart], width: int, terminal: Indices, terminal_state: Array) -> Coupling:
     """Return all parts on the entries of y that they depend on."""
-    families = [part.family for part in parts]
     used = np.zeros(width, dtype=bool)
-    for family in families:
-        used |= family.rows.used(width)
-        if isinstance(family, Balls) and family.heads is not None:
-            used |= family.heads.used(width)
+    for part in parts:
+        used |= part.family.used(width)
+    families = [part.family.narrowed(used) for part in parts]
     return Coupling(
         np.flatnonzero(used),
         terminal,
         terminal_state,
-        tuple(replace(part, rows=part.rows.narrowed(used)) for part in families if isinstance(part, Equations)),
-        tuple(replace(part, rows=part.rows.narrowed(used)) for part in families if isinstance(part, Inequalities)),
-        tuple(
-            replace(part, rows=part.rows.narrowed(used), heads=part.heads and part.heads.narrowed(used))
-            for part in families
-            if isinstance(part, Balls)
-        ),
+        tuple(family for family in families if isinstance(family, Equations)),
+        tuple(family for family in families if isinstance(family, Inequalities)),
+        tuple(family for family in families if isinstance(family, Balls)),
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.methods.structured.stages import Balls, Coupling, Stages
+from lin_freq_ocp.methods.structured.stages import Coupling, Stages, inverse_sizes
 from lin_freq_ocp.program.units import UNIT_ROUNDING, UNNOTICED, cost_factor
 
 
@@ -74,45 +74,22 @@ def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
         head = sizes[:, first, None]
         sizes[:, cone] = np.where(head > 0, head, norms[:, cone].max(axis=1, keepdims=True))
         first += size
-    return _inverse(sizes)
+    return inverse_sizes(sizes)
 
 
 def _scale_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array]:
-    units = columns[:, coupling.channels]
-    end = columns[-1, coupling.terminal]
-    factors = [1 / end]
-    equations = []
-    for part in coupling.equations:
-        factors.append(_inverse(part.rows.scaled(np.ones(part.rows.count), units).norms()))
-        equations.append(replace(part, rows=part.rows.scaled(factors[-1], units), right=part.right * factors[-1]))
-    inequalities = []
-    for part in coupling.inequalities:
-        factors.append(_inverse(part.rows.scaled(np.ones(part.rows.count), units).norms()))
-        inequalities.append(replace(part, rows=part.rows.scaled(factors[-1], units), limits=part.limits * factors[-1]))
-    balls = []
-    for part in coupling.balls:  # of radius 1, unless their slacks are larger
-        count, plain = len(part.radius), part.rows.scaled(np.ones(part.rows.count), units)
-        sizes = np.abs(part.radius)
-        if part.heads is not None:
-            sizes = np.maximum(sizes, part.heads.scaled(np.ones(count), units).norms())
-        factor = _inverse(np.where(sizes > 0, sizes, plain.norms().reshape(count, -1).max(axis=1)))
-        rows = part.rows.scaled(np.repeat(factor, part.dim), units)
-        heads = None if part.heads is None else part.heads.scaled(factor, units)
-        offset = None if part.offset is None else part.offset * factor[:, None]
-        balls.append(Balls(rows, part.radius * factor, heads, offset))
-        factors.append(np.repeat(factor, 1 + part.dim))
+    units, end = columns[:, coupling.channels], columns[-1, coupling.terminal]
+    equations = [part.scaled(units) for part in coupling.equations]
+    inequalities = [part.scaled(units) for part in coupling.inequalities]
+    balls = [part.scaled(units) for part in coupling.balls]
     changed = replace(
         coupling,
         terminal_state=coupling.terminal_state / end,
-        equations=tuple(equations),
-        inequalities=tuple(inequalities),
-        balls=tuple(balls),
+        equations=tuple(part for part, _ in equations),
+        inequalities=tuple(part for part, _ in inequalities),
+        balls=tuple(part for part, _ in balls),
     )
-    return changed, np.concatenate(factors)
-
-
-def _inverse(sizes: Array) -> Array:
-    return 1.0 / np.where(sizes > 0, sizes, 1.0)
+    return changed, np.concatenate([1 / end, *(factors for _, factors in (*equations, *inequalities, *balls))])
 
 
 def fix_unused_entries(stages: Stages, used: Mask) -> Stages:

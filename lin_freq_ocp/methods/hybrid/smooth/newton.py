@@ -319,9 +319,9 @@ def _run(system: System, v: Array, most_steps: int) -> NewtonRun:
         np.where(np.isfinite(box.lower) | np.isfinite(box.upper), -F[block], 0.0)
         for block, box in ((system.x, problem.state_tube), (system.u, problem.control_tube))
     )
-    duals = np.zeros(len(system.linear.sparse.lower))
-    for block, rho in ((Block.STATE_SPECTRUM, system.rho_x), (Block.CONTROL_SPECTRUM, system.rho_u)):
-        duals[system.linear.sparse.rows[block]] = values[rho]
+    program, rho = system.linear.sparse, np.append(system.rho_x, system.rho_u)
+    duals = np.zeros(len(program.lower))
+    duals[program.rows[Block.STATE_SPECTRUM].start : program.rows[Block.CONTROL_SPECTRUM].stop] = values[rho]
     bands = system.linear.multipliers(duals, 1.0)
     multipliers = Multipliers(1.0, values[system.eta], mu, nu, bands.rho_u, bands.rho_x, None, weights)
     return NewtonRun(Trajectory(x, u), multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
