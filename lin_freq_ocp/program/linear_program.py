@@ -273,7 +273,7 @@ class MultiplierLayout:
     def multipliers(self, eta: Array, targets: Indices, duals: Array, eta_C: float) -> Multipliers:
         """Return the multipliers of the maximum principle: eta, and sums of duals by their targets (-1: none)."""
         T, n, m = self.shape
-        values = np.bincount(targets + 1, duals, minlength=self.count + 1)[1:]
+        values = np.bincount(targets + 1, duals, minlength=self.count + 1)[1:].astype(np.float64)
         stages = zip(self.names, np.split(values, self.terms)[1:], strict=True)
         return Multipliers(
             eta_C=eta_C,

@@ -116,9 +116,9 @@ def box_rows(block: Block, tube: Box, origin: Trajectory, target: int) -> Progra
     """Return the finite bounds on the states, or on the controls, in deviations from the origin."""
     signal, first = (origin.x, 0) if block is Block.STATE_SET else (origin.u, origin.x.size)
     bounded = np.flatnonzero(np.isfinite(tube.lower) | np.isfinite(tube.upper))
-    limits = ((side - signal).ravel()[bounded] for side in (tube.lower, tube.upper))
+    lower, upper = ((side - signal).ravel()[bounded] for side in (tube.lower, tube.upper))
     at, shape = (None, first + bounded, target + bounded, None), (len(origin.u), origin.x.shape[1], origin.u.shape[1])
-    return ProgramRows(block, block.value, shape, *at, *limits, *_no_slacks(len(bounded)))
+    return ProgramRows(block, block.value, shape, *at, lower, upper, *_no_slacks(len(bounded)))
 
 
 def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, target: int) -> Iterator[ProgramRows]:
@@ -127,11 +127,11 @@ def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, ta
     From ``target`` on stand the multipliers of (Re, Im) of every bin, component by component.
     """
     of_states, shape = block is Block.STATE_SPECTRUM, (len(origin.u), origin.x.shape[1], origin.u.shape[1])
-    for j in np.flatnonzero(stop.any(axis=0)):
+    for j in np.flatnonzero(stop.any(axis=0)).tolist():
         row = np.eye(1, stop.shape[1], j)[0]
         map, weights = orthonormal_spectrum(length, stop[:, j], row if of_states else None, None if of_states else row)
         pairs, right = (2 * map.bins[:, None] + [0, 1]).ravel()[map.kept], -weights * map.values(origin.x, origin.u)[0]
-        at = map, np.arange(len(pairs)), target + int(j) * 2 * len(stop) + pairs, weights
+        at = map, np.arange(len(pairs)), target + j * 2 * len(stop) + pairs, weights
         yield ProgramRows(block, block.value, shape, *at, right, right, *_no_slacks(len(pairs)))
 
 

@@ -7,11 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
+from helpers.linear_kinds import KINDS, T
 from helpers.transcribed import M, N, each_problem, small_problem
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.penalties import Within
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.backends.base import backend
+from lin_freq_ocp.program.backends.base import Claim, backend
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block
 from lin_freq_ocp.program.program_rows import real_rows
@@ -216,3 +220,51 @@ def test_a_bin_multiplier_is_the_price_of_its_bin():
         price = -(rho[bin_] * np.conj(direction)).real
         assert abs(price) > 1e-3
         assert (costs[0] - costs[1]) / (2 * step) == pytest.approx(price, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_another_origin_changes_the_variables_only(kind):
+    problem, rng = KINDS[kind](), np.random.default_rng(4)
+    origin = Trajectory(rng.normal(size=(problem.horizon + 1, 2)), rng.normal(size=(problem.horizon, 2)))
+    trajectory = Trajectory(origin.x + 0.3, origin.u - 0.2)
+    plain, moved = LinearProgram(problem), LinearProgram(problem, origin)
+    z, other = plain.point(trajectory), moved.point(trajectory)
+    np.testing.assert_allclose(moved.trajectory(other).x, trajectory.x, atol=1e-14)
+    np.testing.assert_allclose(moved.trajectory(other).u, trajectory.u, atol=1e-14)
+    assert moved.sparse.objective(other) == pytest.approx(problem.value(trajectory.x, trajectory.u), rel=1e-12)
+    for side in ("lower", "upper"):
+        margins = [getattr(each.sparse, side) - each.sparse.A @ at for each, at in ((plain, z), (moved, other))]
+        np.testing.assert_allclose(*margins, atol=1e-12)
+    y = rng.normal(size=len(plain.sparse.lower))
+    one, same = plain.multipliers(y, 1.0), moved.multipliers(y, 1.0)
+    for name in one.stage:
+        np.testing.assert_array_equal(one.stage[name], same.stage[name])
+
+
+@pytest.mark.parametrize(("constant", "rows"), [(0.0, 0), (1.0, 1)])
+def test_an_equation_without_coefficients_is_left_out_only_where_it_holds(constant, rows):
+    problem = KINDS["no constraint"]()
+    empty = SumMap(np.zeros((2, 1, 2)), None, np.array([constant]))
+    problem.__dict__["terms"] = (Term("nothing", TermKind.STATE_SPECTRUM, empty, Within(0.0)),)
+    program = LinearProgram(problem).sparse
+    found = program.rows[Block.TERMS]
+    assert found.stop - found.start == rows
+    if rows:
+        assert backend("clarabel")(program, 1e-9, None).claim is Claim.INFEASIBLE
+
+
+def test_the_layout_has_one_place_for_every_multiplier():
+    problem = KINDS["coasting with a band"]()
+    program = LinearProgram(problem)
+    layout, rng = program.layout, np.random.default_rng(1)
+    values, eta = rng.normal(size=layout.count), rng.normal(size=(T, 2))
+    found = layout.multipliers(eta, np.append(np.arange(layout.count), -1), np.append(values, 9.0), 0.0)
+    flat = [found.mu, found.nu]
+    for rho in (found.rho_x, found.rho_u):
+        flat.append(np.stack([rho.T.real, rho.T.imag], axis=-1))
+    flat += [found.stage[term.name] for term in problem.terms]
+    np.testing.assert_array_equal(np.concatenate([part.ravel() for part in flat]), values)
+    assert found.eta_C == 0.0
+    # duals of one multiplier add up
+    twice = layout.multipliers(eta, np.array([3, 3]), np.array([1.0, 0.5]), 1.0)
+    assert twice.mu.ravel()[3] == 1.5

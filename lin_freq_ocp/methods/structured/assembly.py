@@ -29,12 +29,13 @@ from lin_freq_ocp.methods.structured.rows import (
     stage_equations,
     stage_rows,
 )
-from lin_freq_ocp.methods.structured.scaling import Units, fix_unused_entries, scale_dynamics, scale_stages
+from lin_freq_ocp.methods.structured.scaling import fix_unused_entries, scale_dynamics, scale_stages
 from lin_freq_ocp.methods.structured.stages import Balls, Coupling, Equations, Inequalities, Stages
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.program import Scaling
 from lin_freq_ocp.program.units import is_revision, own_columns
 
 WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")  # of the quadratic cost: all but its references
@@ -50,7 +51,7 @@ class Assembly:
     positions: Indices  # of the program's variables in y, flat
     used: Mask  # entries of y, (T+1, n+k)
     priced: Mask  # those that make the size of the cost: signals, and slacks of nonsmooth costs
-    units: Units
+    units: Scaling  # columns (T+1, n+k); rows after those of the dynamics, flat
     targets: Indices  # of each dual after those of the dynamics, flat: the multiplier that it belongs to; -1: none
     weights: Array  # of these duals
 
@@ -63,20 +64,20 @@ class Assembly:
         """Return y of a trajectory, with the least slacks."""
         y = self._on_stages(self.program.point(trajectory))
         self.of_controls(y)[self.fixed] = 0.0
-        return y / self.units.columns
+        return self.units.scaled_primal(y)
 
     def trajectory(self, y: Array) -> Trajectory:
         """Return (x, u) from y (T+1, n+k)."""
-        return self.program.trajectory(self._variables(y * self.units.columns))
+        return self.program.trajectory(self._variables(self.units.primal(y)))
 
     def direction(self, y: Array) -> Trajectory:
         """Return the change (dx, du) of a change of y."""
-        return self.program.direction(self._variables(y * self.units.columns))
+        return self.program.direction(self._variables(self.units.primal(y)))
 
     def multipliers(self, z: Sequence[Array], eta_C: float, y: Array | None = None) -> Multipliers:
         """Return the multipliers of the maximum principle from all duals; eta_C = 0 for a Farkas ray, without y."""
         problem, units, n = self.problem, self.units, self.problem.state_dim
-        duals = np.concatenate([part.ravel() for part in z[1:]]) * units.rows / units.cost
+        duals = units.dual(np.concatenate([part.ravel() for part in z[1:]]))
         eta = z[0][:-1] / units.columns[1:, :n] / units.cost
         multipliers = self.program.layout.multipliers(eta, self.targets, self.weights * duals, eta_C)
         if not self.fixed.any():
@@ -96,12 +97,12 @@ class Assembly:
         """Return the same in the units of a solution y, or None if they differ little from its own."""
         old = self.units
         columns = self._variables(old.columns)
-        own = own_columns(self.program, self._variables(y * old.columns), columns)
+        own = own_columns(self.program, self._variables(old.primal(y)), columns)
         ratio = self._on_stages(own / columns, 1.0)
         stages, change = scale_stages(self.stages, ratio, self.priced, y)
         if not is_revision(ratio, change.cost):
             return None
-        units = Units(old.columns * ratio, old.rows * change.rows, old.cost * change.cost)
+        units = Scaling(old.columns * ratio, old.rows * change.rows, old.cost * change.cost)
         return replace(self, stages=fix_unused_entries(stages, self.used), units=units)
 
     def exchanged(self, problem: OptimalControlProblem) -> Assembly | None:

@@ -7,26 +7,20 @@ Entries of y, limits of rows and cones are of order 1, and the steepest slope of
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.methods.structured.stages import Coupling, Stages, inverse_sizes
+from lin_freq_ocp.program.program import Scaling
 from lin_freq_ocp.program.units import UNIT_ROUNDING, UNNOTICED, cost_factor
 
 
-@dataclass(frozen=True, eq=False)
-class Units:
-    """The units of y, (T+1, n+k), and the factors of every row after the dynamics and of the cost."""
+def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None = None) -> tuple[Stages, Scaling]:
+    """Return the stages with y in units ``columns`` (T+1, n+k), and the change of units.
 
-    columns: Array
-    rows: Array  # (rows,): of x_0, of stages, equations, inequalities and balls, flat
-    cost: float
-
-
-def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None = None) -> tuple[Stages, Units]:
-    """Return the stages with y in units ``columns`` (T+1, n+k), and all units.
+    Its rows are, flat, those of x_0, of stages, equations, inequalities and balls.
 
     The cost is measured by its slopes in the priced entries of y, at y or else where all are one unit.
     """
@@ -55,7 +49,7 @@ def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None =
         coupling=coupling,
         constant=stages.constant * cost,
     )
-    return changed, Units(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), of_coupling]), cost)
+    return changed, Scaling(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), of_coupling]), cost)
 
 
 def scale_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array, Array, Array]:
