@@ -189,7 +189,7 @@ class Program:
         """Return the program in other units."""
         return replace(
             self,
-            P=scale_matrix(self.P, scaling.cost * scaling.columns, scaling.columns),
+            P=sp.csc_array(scaling.cost * scale_matrix(self.P, scaling.columns, scaling.columns)),
             q=scaling.cost * scaling.columns * self.q,
             constant=scaling.cost * self.constant,
             A=scale_matrix(self.A, scaling.rows, scaling.columns),

@@ -157,7 +157,8 @@ def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tu
     row_units = 1.0 / _row_norms(A)
     mean = float(P.diagonal().mean()) or 1.0
     A = scale_matrix(A, row_units, np.ones(signals))
-    kkt = regularised_kkt(sp.csc_array(P / mean), A, HESSIAN_REGULARISATION, ROW_REGULARISATION)
+    P.data /= mean
+    kkt = regularised_kkt(P, A, HESSIAN_REGULARISATION, ROW_REGULARISATION)
     right = np.concatenate([-columns * program.q[:signals] / mean, row_units * program.lower[keep]])
     try:
         z = splu(kkt).solve(right)

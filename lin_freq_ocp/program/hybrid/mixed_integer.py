@@ -387,10 +387,8 @@ def _join_rows(rows: dict[Block, list[Row]], host: LinearProgram, columns: _Colu
     of_row = np.repeat(np.arange(len(listed)), [len(row[0]) for row in listed])
     values = np.concatenate([row[1] for row in listed])
     own = sp.csr_array((values, (of_row, of_column)), (len(listed), count))
-    # the references: states and controls minus the variables of the program
-    zero = Trajectory(np.zeros(columns.x.shape), np.zeros((len(columns.y), columns.y.shape[1] - columns.x.shape[1])))
     origin = np.zeros(count)
-    origin[: host.signals] = -host.point(zero)[: host.signals]
+    origin[: host.signals] = np.append(host.origin.x, host.origin.u)
     limits = np.array([row[2:] for row in listed]).T - own @ origin
     first = program.rows[Block.DYNAMICS].stop  # the host's first rows
     of_host = sp.hstack([program.A[first:], sp.csc_array((len(program.lower) - first, binaries))])
