@@ -121,14 +121,14 @@ class LinearProgram:
     def matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
         """Return the coefficients of all variables in chosen ones of the rows."""
         signals, slacks = [(rows.signals, 0) for rows in chosen], self.slack_matrix(chosen)
-        of_signals = _stack_rows(signals, self.variables)
+        of_signals = stack_rows(signals, self.variables)
         return sp.csr_array(of_signals + slacks) if slacks.nnz else of_signals
 
     def slack_matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
         """Return the coefficients of slacks among all variables in chosen ones of the rows."""
         ends = self.signals + np.cumsum([0, *(len(rows.prices) for rows in self.rows)])
         firsts = {rows: int(first) for rows, first in zip(self.rows, ends, strict=False)}
-        return _stack_rows([(rows.slacks, firsts[rows]) for rows in chosen], int(ends[-1]))
+        return stack_rows([(rows.slacks, firsts[rows]) for rows in chosen], int(ends[-1]))
 
     @cached_property
     def sparse(self) -> Program:
@@ -141,7 +141,7 @@ class LinearProgram:
             "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
         )
         origin, drift, dynamics = self.origin, self.drift.ravel(), self.dynamics
-        A = sp.csc_array(_stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], dynamics.shape[1]))
+        A = sp.csc_array(stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], dynamics.shape[1]))
         A.eliminate_zeros()
         blocks, cones, first = {Block.DYNAMICS: slice(0, len(drift))}, list[slice](), len(drift)
         for block in BLOCKS:
@@ -246,7 +246,7 @@ def _sparse_matrix(parts: Sequence[Entries], shape: tuple[int, int]) -> sp.csc_a
     return matrix
 
 
-def _stack_rows(parts: Sequence[tuple[sp.csr_array, int]], columns: int) -> sp.csr_array:
+def stack_rows(parts: Sequence[tuple[sp.csr_array, int]], columns: int) -> sp.csr_array:
     """Return rows one after the other, each part from its column on; scipy's takes several times as long."""
     entries = np.cumsum([0, *(part.nnz for part, _ in parts)]).tolist()
     indices = [part.indices + first for part, first in parts]

@@ -76,13 +76,6 @@ class ProgramRows:
         return np.where(self.entries >= 0, self.map.positions[self.entries // self.map.shape[1]], -1)
 
     @property
-    def in_cones(self) -> tuple[Indices, Indices]:
-        """Return the rows of all cones, and the cone of each of them."""
-        sizes = self.cones[:, 1] - self.cones[:, 0]
-        cone = np.repeat(np.arange(len(sizes)), sizes)
-        return np.arange(len(cone)) + np.repeat(self.cones[:, 0] - np.cumsum(sizes) + sizes, sizes), cone
-
-    @property
     def empty(self) -> Mask:
         """Return which rows have no coefficient."""
         if self.spectrum is None:
@@ -110,6 +103,13 @@ class ProgramRows:
             return np.zeros(0)
         units = self.map.sizes(x, u).ravel()[self.paid].max(axis=1, initial=0.0)
         return np.where(units > 0, units, 1.0)
+
+
+def cone_members(cones: Indices) -> tuple[Indices, Indices]:
+    """Return the rows of all cones (first, after the last), and the cone of each of them."""
+    sizes = cones[:, 1] - cones[:, 0]
+    cone = np.repeat(np.arange(len(cones)), sizes)
+    return np.arange(len(cone)) + np.repeat(cones[:, 0] - np.cumsum(sizes) + sizes, sizes), cone
 
 
 def box_rows(block: Block, tube: Box, origin: Trajectory, target: int) -> ProgramRows:

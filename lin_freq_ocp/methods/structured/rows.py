@@ -15,7 +15,7 @@ spectrum stays a spectrum. All are in the problem's own units.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -32,8 +32,8 @@ from lin_freq_ocp.methods.structured.stages import (
     SpectrumRows,
 )
 from lin_freq_ocp.problem.terms.maps import SpectrumForm
-from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program_rows import ProgramRows
+from lin_freq_ocp.program.linear_program import LinearProgram, stack_rows
+from lin_freq_ocp.program.program_rows import ProgramRows, cone_members
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,76 +45,55 @@ class StageRowList:
     matrix: sp.csr_array  # (rows, variables of the program)
     lower: Array  # (rows,)
     upper: Array  # (rows,)
-    rounding: Array  # (rows,), of the limits of rows without coefficients
     cones: Indices  # (cones, 2): first row, and the one after the last
     slack_times: Indices  # (slacks,)
 
-    @property
-    def alone(self) -> Mask:
-        """Return which rows are in no cone."""
-        change = np.zeros(len(self.lower) + 1, dtype=int)
-        np.add.at(change, self.cones.ravel(), np.tile([1, -1], len(self.cones)))
-        return np.cumsum(change[:-1]) == 0
-
-    @property
-    def empty(self) -> Mask:
-        """Return which rows have no coefficient."""
-        return np.diff(self.matrix.indptr) == 0
-
-    def with_nonnegative(self, first: int, chosen: Indices) -> StageRowList:
-        """Return these rows and chosen slacks >= 0; slacks are the variables from the first on."""
-        count, variables = len(chosen), self.matrix.shape[1]
-        if not count:
-            return self
-        signs = sp.csr_array((np.ones(count), first + chosen, np.arange(count + 1)), shape=(count, variables))
-        return replace(
-            self,
-            targets=np.append(self.targets, np.full(count, -1)),
-            times=np.append(self.times, self.slack_times[chosen]),
-            matrix=sp.csr_array(sp.vstack([self.matrix, signs])),
-            lower=np.append(self.lower, np.zeros(count)),
-            upper=np.append(self.upper, np.full(count, np.inf)),
-            rounding=np.append(self.rounding, np.zeros(count)),
-        )
-
 
 def stage_rows(program: LinearProgram, given: Mask, fixed: Mask) -> StageRowList:
-    """Return the rows of single times.
+    """Return the rows of single times, without 0 = 0 and 0 <= limit where they hold.
 
     Signals that are ``given`` (signals,) need no bounds; the deviations of those that are ``fixed`` are zero.
     """
     parts = [rows for rows in program.rows if rows.times is not None]
-    times, slack_times, coupled = list[Indices](), list[Indices](), list[Mask]()
+    times, slack_times, loose = list[Indices](), list[Indices](), list[Mask]()
     for rows in program.rows:
         if rows.times is None:
-            spread = sum(int(part.sum()) for part in coupled) + np.arange(len(rows.prices))
+            spread = sum(int(part.sum()) for part in loose) + np.arange(len(rows.prices))
             slack_times.append(spread % (program.problem.horizon + 1))
         else:
             of_rows, of_slacks = _row_times(rows, rows.times)
             times.append(of_rows)
             slack_times.append(of_slacks)
-        coupled.append(np.full(len(rows.prices), rows.times is None))
-    matrix, of_slacks = program.matrix(parts), np.concatenate(slack_times)
+        loose.append(np.full(len(rows.prices), rows.times is None))
+    matrix = program.matrix(parts)
     if fixed.any():
         matrix.data[np.append(fixed, np.zeros(len(program.prices), dtype=bool))[matrix.indices]] = 0.0
         matrix.eliminate_zeros()
-    rounding = np.zeros(matrix.shape[0])
-    if (np.diff(matrix.indptr) == 0).any():
+    lower, upper = np.concatenate([rows.lower for rows in parts]), np.concatenate([rows.upper for rows in parts])
+    firsts = np.cumsum([0, *(len(rows.lower) for rows in parts)])
+    cones = np.concatenate([rows.cones + first for rows, first in zip(parts, firsts, strict=False)])
+    kept = ~np.concatenate(
+        [given[rows.entries] if rows.map is None else np.full(len(rows.lower), False) for rows in parts]
+    )
+    empty = np.diff(matrix.indptr) == 0
+    empty[cone_members(cones)[0]] = False
+    if empty.any():
         rounding = np.concatenate([rows.rounding(program.origin) for rows in parts])
-    # bounds come first; they are in no cone
-    kept = np.concatenate([~given[rows.entries] if rows.map is None else rows.lower <= np.inf for rows in parts])
-    firsts = np.cumsum([0, *(len(rows.lower) for rows in parts)]) - int((~kept).sum())
-    own = StageRowList(
-        np.concatenate([rows.targets for rows in parts])[kept],
-        np.concatenate(times)[kept],
-        matrix if kept.all() else sp.csr_array(matrix[np.flatnonzero(kept)]),
-        np.concatenate([rows.lower for rows in parts])[kept],
-        np.concatenate([rows.upper for rows in parts])[kept],
-        rounding[kept],
-        np.concatenate([rows.cones + first for rows, first in zip(parts, firsts, strict=False)]),
+        kept &= ~(empty & (lower <= rounding) & (upper >= -rounding))
+    chosen, numbers = np.flatnonzero(kept), np.cumsum(kept) - 1
+    # slacks of rows that couple times are not negative
+    of_slacks, slacks = np.concatenate(slack_times), np.flatnonzero(np.concatenate(loose))
+    ones = np.ones(len(slacks)), program.signals + slacks, np.arange(len(slacks) + 1)
+    signs = sp.csr_array(ones, shape=(len(slacks), program.variables))
+    return StageRowList(
+        np.append(np.concatenate([rows.targets for rows in parts])[chosen], np.full(len(slacks), -1)),
+        np.append(np.concatenate(times)[chosen], of_slacks[slacks]),
+        stack_rows([(sp.csr_array(matrix[chosen]), 0), (signs, 0)], program.variables),
+        np.append(lower[chosen], np.zeros(len(slacks))),
+        np.append(upper[chosen], np.full(len(slacks), np.inf)),
+        cones - cones[:, :1] + numbers[cones[:, :1]],
         of_slacks,
     )
-    return own.with_nonnegative(program.signals, np.flatnonzero(np.concatenate(coupled)))
 
 
 def _row_times(rows: ProgramRows, of_values: Indices) -> tuple[Indices, Indices]:
@@ -122,7 +101,7 @@ def _row_times(rows: ProgramRows, of_values: Indices) -> tuple[Indices, Indices]
     if not (len(rows.prices) or len(rows.cones)):
         return of_values, np.zeros(0, dtype=int)
     times = of_values.copy()
-    in_cones, cone = rows.in_cones
+    in_cones, cone = cone_members(rows.cones)
     of_cones = np.full(len(rows.cones), -1)
     np.maximum.at(of_cones, cone, times[in_cones])
     times[in_cones] = of_cones[cone]
@@ -156,11 +135,11 @@ class StageSlots:
 
 
 def assign_slots(rows: StageRowList) -> StageSlots:
-    """Return the slots of the rows and slacks in the stages; satisfied rows 0 <= limit, and 0 = 0, have none."""
-    alone, empty = rows.alone, rows.empty
+    """Return the slots of the rows and slacks in the stages; equations have none."""
+    alone = np.ones(len(rows.lower), dtype=bool)
+    alone[cone_members(rows.cones)[0]] = False
     equal = alone & (rows.lower == rows.upper)
-    above = alone & ~equal & np.isfinite(rows.upper) & ~(empty & (rows.upper >= -rows.rounding))
-    below = alone & ~equal & np.isfinite(rows.lower) & ~(empty & (rows.lower <= rows.rounding))
+    above, below = (alone & ~equal & np.isfinite(limits) for limits in (rows.upper, rows.lower))
     single = np.concatenate([np.flatnonzero(above), np.flatnonzero(below)])
     source, slot = [single], [_ranks(rows.times[single])]
     count, sizes = int(slot[0].max(initial=-1)) + 1, np.diff(rows.cones, axis=1)[:, 0]
@@ -174,8 +153,8 @@ def assign_slots(rows: StageRowList) -> StageSlots:
         count += (int(rank.max()) + 1) * int(size)
     sources = np.concatenate(source)
     sign = np.where(np.arange(len(sources)) < int(above.sum()), 1.0, -1.0)
-    equations = np.flatnonzero(equal & ~(empty & (np.abs(rows.lower) <= rows.rounding)))
-    return StageSlots(sources, sign, np.concatenate(slot), count, tuple(cones), equations, _ranks(rows.slack_times))
+    slots, equations = np.concatenate(slot), np.flatnonzero(equal)
+    return StageSlots(sources, sign, slots, count, tuple(cones), equations, _ranks(rows.slack_times))
 
 
 def _ranks(keys: Indices) -> Indices:
@@ -232,7 +211,7 @@ def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -
     weights = np.ones(len(rows.lower)) if rows.weights is None else rows.weights
     # rows that say only that a slack is not negative are rows of stages
     alone = (rows.entries >= 0) | (np.diff(rows.slacks.indptr) != 1) | (rows.lower != 0) | np.isfinite(rows.upper)
-    alone[rows.in_cones[0]] = False
+    alone[cone_members(rows.cones)[0]] = False
     equal = alone & (rows.lower == rows.upper)
     chosen = np.flatnonzero(equal)
     if len(chosen):
