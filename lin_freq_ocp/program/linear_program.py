@@ -178,8 +178,12 @@ class LinearProgram:
 
     def direction(self, z: Array) -> Trajectory:
         """Return the change (dx, du) of a change z of the point of the program."""
+        return Trajectory(*self.split_signals(z))
+
+    def split_signals(self, z: Array) -> tuple[Array, Array]:
+        """Return the states (T+1, n) and the controls (T, m) of a point, finite or not."""
         x, u = z[: self.states], z[self.states : self.signals]
-        return Trajectory(x.reshape(-1, self.problem.state_dim), u.reshape(-1, self.problem.control_dim))
+        return x.reshape(-1, self.problem.state_dim), u.reshape(-1, self.problem.control_dim)
 
     def point(self, trajectory: Trajectory) -> Array:
         """Return the point of the program of a trajectory, with the least slacks."""

@@ -75,9 +75,8 @@ def own_columns(linear: LinearProgram, z: Array, fallback: Array, per_time: bool
     x, u = _noticeable_sizes(linear, z)
     if not per_time:
         x, u = (np.broadcast_to(signal.max(0), signal.shape) for signal in (x, u))
-    columns, count = linear.column_units(x, u), linear.signals
-    columns[:count] = np.where(columns[:count] > UNIT_ROUNDING * fallback[:count], columns[:count], fallback[:count])
-    return columns
+    pairs = zip((x, u), linear.split_signals(fallback), strict=True)
+    return linear.column_units(*(np.where(size > UNIT_ROUNDING * unit, size, unit) for size, unit in pairs))
 
 
 def own_sizes(linear: LinearProgram, z: Array) -> Array:
@@ -165,8 +164,7 @@ def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tu
     except RuntimeError:  # exactly singular
         return guess
     z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
-    relaxed = linear.direction(np.abs(z))
-    x, u = relaxed.x.max(0), relaxed.u.max(0)
+    x, u = (signal.max(0) for signal in linear.split_signals(np.abs(z)))
     # bounds cap the sizes: they say what is allowed, not what happens
     widest = [np.maximum(np.abs(t.lower), np.abs(t.upper)).max(0) for t in (problem.state_tube, problem.control_tube)]
     x, u = (np.minimum(size, np.where(w > 0, w, np.inf)) for size, w in zip((x, u), widest, strict=True))
@@ -176,11 +174,11 @@ def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tu
 
 def _noticeable_sizes(linear: LinearProgram, z: Array) -> tuple[Array, Array]:
     """Return magnitudes (T+1, n) and (T, m) of z, none smaller than what others would notice through the dynamics."""
-    problem, sizes = linear.problem, linear.direction(np.abs(z))
+    problem, (x, u) = linear.problem, linear.split_signals(np.abs(z))
     if problem.dynamics.response(problem.horizon) is not None:  # nothing is noticed from one step to the next
-        return sizes.x, sizes.u
+        return x, u
     A, B = (np.abs(matrix) for matrix in (problem.linear.A, problem.linear.B))
-    part, x, u = UNNOTICED / problem.horizon, sizes.x.copy(), sizes.u.copy()
+    part, x, u = UNNOTICED / problem.horizon, x.copy(), u.copy()
     caused = times_vectors(A, x[:-1]) + times_vectors(B, u) + np.abs(linear.drift)
     x[1:] = np.maximum(x[1:], part * caused)
     for matrix, signal in ((A, x[:-1]), (B, u)):
