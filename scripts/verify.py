@@ -1,6 +1,7 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About half an hour.
 
     python scripts/verify.py [--part NAME]... [--problems N] [--seed 0] [--processes 2]
+    python scripts/verify.py --part answers [--save FILE] [--against FILE]
 
 One file for each part in verify/; all run if none is named. Exit status 1 if a check fails.
 
@@ -17,6 +18,8 @@ translation  the same with states counted from 1e2 to 1e9 times their range away
 modes        ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP, and random ones of up to
              seven steps against all mode sequences, solved one by one by plain Clarabel
 nonsmooth    Examples 2 and 3 of the paper from cold starts, a minute for every global bound, and SCIP on short ones
+answers      linear problems by the sparse program and by the structured method, compared with each other, or with the
+             answers of another state of the code (--save, --against)
 limits       time limits of 1 and 3 s on problems that take far longer
 loop         closed loops with disturbances
 frequencies  masks at every frequency, between bounds of an independent model, and proven maxima of signals
@@ -53,6 +56,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "loop": 10_000,
     "frequencies": 200,
     "proofs": 100,
+    "answers": None,
     "limits": None,
 }
 WIDTH = 132  # columns of the tables, also where they are written into a file
@@ -65,13 +69,18 @@ def main() -> int:
     parser.add_argument("--problems", type=int, help="how many random problems of each part")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
     parser.add_argument("--processes", type=int, default=2, help="for the parts of random problems")
+    parser.add_argument("--save", type=Path, help="file (npz) for what the part answers found")
+    parser.add_argument("--against", type=Path, help="file of --save to compare it with")
     options = parser.parse_args()
     console, good = Console(width=WIDTH), True
     for part, count in PARTS.items():
         if options.part is None or part in options.part:
             verify = import_module(f"verify.{part}").verify
             seeds = None if count is None else range(options.seed, options.seed + (options.problems or count))
-            good &= verify(console) if seeds is None else verify(console, seeds, options.processes)
+            if part == "answers":
+                good &= verify(console, options.save, options.against)
+            else:
+                good &= verify(console) if seeds is None else verify(console, seeds, options.processes)
     return 0 if good else 1
 
 

@@ -10,19 +10,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, real_array
+from lin_freq_ocp.base.arrays import Array, real_array
 from lin_freq_ocp.base.errors import MissingExtraError, ProblemError, UnsupportedError
 from lin_freq_ocp.files.reading import at_location
 from lin_freq_ocp.files.solution_files import require_clock, trajectory_from_signals
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.stop_band_rows import real_rows
-from lin_freq_ocp.program.transcription import TermRows, conic_terms
+from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.program import Block
+from lin_freq_ocp.program.program_rows import ProgramRows
 
 if TYPE_CHECKING:
     import cvxpy
@@ -217,31 +216,36 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
         which = "P" if t < 0 else f"[[Q, S], [S', R]] at t = {t}"
         message = f"cost: {which} has the eigenvalue {eigenvalue:g} < 0, and CVXPY takes convex costs only."
         raise UnsupportedError(message)
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    (T, n, m), linear = (problem.horizon, problem.state_dim, problem.control_dim), LinearProgram(problem)
     x, u = cp.Variable((T + 1, n), name="x"), cp.Variable((T, m), name="u")
     # Bounds on the state where an end fixes it would be redundant
     lower, upper = problem.state_boxes.lower.copy(), problem.state_boxes.upper.copy()
     for t, end in ((0, problem.initial_box), (-1, problem.terminal_box)):
         lower[t, end.fixed], upper[t, end.fixed] = -np.inf, np.inf
-    costs, terms = _conic_constraints(problem, x, u)
+    # the variables of the program, deviations from the references
+    z = cp.hstack([cp.vec(x - linear.origin.x, order="C"), cp.vec(u - linear.origin.u, order="C")])
+    # its Hessian is known to be positive semidefinite up to rounding
+    P, q = cp.psd_wrap(linear.hessian[: linear.signals, : linear.signals]), linear.gradient[: linear.signals]
+    quadratic = 0.5 * cp.quad_form(z, P) + q @ z + problem.quadratic.value(linear.origin.x, linear.origin.u)
+    defects = cp.reshape(linear.dynamics[:, : linear.signals] @ z, (T, n), order="C") - linear.drift
+    costs, terms = _conic_constraints(linear, z)
     taken = {constraint.label for constraint in terms}
     return cp.Problem(
-        cp.Minimize(sum(costs, _cost_expression(problem.quadratic, x, u))),
+        cp.Minimize(sum(costs, quadratic)),
         [
-            _dynamics(problem, x, u),
+            (defects == 0).set_label("dynamics"),
             *_box_constraints(problem.initial_box, x[0], "initial state", taken),
             *_box_constraints(problem.terminal_box, x[T], "terminal state", taken),
             *_box_constraints(Box(lower, upper), x, "state set", taken),
             *_box_constraints(problem.control_tube, u, "control set", taken),
             *terms,
-            *_stop_band_constraints(problem.control_stop, u, "control spectrum"),
-            *_stop_band_constraints(problem.state_stop, x[: problem.state_samples], "state spectrum"),
+            *_stop_band_constraints(linear, z),
         ],
     )
 
 
 def _conic_constraints(
-    problem: OptimalControlProblem, x: cvxpy.Variable, u: cvxpy.Variable
+    linear: LinearProgram, z: cvxpy.Expression
 ) -> tuple[list[cvxpy.Expression], list[cvxpy.Constraint]]:
     """Return the costs and the constraints of all terms, from the same rows as other solvers get.
 
@@ -259,11 +263,10 @@ def _conic_constraints(
     """
     import cvxpy as cp
 
-    signals = cp.hstack([cp.vec(x, order="C"), cp.vec(u, order="C")])
     costs: list[cvxpy.Expression] = []
     constraints: list[cvxpy.Constraint] = []
-    for rows in conic_terms(problem).parts:
-        values, name = rows.signals @ signals, rows.term.name
+    for rows in linear.of_terms:
+        values, name = rows.signals @ z, rows.name
         if len(rows.prices):
             slacks, name = cp.Variable(len(rows.prices), name=f"slacks of {name}"), f"{name} slack"
             values, costs = values + rows.slacks @ slacks, [*costs, rows.prices @ slacks]
@@ -272,15 +275,15 @@ def _conic_constraints(
     return costs, constraints
 
 
-def _constraints_of_term(rows: TermRows, values: cvxpy.Expression) -> list[tuple[str, cvxpy.Constraint]]:
+def _constraints_of_term(rows: ProgramRows, values: cvxpy.Expression) -> list[tuple[str, cvxpy.Constraint]]:
     """Return the cones, intervals, equations and inequalities of a term, each with the name of its kind."""
     import cvxpy as cp
 
     lower, upper = rows.lower, rows.upper
     found: list[tuple[str, cvxpy.Constraint]] = []
     free = np.ones(len(lower), dtype=bool)
-    if rows.cones:
-        inside = np.array([np.arange(cone.start, cone.stop) for cone in rows.cones])  # all of one size
+    if len(rows.cones):
+        inside = rows.cones[:, :1] + np.arange(rows.cones[0, 1] - rows.cones[0, 0])  # all of one size
         free[inside] = False
         cone = cp.reshape(values[inside.ravel()], inside.shape, order="C") - lower[inside]
         found.append(("cone", cp.SOC(cone[:, 0], cone[:, 1:], axis=1)))
@@ -298,49 +301,6 @@ def _constraints_of_term(rows: TermRows, values: cvxpy.Expression) -> list[tuple
     return found
 
 
-def _cost_expression(cost: QuadraticCost, x: cvxpy.Variable, u: cvxpy.Variable) -> cvxpy.Expression:
-    import cvxpy as cp
-
-    a, b = x - np.broadcast_to(cost.x_ref, x.shape), u - np.broadcast_to(cost.u_ref, u.shape)
-    stages = cp.vec(cp.hstack([a[:-1], b]), order="C")
-    hessians = cost.stage_hessians()
-    if len(hessians) == 1:
-        hessian = sp.kron(sp.eye_array(u.shape[0]), hessians[0], format="csc")
-    else:
-        hessian = sp.block_diag(hessians, format="csc")
-    # H are known to be positive semidefinite up to rounding
-    total = 0.5 * cp.quad_form(stages, cp.psd_wrap(hessian)) + 0.5 * cp.quad_form(a[-1], cp.psd_wrap(cost.P))
-    for term, signal in ((cost.q, x[:-1]), (cost.r, u), (cost.p, x[-1])):
-        total += cp.sum(cp.multiply(np.broadcast_to(term, signal.shape), signal))
-    return total
-
-
-def _dynamics(problem: OptimalControlProblem, x: cvxpy.Variable, u: cvxpy.Variable) -> cvxpy.Constraint:
-    """Return x_{t+1} - A_t x_t - B_t u_t = d_t: in this form its dual is eta, without a change of sign."""
-    response = problem.dynamics.response(problem.horizon)
-    if response is not None:
-        import cvxpy as cp
-
-        later = response.matrix[problem.state_dim :]
-        through_u = cp.reshape(later @ cp.vec(u, order="C"), (problem.horizon, problem.state_dim), order="C")
-        return (x[1:] - through_u == response.base[1:]).set_label("dynamics")
-    dynamics = problem.linear
-    offset = np.broadcast_to(dynamics.offset, (problem.horizon, problem.state_dim))
-    return (x[1:] - _stage_products(dynamics.A, x[:-1]) - _stage_products(dynamics.B, u) == offset).set_label(
-        "dynamics"
-    )
-
-
-def _stage_products(matrix: Array, vectors: cvxpy.Expression) -> cvxpy.Expression:
-    """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (times, columns)."""
-    import cvxpy as cp
-
-    if matrix.ndim == 2:
-        return vectors @ matrix.T
-    products = sp.block_diag(matrix, format="csr") @ cp.vec(vectors, order="C")
-    return cp.reshape(products, matrix.shape[:2], order="C")
-
-
 def _box_constraints(box: Box, signal: cvxpy.Expression, label: str, taken: set[str | None]) -> list[cvxpy.Constraint]:
     """Return signal = value where the box leaves no freedom, and its finite bounds elsewhere."""
     lower, upper, free = box.lower, box.upper, ~box.fixed
@@ -352,9 +312,12 @@ def _box_constraints(box: Box, signal: cvxpy.Expression, label: str, taken: set[
     return [constraint(here).set_label(name) for here, constraint, name in parts if here.any()]
 
 
-def _stop_band_constraints(stopped: Mask, signal: cvxpy.Expression, label: str) -> list[cvxpy.Constraint]:
+def _stop_band_constraints(linear: LinearProgram, z: cvxpy.Expression) -> list[cvxpy.Constraint]:
     """Return R_i v_i = 0 for every component i with stopped bins, one component after the other."""
-    import cvxpy as cp
-
-    rows = [real_rows(signal.shape[0], stopped[:, i]) @ signal[:, i] for i in np.flatnonzero(stopped.any(axis=0))]
-    return [(cp.hstack(rows) == 0).set_label(label)] if rows else []
+    constraints: list[cvxpy.Constraint] = []
+    for block in (Block.CONTROL_SPECTRUM, Block.STATE_SPECTRUM):
+        rows = [rows for rows in linear.rows if rows.block is block]
+        if rows:
+            matrix, right = linear.matrix(rows)[:, : linear.signals], np.concatenate([part.lower for part in rows])
+            constraints.append((matrix @ z == right).set_label(block.value))
+    return constraints

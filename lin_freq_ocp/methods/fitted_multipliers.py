@@ -55,9 +55,9 @@ class _NormalCone:
 
 def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, near: float = ACTIVE) -> Fit:
     """Return normal multipliers (eta_C = 1) that fit best; bounds within ``near`` (scaled to order 1) are active."""
-    transcription, scaling, program = scaled_program(problem)
-    y, s = fitted_duals(program, scaling.scaled_primal(transcription.point(trajectory)), near)
-    return Fit(transcription.multipliers(scaling.dual(y), 1.0), transcription.direction(scaling.primal(-s)))
+    linear, scaling, program = scaled_program(problem)
+    y, s = fitted_duals(program, scaling.scaled_primal(linear.point(trajectory)), near)
+    return Fit(linear.multipliers(scaling.dual(y), 1.0), linear.direction(scaling.primal(-s)))
 
 
 def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Array, Array]:
@@ -95,8 +95,8 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
     all entries within [-1, 1]; if that is zero, as for half of all rays, with the vector that has the other sign where
     entries may have either.
     """
-    transcription, scaling, program = scaled_program(problem)
-    at = scaling.scaled_primal(transcription.point(trajectory))
+    linear, scaling, program = scaled_program(problem)
+    at = scaling.scaled_primal(linear.point(trajectory))
     cone = _normal_cone(program, at, ACTIVE, at_edges=True)  # prices of gaps would lose against the product
     count, variables = len(cone.lower), program.A.shape[1]
     signs = np.sign(cone.lower) + np.sign(cone.upper)
@@ -120,7 +120,7 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
         )
         solution = backend("clarabel")(search, DEFAULT_TOLERANCE, None)
         if solution.z is not None and np.abs(solution.z).max() >= NONTRIVIAL:
-            return transcription.multipliers(scaling.dual(cone.basis @ solution.z), 0.0)
+            return linear.multipliers(scaling.dual(cone.basis @ solution.z), 0.0)
     return None
 
 
@@ -147,8 +147,8 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
 
     UnsupportedError if there are more than MOST_GRADIENTS.
     """
-    transcription, scaling, program = scaled_program(problem)
-    cone = _normal_cone(program, scaling.scaled_primal(transcription.point(trajectory)), ACTIVE, at_edges=True)
+    linear, scaling, program = scaled_program(problem)
+    cone = _normal_cone(program, scaling.scaled_primal(linear.point(trajectory)), ACTIVE, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))
     if len(active) > MOST_GRADIENTS:
         what = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"

@@ -13,11 +13,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from lin_freq_ocp.base.arrays import Array, times_vectors
+from lin_freq_ocp.base.arrays import Array, Mask, times_vectors
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.program.program import Block, Program, Scaling
-from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.program import Block, Program, Scaling, regularised_kkt, scale_matrix
 
 HESSIAN_REGULARISATION = 1e-6  # relative to the mean diagonal: directions without cost get the smallest trajectory
 ROW_REGULARISATION = 1e-10  # dependent equations (an unreachable end) get a least-squares trajectory
@@ -29,132 +29,142 @@ REVISED = 100.0  # factor between a unit and the magnitude found from which the 
 COST_LEVEL = 10.0  # steepest slope of the scaled cost, the others being smaller
 
 
-def natural_scaling(transcription: LinearTranscription) -> Scaling:
+def natural_scaling(linear: LinearProgram) -> Scaling:
     """Return the change of units that makes states and controls of order 1, and the cost gradient of order 10."""
-    guess = stated_sizes(transcription.problem)
-    x, u = _relaxed_magnitudes(transcription, guess)
-    if any(not term.hard or term.kind != "stage rows" for term in transcription.problem.terms):
+    guess = stated_sizes(linear.problem)
+    x, u = _relaxed_magnitudes(linear, guess)
+    if any(not term.hard or term.kind != "stage rows" for term in linear.problem.terms):
         x, u = (
             np.clip(size, TERM_SHARE * stated, stated / TERM_SHARE) for size, stated in zip((x, u), guess, strict=True)
         )
-    columns = transcription.column_units(x, u)
-    return _scaling_of_units(transcription, columns, columns)
+    columns = linear.column_units(x, u)
+    return _scaling_of_units(linear, columns, columns)
 
 
-def scaled_program(problem: OptimalControlProblem) -> tuple[LinearTranscription, Scaling, Program]:
-    """Return the transcription, its natural units, and the program in them."""
-    transcription = LinearTranscription(problem)
-    scaling = natural_scaling(transcription)
-    return transcription, scaling, transcription.program.scaled(scaling)
+def scaled_program(problem: OptimalControlProblem) -> tuple[LinearProgram, Scaling, Program]:
+    """Return the linear program, its natural units, and the program in them."""
+    linear = LinearProgram(problem)
+    scaling = natural_scaling(linear)
+    return linear, scaling, linear.sparse.scaled(scaling)
 
 
-def common_scaling(transcriptions: Sequence[LinearTranscription]) -> Scaling:
+def common_scaling(programs: Sequence[LinearProgram]) -> Scaling:
     """Return one change of units for several linear problems that differ in their dynamics only, such as modes.
 
     A component is as large as in the largest of them, but not much smaller or larger than the data state.
     """
-    first = transcriptions[0]
+    first = programs[0]
     stated = first.column_units(*stated_sizes(first.problem))
-    largest = np.max([natural_scaling(transcription).columns for transcription in transcriptions], axis=0)
+    largest = np.max([natural_scaling(linear).columns for linear in programs], axis=0)
     columns = np.clip(largest, TERM_SHARE * stated, stated / TERM_SHARE)
     return _scaling_of_units(first, columns, columns)
 
 
-def own_scaling(transcription: LinearTranscription, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
-    """Return the units in which a point z (in the program's own units) is of order 1.
+def own_scaling(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
+    """Return the units in which a point z (in the program's own units) is of order 1 (see ``own_columns``)."""
+    columns = own_columns(linear, z, fallback, per_time)
+    return _scaling_of_units(linear, columns, np.maximum(np.abs(z), UNNOTICED * columns))
+
+
+def own_columns(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Array:
+    """Return the units of variables in which a point z (in the program's own units) is of order 1, (variables,).
 
     ``fallback`` (variables,) are the units of variables that are zero. With ``per_time``, a component has another unit
     at every time, for one that decays over many orders of magnitude.
     """
-    x, u = _noticeable_sizes(transcription, *_by_time(transcription, z))
+    x, u = _noticeable_sizes(linear, z)
     if not per_time:
         x, u = (np.broadcast_to(signal.max(0), signal.shape) for signal in (x, u))
-    columns = transcription.column_units(x, u)
-    signals, least = np.concatenate([x.ravel(), u.ravel()]), UNIT_ROUNDING * fallback[: transcription.signals]
-    columns[: len(signals)] = np.where(signals > least, signals, fallback[: len(signals)])
-    return _scaling_of_units(transcription, columns, np.maximum(np.abs(z), UNNOTICED * columns))
+    pairs = zip((x, u), linear.split_signals(fallback), strict=True)
+    return linear.column_units(*(np.where(size > UNIT_ROUNDING * unit, size, unit) for size, unit in pairs))
 
 
-def own_sizes(transcription: LinearTranscription, z: Array) -> Array:
+def own_sizes(linear: LinearProgram, z: Array) -> Array:
     """Return the magnitudes of the variables of a point, (variables,), with those of signals bounded below."""
-    x, u = _noticeable_sizes(transcription, *_by_time(transcription, z))
-    return np.concatenate([x.ravel(), u.ravel(), np.abs(z[transcription.signals :])])
+    return np.concatenate([*(signal.ravel() for signal in _noticeable_sizes(linear, z)), np.abs(z[linear.signals :])])
 
 
-def stated_scaling(transcription: LinearTranscription) -> Scaling:
+def stated_scaling(linear: LinearProgram) -> Scaling:
     """Return the units from the sizes in the data of a problem."""
-    columns = transcription.column_units(*stated_sizes(transcription.problem))
-    return _scaling_of_units(transcription, columns, columns)
+    columns = linear.column_units(*stated_sizes(linear.problem))
+    return _scaling_of_units(linear, columns, columns)
 
 
-def plain_scaling(transcription: LinearTranscription) -> Scaling:
+def plain_scaling(linear: LinearProgram) -> Scaling:
     """Return the problem's own units."""
-    program = transcription.program
+    program = linear.sparse
     return Scaling(np.ones(program.A.shape[1]), np.ones(program.A.shape[0]), 1.0)
 
 
-def bounds_scaling(transcription: LinearTranscription, natural: Scaling) -> Scaling:
+def bounds_scaling(linear: LinearProgram, natural: Scaling) -> Scaling:
     """Return the natural units, enlarged until the farthest bound on a state or control is of order 1.
 
     They are for optima at far bounds.
     """
-    tubes = transcription.problem.state_tube, transcription.problem.control_tube
+    tubes = linear.problem.state_tube, linear.problem.control_tube
     sides = [
         np.maximum(*(np.where(np.isfinite(side), np.abs(side), 0.0) for side in (t.lower, t.upper))) for t in tubes
     ]
-    units = natural.columns[: transcription.signals]
+    units = natural.columns[: linear.signals]
     far = float((np.concatenate([side.ravel() for side in sides]) / units).max(initial=1.0))
-    return _scaling_of_units(transcription, far * natural.columns, far * natural.columns)
+    return _scaling_of_units(linear, far * natural.columns, far * natural.columns)
 
 
-def revised_scaling(transcription: LinearTranscription, scaling: Scaling, z: Array) -> Scaling | None:
+def revised_scaling(linear: LinearProgram, scaling: Scaling, z: Array) -> Scaling | None:
     """Return units from a solution z (in the program's own units), or None if they differ little from its own."""
-    revised = own_scaling(transcription, z, scaling.columns)
-    factors = np.append(revised.columns / scaling.columns, revised.cost / scaling.cost)
-    return revised if np.exp(np.abs(np.log(factors)).max()) > REVISED else None
+    revised = own_scaling(linear, z, scaling.columns)
+    return revised if is_revision(revised.columns / scaling.columns, revised.cost / scaling.cost) else None
 
 
-def _scaling_of_units(transcription: LinearTranscription, columns: Array, typical: Array) -> Scaling:
+def is_revision(columns: Array, cost: float) -> bool:
+    """Whether units that change by these factors are worth another solve."""
+    return bool(np.abs(np.log(np.append(columns, cost))).max() > np.log(REVISED))
+
+
+def cost_factor(slopes: Array, priced: Mask) -> float:
+    """Return the factor of the cost that makes the steepest of the slopes COST_LEVEL.
+
+    Those of variables that are not ``priced`` count where there are no others: the cost has penalties only.
+    """
+    steepest = float(slopes[priced].max(initial=0.0)) or float(slopes.max(initial=0.0))
+    return COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
+
+
+def _scaling_of_units(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:
     """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
-    program, problem = transcription.program, transcription.problem
+    program = linear.sparse
     # a dynamics or bound row is divided by its component's unit, any other likewise
-    rows = np.empty(program.A.shape[0])
-    rows[program.rows[Block.DYNAMICS]] = 1.0 / columns[problem.state_dim : (problem.horizon + 1) * problem.state_dim]
-    norms = _row_norms(_scale_matrix(program.A, np.ones(len(rows)), columns))
-    for block in set(program.rows) - {Block.DYNAMICS}:
-        rows[program.rows[block]] = 1.0 / norms[program.rows[block]]
+    rows = 1.0 / _row_norms(scale_matrix(program.A, np.ones(program.A.shape[0]), columns))
+    rows[program.rows[Block.DYNAMICS]] = 1.0 / columns[linear.problem.state_dim : linear.states]
     for cone in program.cones:
         rows[cone] = rows[cone].min()
     slopes = columns * (abs(program.P) @ typical + np.abs(program.q))
-    costs = np.append(np.ones(transcription.signals, dtype=bool), transcription.conic_terms.of_costs)
-    steepest = float(slopes[costs].max(initial=0.0))
-    if steepest == 0:  # nothing but penalties
-        steepest = float(slopes.max(initial=0.0))
-    cost = COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
-    return Scaling(columns, rows, cost)
+    return Scaling(columns, rows, cost_factor(slopes, linear.priced))
 
 
-def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, Array]) -> tuple[Array, Array]:
+def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tuple[Array, Array]:
     """Return the largest deviations from the references of the optimum without inequalities and bands."""
-    program, problem = transcription.program, transcription.problem
+    program, problem = linear.sparse, linear.problem
     if not program.P.nnz and program.q.any():  # without curvature, the minimum is unbounded
         return guess
     keep = np.flatnonzero(program.equality)
     keep = keep[keep < program.rows[Block.CONTROL_SET].stop]
-    signals = transcription.signals
-    columns = transcription.column_units(*guess)[:signals]
-    P = _scale_matrix(program.P[:signals, :signals], columns, columns)
-    A = _scale_matrix(program.A[keep][:, :signals], np.ones(len(keep)), columns)
+    signals = linear.signals
+    columns = linear.column_units(*guess)[:signals]
+    P = scale_matrix(program.P[:signals, :signals], columns, columns)
+    A = scale_matrix(program.A[keep][:, :signals], np.ones(len(keep)), columns)
     row_units = 1.0 / _row_norms(A)
     mean = float(P.diagonal().mean()) or 1.0
-    kkt = _kkt(P, mean, _scale_matrix(A, row_units, np.ones(signals)))
+    A = scale_matrix(A, row_units, np.ones(signals))
+    P.data /= mean
+    kkt = regularised_kkt(P, A, HESSIAN_REGULARISATION, ROW_REGULARISATION)
     right = np.concatenate([-columns * program.q[:signals] / mean, row_units * program.lower[keep]])
     try:
         z = splu(kkt).solve(right)
     except RuntimeError:  # exactly singular
         return guess
     z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
-    x, u = (signal.max(0) for signal in _by_time(transcription, z))
+    x, u = (signal.max(0) for signal in linear.split_signals(np.abs(z)))
     # bounds cap the sizes: they say what is allowed, not what happens
     widest = [np.maximum(np.abs(t.lower), np.abs(t.upper)).max(0) for t in (problem.state_tube, problem.control_tube)]
     x, u = (np.minimum(size, np.where(w > 0, w, np.inf)) for size, w in zip((x, u), widest, strict=True))
@@ -162,33 +172,14 @@ def _relaxed_magnitudes(transcription: LinearTranscription, guess: tuple[Array, 
     return x, u
 
 
-def _kkt(P: sp.csc_array, mean: float, A: sp.csc_array) -> sp.csc_array:
-    """Return the regularised matrix of min z'P z / (2 mean) subject to rows A of length 1."""
-    signals, count = P.shape[0], A.shape[0]
-    every, hessian, rows = np.arange(signals + count), sp.coo_array(P), sp.coo_array(A)
-    regularisation = np.append(np.full(signals, HESSIAN_REGULARISATION), np.full(count, -ROW_REGULARISATION))
-    values = np.concatenate([hessian.data / mean, rows.data, rows.data, regularisation])
-    i = np.concatenate([hessian.coords[0], rows.coords[0] + signals, rows.coords[1], every])
-    j = np.concatenate([hessian.coords[1], rows.coords[1], rows.coords[0] + signals, every])
-    return sp.csc_array((values, (i, j)), shape=(signals + count, signals + count))
-
-
-def _by_time(transcription: LinearTranscription, z: Array) -> tuple[Array, Array]:
-    """Return the magnitudes of states, (T+1, n), and controls, (T, m), of z."""
-    problem = transcription.problem
-    x, u = np.split(np.abs(z[: transcription.signals]), [(problem.horizon + 1) * problem.state_dim])
-    return x.reshape(-1, problem.state_dim), u.reshape(-1, problem.control_dim)
-
-
-def _noticeable_sizes(transcription: LinearTranscription, x: Array, u: Array) -> tuple[Array, Array]:
-    """Return magnitudes (T+1, n) and (T, m), none smaller than what others would notice through the dynamics."""
-    program, problem = transcription.program, transcription.problem
+def _noticeable_sizes(linear: LinearProgram, z: Array) -> tuple[Array, Array]:
+    """Return magnitudes (T+1, n) and (T, m) of z, none smaller than what others would notice through the dynamics."""
+    problem, (x, u) = linear.problem, linear.split_signals(np.abs(z))
     if problem.dynamics.response(problem.horizon) is not None:  # nothing is noticed from one step to the next
         return x, u
     A, B = (np.abs(matrix) for matrix in (problem.linear.A, problem.linear.B))
-    constant = np.abs(program.lower[program.rows[Block.DYNAMICS]]).reshape(-1, problem.state_dim)
     part, x, u = UNNOTICED / problem.horizon, x.copy(), u.copy()
-    caused = times_vectors(A, x[:-1]) + times_vectors(B, u) + constant
+    caused = times_vectors(A, x[:-1]) + times_vectors(B, u) + np.abs(linear.drift)
     x[1:] = np.maximum(x[1:], part * caused)
     for matrix, signal in ((A, x[:-1]), (B, u)):
         noticed = np.where(
@@ -206,11 +197,3 @@ def _row_norms(matrix: sp.csc_array) -> Array:
     largest = np.where(largest > 0, largest, 1.0)  # squares of the largest entries overflow
     squares = np.bincount(matrix.indices, (matrix.data / largest[matrix.indices]) ** 2, minlength=matrix.shape[0])
     return largest * np.sqrt(np.where(squares > 0, squares, 1.0))
-
-
-def _scale_matrix(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_array:
-    """Return diag(rows) matrix diag(columns) by columns; products of sparse matrices take several times as long."""
-    scaled = sp.csc_array(matrix, copy=True)
-    scaled.data *= rows[scaled.indices]
-    scaled.data *= np.repeat(columns, np.diff(scaled.indptr))
-    return scaled

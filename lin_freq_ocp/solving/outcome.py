@@ -111,7 +111,7 @@ class Outcome:
     backend : str or None
         The solver of the methods "convex" and "miqp"; others need none.
     seconds : dict
-        Wall time of "setup" (transcription, scaling), "solve" (the backend) and "certify".
+        Wall time of "setup" (rows, scaling), "solve" (the backend) and "certify".
     trajectory, multipliers, certificate : or None
         The best point found, whatever the status, and what is proven of it.
     infeasibility : InfeasibilityProof or None

@@ -2,7 +2,7 @@
 
 ours             the Fourier-domain solver, lfo.SpectralSolver
 cvxpy+clarabel   a vectorised CVXPY model, written here as a user would, with Clarabel's own tolerance (1e-8)
-clarabel, piqp   the sparse program of lin_freq_ocp in natural units, tolerance 1e-10: one transcription, one solve
+clarabel, piqp   the sparse program of lin_freq_ocp in natural units, tolerance 1e-10: made once, solved once
 osqp             the same, tolerance 1e-7 and polishing
 
 Multipliers are part of every answer.
@@ -65,13 +65,13 @@ def direct(solver: str) -> Contender:
     """Return a contender that solves our sparse program with a backend."""
 
     def solve(problem: lfo.OptimalControlProblem, limit: float) -> Answer:
-        transcription, scaling, program = scaled_program(problem)
+        linear, scaling, program = scaled_program(problem)
         solution = backend(solver)(program, DEFAULT_TOLERANCE, None if solver.endswith(UNLIMITED) else limit)
         status = CLAIMS.get(solution.claim, "failed")
         if solution.z is None or solution.y is None or status == "infeasible":
             return Answer(status, solution.message)
-        multipliers = transcription.multipliers(scaling.dual(solution.y), 1.0)
-        return Answer(status, solution.message, transcription.trajectory(scaling.primal(solution.z)), multipliers)
+        multipliers = linear.multipliers(scaling.dual(solution.y), 1.0)
+        return Answer(status, solution.message, linear.trajectory(scaling.primal(solution.z)), multipliers)
 
     return solve
 

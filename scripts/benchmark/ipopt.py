@@ -14,7 +14,7 @@ from lin_freq_ocp.formulas.operations import POWER, PRODUCT, QUOTIENT, SUM, VARI
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.stop_band_rows import stop_band_rows
+from lin_freq_ocp.program.program_rows import real_rows
 
 TOLERANCE = 1e-9  # of IPOPT, relative
 
@@ -37,10 +37,11 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     one, X, U = casadi.SX.sym("y", n + m), casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T)
     step = casadi.Function("f", [one], [_expression(casadi, piecewise_smooth(problem).modes[0].f, one)])
-    rows = stop_band_rows(problem.control_stop, T, T * m, 0)
+    parts = [np.kron(real_rows(T, problem.control_stop[:, j]), np.eye(1, m, j)) for j in range(m)]
+    rows = np.concatenate(parts)
     constraints = [casadi.vec(X[:, 1:] - step.map(T)(casadi.vertcat(X[:, :T], U)))]
-    if rows.shape[0]:
-        constraints.append(casadi.DM(rows.toarray()) @ casadi.vec(U))
+    if len(rows):
+        constraints.append(casadi.DM(rows) @ casadi.vec(U))
     unknowns = casadi.vertcat(casadi.vec(X), casadi.vec(U))
     tubes = problem.state_tube, problem.control_tube
     bounds = {f"{side}bx": np.concatenate([getattr(tube, name).ravel() for tube in tubes])

@@ -42,7 +42,7 @@ from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, relaxed
 from lin_freq_ocp.methods.hybrid.search.mixed import SolverClaim, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.program.stop_band_rows import real_rows
+from lin_freq_ocp.program.program_rows import real_rows
 
 GAP, LIMIT = 1e-6, 60.0
 # Costs and bounds that differ by this many gaps are still right: a solver's gap is not met to the last digit

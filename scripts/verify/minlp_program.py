@@ -26,8 +26,8 @@ from lin_freq_ocp.formulas.operations import QUOTIENT
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program, Scaling
-from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import common_scaling
 
 
@@ -62,7 +62,7 @@ class SmoothProgram:
         All rows but those of dynamics and modes, in natural units; its variables are deviations from the references.
     scaling : Scaling
         Of the variables and the cost; its rows are those of the host.
-    host : LinearTranscription
+    host : LinearProgram
         Its variables are those of the program: states, controls, slacks.
     modes : tuple of ModeFormulas
     lower, upper : (signals,)
@@ -74,7 +74,7 @@ class SmoothProgram:
     problem: OptimalControlProblem
     program: Program
     scaling: Scaling
-    host: LinearTranscription
+    host: LinearProgram
     modes: tuple[ModeFormulas, ...]
     lower: Array
     upper: Array
@@ -128,7 +128,7 @@ def smooth_program(problem: OptimalControlProblem) -> SmoothProgram:
     lower, upper, possible = _reach(problem, modes)
     hosts = _hosts(problem, lower, upper)
     host, scaling = hosts[0], common_scaling(hosts)
-    whole = host.program.scaled(scaling)
+    whole = host.sparse.scaled(scaling)
     first = whole.rows[Block.DYNAMICS].stop  # the host's first rows
     program = replace(
         whole,
@@ -205,7 +205,7 @@ def _nowhere(mode: ModeFormulas, lower: Array, upper: Array) -> bool:
     )
 
 
-def _hosts(problem: OptimalControlProblem, lower: Array, upper: Array) -> list[LinearTranscription]:
+def _hosts(problem: OptimalControlProblem, lower: Array, upper: Array) -> list[LinearProgram]:
     """Return the problem with the map of each mode, linearised in the middle of the boxes, and no regions."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     low, high = np.where(np.isfinite(lower), lower, np.minimum(upper, 0.0)), upper
@@ -213,6 +213,4 @@ def _hosts(problem: OptimalControlProblem, lower: Array, upper: Array) -> list[L
     middle = np.where(np.isfinite(high), (low + np.where(np.isfinite(high), high, 0.0)) / 2, low)
     x, u = np.split(middle, [(T + 1) * n])
     affine = piecewise_smooth(problem).affine_at(x.reshape(T + 1, n), u.reshape(T, m))
-    return [
-        LinearTranscription(replace(problem, dynamics=affine.along(np.full(T, i)))) for i in range(len(affine.modes))
-    ]
+    return [LinearProgram(replace(problem, dynamics=affine.along(np.full(T, i)))) for i in range(len(affine.modes))]

@@ -14,7 +14,7 @@ from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import RISES, is_semidefinite
-from lin_freq_ocp.program import stop_band_rows as real_rows
+from lin_freq_ocp.program import linear_program
 from lin_freq_ocp.testing import STATED, reference_problem
 
 JUDGED = ["paper, constrained", "velocity bound", "slow sampling, constrained"]
@@ -172,9 +172,13 @@ class TestEachConditionFails:
 
     def test_rows_shifted_by_one_bin(self, solved, name, monkeypatch):
         problem = solved(name).problem
-        honest = real_rows.real_rows
-        monkeypatch.setattr(real_rows, "real_rows", lambda N, stopped: honest(N, np.roll(stopped, -1)))
-        monkeypatch.setattr(real_rows, "bin_multipliers", lambda N, stopped, rho: np.zeros(len(stopped), complex))
+        honest = linear_program.stop_band_rows
+
+        def shifted(block, stop, *others):
+            for rows in honest(block, np.roll(stop, -1, axis=0), *others):
+                yield replace(rows, targets=np.full(len(rows.targets), -1))
+
+        monkeypatch.setattr(linear_program, "stop_band_rows", shifted)
         candidate = solve_convex(problem, "clarabel")
         certificate = judge(problem, candidate.trajectory, candidate.multipliers)
         assert failures(certificate, "C-vii")[0].time == problem.horizon // 2

@@ -37,7 +37,7 @@ def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
     """A program may be solved twice, in natural and then in revised units: the interrupt may come in either."""
     finished = []
     monkeypatch.setattr(convex, "ACCURATE_ANSWER", -1.0)
-    monkeypatch.setattr(convex, "revised_scaling", lambda transcription, scaling, z: scaling)
+    monkeypatch.setattr(convex, "revised_scaling", lambda linear, scaling, z: scaling)
 
     def impatient(program, tolerance, time_limit):
         answer = clarabel_.solve(program, tolerance, time_limit)

@@ -17,7 +17,7 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import low_pass, stop_band
-from lin_freq_ocp.program.stop_band_rows import real_rows
+from lin_freq_ocp.program.program_rows import real_rows
 
 
 def labelled(program: cp.Problem) -> dict[str, cp.Constraint]:

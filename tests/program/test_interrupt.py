@@ -75,7 +75,7 @@ def test_ctrl_c_is_remembered_in_whichever_solve_it_came(solve, monkeypatch):
 
     monkeypatch.setattr(convex, "backend", lambda name: interrupted_later)
     monkeypatch.setattr(convex, "ACCURATE_ANSWER", -1.0)
-    monkeypatch.setattr(convex, "revised_scaling", lambda transcription, scaling, z: scaling)
+    monkeypatch.setattr(convex, "revised_scaling", lambda linear, scaling, z: scaling)
     candidate = solve_convex(problem, "clarabel")
     assert calls[-1] is Claim.INTERRUPTED
     assert candidate.interrupted

@@ -18,14 +18,14 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.program.backends.base import backend
+from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Scaling
-from lin_freq_ocp.program.transcription import LinearTranscription
-from lin_freq_ocp.program.units import natural_scaling, scaled_program
+from lin_freq_ocp.program.units import is_revision, natural_scaling, own_columns, scaled_program
 
 
 @each_problem
 def test_a_change_of_units_is_undone_exactly(problem):
-    program = LinearTranscription(problem).program
+    program = LinearProgram(problem).sparse
     rng = np.random.default_rng(9)
     scaling = Scaling(10 ** rng.uniform(-3, 3, len(program.q)), 10 ** rng.uniform(-3, 3, program.A.shape[0]), 0.02)
     scaled = program.scaled(scaling)
@@ -206,7 +206,15 @@ def test_natural_units_see_numbers_near_one(name):
     ids=["no cost", "no numbers", "at rest", "unreachable", "unstable", "no state", "no control", "tiny cost"],
 )
 def test_units_exist_whatever_the_problem(changes):
-    scaling = natural_scaling(LinearTranscription(small_problem(**changes)))
+    scaling = natural_scaling(LinearProgram(small_problem(**changes)))
     for units in (scaling.columns, scaling.rows, np.array([scaling.cost])):
         assert np.isfinite(units).all()
         assert (units > 0).all()
+
+
+def test_a_point_that_is_no_number_keeps_its_units():
+    linear = LinearProgram(small_problem())
+    units = natural_scaling(linear).columns
+    point = np.full(len(units), np.nan)
+    np.testing.assert_array_equal(own_columns(linear, point, units), units)
+    assert not is_revision(own_columns(linear, point, units) / units, 1.0)

@@ -24,7 +24,7 @@ from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDER
 from lin_freq_ocp.methods.spectral.qp import BorderedQp, interior_point
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.program.backends.clarabel_ import solve as clarabel_solve
-from lin_freq_ocp.program.transcription import LinearTranscription, dense_rows
+from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.solving.hybrid import modes
 
 LOOK = 0.01
@@ -89,7 +89,7 @@ def test_a_program_whose_set_up_takes_longer_is_not_begun() -> None:
 
 
 def test_clarabel_stops_when_its_set_up_took_the_time() -> None:
-    program = LinearTranscription(balls(60)).program
+    program = LinearProgram(balls(60)).sparse
     assert clarabel_solve(program, 1e-10, 1e-9).claim.name == "TIME_LIMIT"
 
 
@@ -168,7 +168,7 @@ def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch
     def never(*arguments: Any) -> Any:
         raise AssertionError("dense rows were made")
 
-    monkeypatch.setattr("lin_freq_ocp.program.transcription.stop_band_rows", never)
+    monkeypatch.setattr("lin_freq_ocp.program.linear_program.stop_band_rows", never)
     problem = lfo.library.pendulum(horizon=5000)
     small_memory(monkeypatch, 1e8)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: .*dense rows.* GiB.*spectral"):
@@ -177,8 +177,8 @@ def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch
 
 def test_rows_are_counted_as_they_are_made() -> None:
     problem = lfo.library.pendulum(horizon=41)
-    transcription = LinearTranscription(problem)
-    made = np.diff(transcription.program.A.tocsr().indptr) > 30
+    linear = LinearProgram(problem)
+    made = np.diff(linear.sparse.A.tocsr().indptr) > 30
     assert made.sum() <= dense_rows(problem).count <= made.sum() + 2
 
 

@@ -15,7 +15,7 @@ from helpers.random.linear import random_linear
 from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.convex.polish import polish_point, without_rounding
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
-from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.linear_program import LinearProgram
 
 BRAKING = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),
@@ -199,9 +199,9 @@ def test_a_free_start_whose_best_place_is_far_away():
 def test_a_rough_point_is_polished_to_rounding():
     """The box is active: the rows that hold it with force are found from a point that is wrong by 1e-4."""
     problem = replace(BRAKING, control_spectrum=None, control_set=lfo.Box(-0.2, 0.2))
-    program = LinearTranscription(problem).program
+    program = LinearProgram(problem).sparse
     exact = solve_convex(problem, "clarabel", SolveOptions(tolerance=1e-12))
-    z = LinearTranscription(problem).point(exact.trajectory)
+    z = LinearProgram(problem).point(exact.trajectory)
     multipliers = exact.multipliers
     y = np.concatenate([multipliers.eta.ravel(), multipliers.mu[[0, -1]].ravel(), multipliers.nu.ravel()])
     rng = np.random.default_rng(0)

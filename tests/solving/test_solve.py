@@ -242,12 +242,12 @@ def test_the_price_of_a_bin(k, component, solved):
     unit = np.sqrt((1 if single else 2) / problem.horizon)
 
     def cost(move):
-        transcription, scaling, program = convex.scaled_program(problem)
+        linear, scaling, program = convex.scaled_program(problem)
         shift = np.zeros(len(program.lower))
         shift[program.rows[Block.CONTROL_SPECTRUM].start + row] = unit * move
         shift *= scaling.rows
         moved = replace(program, lower=program.lower + shift, upper=program.upper + shift)
-        trajectory = transcription.trajectory(scaling.primal(clarabel_.solve(moved, 1e-12, None).z))
+        trajectory = linear.trajectory(scaling.primal(clarabel_.solve(moved, 1e-12, None).z))
         assert np.fft.rfft(trajectory.u[:, 0])[k] == pytest.approx(move * (1j if component else 1), abs=1e-9)
         return problem.cost.value(trajectory.x, trajectory.u)
 

@@ -11,8 +11,8 @@ from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate
 from lin_freq_ocp.methods.convex.polish import nearest_recession, polish_point
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
+from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Program, Residuals, Scaling
-from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import own_scaling, own_sizes
 
 ACCURATE_ANSWER = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units
@@ -42,7 +42,7 @@ class Attempt:
 class Solves:
     """A program with a solver and its limits, to be solved in several units."""
 
-    transcription: LinearTranscription
+    linear: LinearProgram
     solver: Solver
     tolerance: float | None  # asked by the user
     asked: float  # of the solver
@@ -61,7 +61,7 @@ class Solves:
 
     def attempt(self, scaling: Scaling, tolerance: float | None = None) -> Attempt:
         """Solve in the given units, and measure."""
-        program = self.transcription.program.scaled(scaling)
+        program = self.linear.sparse.scaled(scaling)
         near = program.without_bounds_beyond(FAR_BOUND)
         if near is None:
             return self._solve(program, scaling, tolerance)
@@ -73,11 +73,11 @@ class Solves:
 
     def complete(self, scaling: Scaling) -> Attempt:
         """Solve in the given units with all bounds, and measure."""
-        return self._solve(self.transcription.program.scaled(scaling), scaling, None)
+        return self._solve(self.linear.sparse.scaled(scaling), scaling, None)
 
     def near(self, scaling: Scaling) -> Attempt | None:
         """Solve without far bounds, and measure with all; None if no bound is far, or the program is then unbounded."""
-        near = self.transcription.program.scaled(scaling).without_bounds_beyond(FAR_BOUND)
+        near = self.linear.sparse.scaled(scaling).without_bounds_beyond(FAR_BOUND)
         attempt = None if near is None else self._solve(near, scaling, None)
         return None if attempt is None or attempt.candidate.status == "unbounded" else attempt
 
@@ -92,7 +92,7 @@ class Solves:
         if not finite:  # too large for the units of the problem
             return Attempt(failed, scaling)
         if claim is Claim.INFEASIBLE:
-            ray = None if y is None else self.transcription.multipliers(scaling.dual(y), 0.0)
+            ray = None if y is None else self.linear.multipliers(scaling.dual(y), 0.0)
             error = np.inf if y is None else program.infeasibility_residual(y)
             return Attempt(Candidate("infeasible", ray=ray, message=solution.message), scaling, error)
         if claim is Claim.UNBOUNDED:
@@ -100,7 +100,7 @@ class Solves:
             error = np.inf if ray is None else program.descent_ray_residual(ray)
             if ray is None or error > UNBOUNDED_TOLERANCE:
                 return Attempt(Candidate("numerical_error", message=solution.message), scaling)
-            along = self.transcription.direction(scaling.primal(ray))
+            along = self.linear.direction(scaling.primal(ray))
             return Attempt(Candidate("unbounded", message=solution.message, descent=along), scaling, error)
         if z is None or y is None:
             return Attempt(failed, scaling, late=late)
@@ -109,17 +109,17 @@ class Solves:
         point, duals = scaling.primal(z), scaling.dual(y)
         residuals = Residuals(np.inf, np.inf, np.inf)
         if (np.abs(point) < DIVERGED_SIZE * scaling.columns).all():  # in the units of the point
-            own = own_scaling(self.transcription, point, scaling.columns)
-            at, sizes = own.scaled_primal(point), own.scaled_primal(own_sizes(self.transcription, point))
-            residuals = self.transcription.program.scaled(own).residuals(at, own.scaled_dual(duals), sizes)
+            own = own_scaling(self.linear, point, scaling.columns)
+            at, sizes = own.scaled_primal(point), own.scaled_primal(own_sizes(self.linear, point))
+            residuals = self.linear.sparse.scaled(own).residuals(at, own.scaled_dual(duals), sizes)
         if late or claim in (Claim.LIMIT, Claim.INTERRUPTED):
             status = "limit"
         else:
             status = "optimal" if residuals.worst <= max(SOLVED_TOLERANCE, self.tolerance or 0.0) else "numerical_error"
         candidate = Candidate(
             status,
-            self.transcription.trajectory(point),
-            self.transcription.multipliers(duals, 1.0),
+            self.linear.trajectory(point),
+            self.linear.multipliers(duals, 1.0),
             None,
             residuals,
             solution.message,

@@ -16,8 +16,8 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
-from lin_freq_ocp.program.program import Program
-from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.program import Program, regularised_kkt
 from lin_freq_ocp.program.units import stated_scaling
 
 PROXIMAL_WEIGHT = 1e-8  # on the diagonal: dependent rows and flat directions keep their values
@@ -57,12 +57,9 @@ def _solve_active(
     """Return the optimum with some rows as equations, and its multipliers."""
     rows = np.flatnonzero(equal | above | below)
     A, target = sp.csc_array(program.A[rows]), np.where(below, program.lower, program.upper)[rows]
-    variables, count = len(z), len(rows)
-    weights = sp.diags_array(np.append(np.full(variables, PROXIMAL_WEIGHT), np.full(count, -PROXIMAL_WEIGHT)))
-    none = sp.csc_array((count, count))
-    matrix = sp.csc_array(sp.block_array([[program.P, A.T], [A, none]]) + weights)
+    variables = len(z)
     try:
-        factor = splu(matrix)
+        factor = splu(regularised_kkt(program.P, A, PROXIMAL_WEIGHT, PROXIMAL_WEIGHT))
     except RuntimeError:  # exactly singular
         return None
     held = y[rows]
@@ -89,15 +86,15 @@ def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:
     sizes that the data state, so that neither the unit of the cost nor a trajectory decides. The direction, of length
     1, is projected once more: where it is short compared with the slope, the first projection leaves it few digits.
     """
-    transcription = LinearTranscription(problem)
-    scaling = stated_scaling(transcription)
-    program = transcription.program.scaled(scaling)
+    linear = LinearProgram(problem)
+    scaling = stated_scaling(linear)
+    program = linear.sparse.scaled(scaling)
     along = -program.q
     for _ in range(2):
         if not along.any():
             return None
         along = nearest_recession(program, along / np.abs(along).max())
-    return transcription.direction(scaling.primal(along))
+    return linear.direction(scaling.primal(along))
 
 
 def nearest_recession(program: Program, z: Array) -> Array:

@@ -1,4 +1,4 @@
-"""One sparse convex program: transcribed, scaled, solved by a backend, measured, and mapped back.
+"""One sparse convex program: made, scaled, solved by a backend, measured, and mapped back.
 
 Where the best answer is not proven, others follow. Small residuals of a program do not suffice if a component that
 should be zero holds rounding, which is judged by its own size, or if a far bound disturbed the solver. So answers are
@@ -28,8 +28,8 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
+from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Program, Scaling
-from lin_freq_ocp.program.transcription import LinearTranscription, dense_rows
 from lin_freq_ocp.program.units import (
     bounds_scaling,
     natural_scaling,
@@ -83,8 +83,8 @@ def convex_candidates(
         message = f"time limit of {time_limit:.3g} s; {program} needs about {rows.seconds:.2g} s"
         yield Candidate("limit", message=message, seconds={"setup": 0.0, "solve": 0.0})
         return
-    transcription = LinearTranscription(problem)
-    scaling = natural_scaling(transcription)
+    linear = LinearProgram(problem)
+    scaling = natural_scaling(linear)
     ready = now()
     end = np.inf if time_limit is None else started + time_limit - rows.factorisation_seconds
     if ready >= end + GRACE:
@@ -94,15 +94,15 @@ def convex_candidates(
     interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
     target = max(ACCURATE_ANSWER if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
     asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
-    solves = Solves(transcription, solver, tolerance, asked, end, target)
+    solves = Solves(linear, solver, tolerance, asked, end, target)
     best = _revise_units(solves, solves.attempt(scaling))
     # other units where it is not accurate, each from the best attempt so far
     ways: list[Callable[[Attempt], Attempt]] = [
         lambda best: solves.attempt(
-            scaling if best.z is None else own_scaling(transcription, best.z, scaling.columns, per_time=True)
+            scaling if best.z is None else own_scaling(linear, best.z, scaling.columns, per_time=True)
         ),
-        lambda best: solves.attempt(stated_scaling(transcription)),
-        lambda best: solves.attempt(plain_scaling(transcription)),
+        lambda best: solves.attempt(stated_scaling(linear)),
+        lambda best: solves.attempt(plain_scaling(linear)),
     ]
     if asked > DEFAULT_TOLERANCE:
         ways.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
@@ -122,7 +122,7 @@ def _revise_units(solves: Solves, attempt: Attempt) -> Attempt:
     for _ in range(REVISIONS):
         if best.ended or best.z is None or best.error <= solves.target or solves.over:
             break
-        revised = revised_scaling(solves.transcription, best.scaling, best.z)
+        revised = revised_scaling(solves.linear, best.scaling, best.z)
         if revised is None:
             break
         second = solves.attempt(revised)
@@ -137,17 +137,17 @@ def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterato
     if best.ended:
         return
     yield from _versions(solves, natural, best)
-    transcription = solves.transcription
+    linear = solves.linear
 
     def own(attempt: Attempt, per_time: bool) -> Scaling | None:
-        return None if attempt.z is None else own_scaling(transcription, attempt.z, natural.columns, per_time)
+        return None if attempt.z is None else own_scaling(linear, attempt.z, natural.columns, per_time)
 
     # each from the best attempt so far; units that need its point come last
     others: list[Callable[[Attempt], Scaling | None]] = [
-        lambda _: plain_scaling(transcription),
-        lambda _: stated_scaling(transcription),
+        lambda _: plain_scaling(linear),
+        lambda _: stated_scaling(linear),
         lambda _: natural,
-        lambda _: bounds_scaling(transcription, natural),
+        lambda _: bounds_scaling(linear, natural),
         lambda attempt: own(attempt, per_time=False),
         lambda attempt: own(attempt, per_time=True),
     ]
@@ -174,7 +174,7 @@ def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Ca
     if attempt.z is None or attempt.y is None or attempt.error > LARGEST_ERROR:
         return
     yield from _rounded_versions(solves, natural, attempt)
-    program = solves.transcription.program.scaled(attempt.scaling)
+    program = solves.linear.sparse.scaled(attempt.scaling)
     if program.cones or solves.over:
         return
     scaling = attempt.scaling
@@ -190,7 +190,7 @@ def _rounded_versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Ite
     """Yield a point with exact zeros for what is rounding in the natural units, if that changes it."""
     assert attempt.z is not None
     assert attempt.y is not None
-    program, before = solves.transcription.program.scaled(natural), (attempt.z, attempt.y)
+    program, before = solves.linear.sparse.scaled(natural), (attempt.z, attempt.y)
     for level in ROUNDING_LEVELS:
         z = without_rounding(attempt.z, natural.columns, level)
         y = without_rounding(attempt.y, natural.rows / natural.cost, level)
@@ -234,7 +234,7 @@ def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: 
     most, least = (max(float(np.abs(g * size).max()) for g, size in pairs) for pairs in (usual, slopes))
     if not most > 0 or least / most > FLAT_SLOPE:
         return None
-    transcription, scaling, program = scaled_program(problem)
+    linear, scaling, program = scaled_program(problem)
     curved = np.flatnonzero(abs(program.P).sum(1) + np.abs(program.q))
     flat = Program(
         P=sp.csc_array(program.P.shape),
@@ -251,8 +251,8 @@ def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: 
         return None
     better = None if program.cones else polish_point(flat, solution.z, np.zeros_like(solution.y))
     z: Array = scaling.primal(solution.z if better is None else better[0])
-    none = transcription.multipliers(np.zeros(len(program.lower)), 1.0)
-    return Candidate("optimal", transcription.trajectory(z), none, message="a point where the cost has no slope")
+    none = linear.multipliers(np.zeros(len(program.lower)), 1.0)
+    return Candidate("optimal", linear.trajectory(z), none, message="a point where the cost has no slope")
 
 
 def structured_first(problem: OptimalControlProblem) -> str:

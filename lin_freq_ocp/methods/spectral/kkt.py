@@ -19,7 +19,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
-from lin_freq_ocp.program.stop_band_rows import real_rows
+from lin_freq_ocp.program.program_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling
 LARGEST_BORDER = 3000  # rows of the matrix beyond which its dense decomposition takes longer than the sparse program

@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.sets.linked_ends import Periodic
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Residuals
-from lin_freq_ocp.program.stop_band_rows import bin_multipliers
+from lin_freq_ocp.program.program_rows import bin_multipliers
 
 BLOCK = 1 << 17  # times of which residuals are computed at once
 

@@ -1,48 +1,43 @@
-"""A problem with linear dynamics as stages, in deviations from an origin, and the way back.
+"""A linear program as stages, in deviations from an origin, and the way back.
 
-Boxes and terms of single times become rows of stages, their slacks entries of w after the controls. Stop bands and
-terms of several times become coupling rows; their slacks are spread over the stages.
+Rows of single times become rows of stages, their slacks entries of w after the controls; others become coupling rows.
+
+The origin has the references, and the value of a control where its bounds are equal. A control that is fixed at some
+times leaves the stages there, unless it is in a row that couples times: its deviation is zero.
+
+Duals z are a list: dynamics (T+1, n), x_0 (n,), stages (T+1, p), equations flat, inequalities (count, 1), and
+(balls, 1 + dim) for each family of balls, with H y + h + A'z = 0 where A are the rows of dynamics, x_0, G, equations,
+inequalities, and minus those of balls. The multiplier of a value is the sum of its rows' duals times their weights.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
-import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.recovery import (
-    Origin,
-    Recovery,
-    Units,
-    fix_unused_entries,
-    multiplier_layout,
-    origin_of,
-    own_units,
-    scale_dynamics,
-    scale_stages,
-)
 from lin_freq_ocp.methods.structured.rows import (
     Columns,
     CoupledPart,
     StageRowList,
+    StageSlots,
     assign_slots,
-    box_rows,
-    concatenate_rows,
-    nonnegative_slacks,
+    coupled_parts,
     on_channels,
-    stopped_parts,
-    term_parts,
-    term_rows,
+    stage_equations,
+    stage_rows,
 )
-from lin_freq_ocp.methods.structured.stages import Balls, Coupling, Equations, Inequalities, SparseRows, Stages
+from lin_freq_ocp.methods.structured.scaling import fix_unused_entries, scale_dynamics, scale_stages
+from lin_freq_ocp.methods.structured.stages import Balls, Coupling, Equations, Inequalities, Stages
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.program import Scaling
+from lin_freq_ocp.program.units import is_revision, own_columns
 
-REVISED = 100.0  # factor between a unit and the magnitude found from which a solution is worth units of its own
 WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")  # of the quadratic cost: all but its references
 
 
@@ -51,33 +46,64 @@ class Assembly:
     """The stages of a problem in the units of the method, and the way between both."""
 
     stages: Stages
-    recovery: Recovery
-    slack_columns: tuple[Indices, ...]  # of each term: the positions of its slacks in y, flat
+    program: LinearProgram
+    fixed: Mask  # controls that left the stages, (T, m)
+    positions: Indices  # of the program's variables in y, flat
     used: Mask  # entries of y, (T+1, n+k)
     priced: Mask  # those that make the size of the cost: signals, and slacks of nonsmooth costs
+    units: Scaling  # columns (T+1, n+k); rows after those of the dynamics, flat
+    targets: Indices  # of each dual after those of the dynamics, flat: the multiplier that it belongs to; -1: none
+    weights: Array  # of these duals
+
+    @property
+    def problem(self) -> OptimalControlProblem:
+        """Return the problem whose stages these are."""
+        return self.program.problem
 
     def point(self, trajectory: Trajectory) -> Array:
         """Return y of a trajectory, with the least slacks."""
-        problem = self.recovery.problem
-        x, u = trajectory.x, trajectory.u
-        y, (n, m) = np.zeros(self.stages.h.shape), (problem.state_dim, problem.control_dim)
-        y[:, :n], y[:-1, n : n + m] = x - self.recovery.origin.x, u - self.recovery.origin.u
-        y[:, : n + m][self.recovery.origin.held] = 0.0
-        for term, columns in zip(problem.terms, self.slack_columns, strict=True):
-            y.flat[columns] = term.penalty.least_slacks(term.map.values(x, u))
-        return y / self.recovery.units.columns
+        y = self._on_stages(self.program.point(trajectory))
+        self.of_controls(y)[self.fixed] = 0.0
+        return self.units.scaled_primal(y)
+
+    def trajectory(self, y: Array) -> Trajectory:
+        """Return (x, u) from y (T+1, n+k)."""
+        return self.program.trajectory(self._variables(self.units.primal(y)))
+
+    def direction(self, y: Array) -> Trajectory:
+        """Return the change (dx, du) of a change of y."""
+        return self.program.direction(self._variables(self.units.primal(y)))
+
+    def multipliers(self, z: Sequence[Array], eta_C: float, y: Array | None = None) -> Multipliers:
+        """Return the multipliers of the maximum principle from all duals; eta_C = 0 for a Farkas ray, without y."""
+        problem, units, n = self.problem, self.units, self.problem.state_dim
+        duals = units.dual(np.concatenate([part.ravel() for part in z[1:]]))
+        eta = z[0][:-1] / units.columns[1:, :n] / units.cost
+        multipliers = self.program.layout.multipliers(eta, self.targets, self.weights * duals, eta_C)
+        if not self.fixed.any():
+            return multipliers
+        # those of fixed controls follow from stationarity, nu = -(eta_C dJ/du - B'eta + (rows of stages)'lambda)
+        shapes, slopes = (multipliers.mu.shape, multipliers.nu.shape), -problem.linear.pull_back(eta)[1]
+        for term in problem.terms:
+            if term.map.stage_form(n, problem.control_dim) is not None:
+                slopes += term.map.pull_back(multipliers.stage[term.name], shapes)[1]
+        if eta_C:
+            assert y is not None  # the cost has slopes
+            trajectory = self.trajectory(y)
+            slopes += eta_C * problem.quadratic.gradient(trajectory.x, trajectory.u)[1]
+        return replace(multipliers, nu=np.where(self.fixed, -slopes, multipliers.nu))
 
     def revised(self, y: Array) -> Assembly | None:
         """Return the same in the units of a solution y, or None if they differ little from its own."""
-        old, problem = self.recovery.units, self.recovery.problem
-        n, m = problem.state_dim, problem.control_dim
-        sizes = old.columns[0, : n + m] * own_units(self.stages, y, m)
-        ratio = _column_units(problem, sizes[:n], sizes[n:], self.slack_columns, y.shape) / old.columns
+        old = self.units
+        columns = self._variables(old.columns)
+        own = own_columns(self.program, self._variables(old.primal(y)), columns)
+        ratio = self._on_stages(own / columns, 1.0)
         stages, change = scale_stages(self.stages, ratio, self.priced, y)
-        units = Units(old.columns * ratio, old.rows * change.rows, old.cost * change.cost)
-        if np.abs(np.log(np.append(ratio, change.cost))).max() < np.log(REVISED):
+        if not is_revision(ratio, change.cost):
             return None
-        return replace(self, stages=fix_unused_entries(stages, self.used), recovery=replace(self.recovery, units=units))
+        units = Scaling(old.columns * ratio, old.rows * change.rows, old.cost * change.cost)
+        return replace(self, stages=fix_unused_entries(stages, self.used), units=units)
 
     def exchanged(self, problem: OptimalControlProblem) -> Assembly | None:
         """Return the stages of a problem with other dynamics, references and fixed ends, in the same units.
@@ -85,7 +111,7 @@ class Assembly:
         None if it differs in more, or is not made from the same objects (``with_ends``, ``affine_at``,
         ``with_references``).
         """
-        old, columns = self.recovery.problem, self.recovery.units.columns
+        old, columns = self.problem, self.units.columns
         same = [(getattr(problem.quadratic, name), getattr(old.quadratic, name)) for name in WEIGHTS]
         same += [(problem.terms, old.terms), (problem.control_tube, old.control_tube)]
         same += [(problem.state_boxes, old.state_boxes), (problem.state_stop, old.state_stop)]
@@ -95,8 +121,9 @@ class Assembly:
         (ends, fixed), (old_ends, old_fixed) = _ends(problem), _ends(old)
         if (fixed != old_fixed).any() or (ends != old_ends)[:, ~fixed].any():
             return None
-        coupling, origin, n = self.stages.coupling, self.recovery.origin, problem.state_dim
-        A, B, d = scale_dynamics(*_dynamics(problem, origin, columns.shape[1]), columns)
+        coupling, origin, n = self.stages.coupling, self.program.origin, problem.state_dim
+        program = LinearProgram(problem, origin)
+        A, B, d = scale_dynamics(*_dynamics(program, self.fixed, columns.shape[1]), columns)
         if problem.linear.A is old.linear.A and problem.linear.B is old.linear.B:
             A, B = self.stages.A, self.stages.B
         deviation = (ends[0] - origin.x[[0, -1]]) / columns[[0, -1], :n]
@@ -104,159 +131,128 @@ class Assembly:
         initial = np.where(fixed[0], deviation[0], np.nan)
         stages = replace(self.stages, A=A, B=B, d=d, initial=initial, coupling=terminal)
         if problem.quadratic is not old.quadratic:  # other references, at the same origin
-            units, size, h = self.recovery.units, n + problem.control_dim, stages.h.copy()
-            in_x, in_u = problem.quadratic.gradient(origin.x, origin.u)
-            h[:, :n], h[:-1, n:size] = in_x, np.where(origin.held[:-1, n:], 0.0, in_u)
-            h[:, :n] *= units.cost * units.columns[:, :n]
-            h[:-1, n:size] *= units.cost * units.columns[:-1, n:size]
-            stages = replace(stages, h=h, constant=problem.quadratic.value(origin.x, origin.u) * units.cost)
+            h, (in_x, in_u) = stages.h.copy(), problem.quadratic.gradient(origin.x, origin.u)
+            h[:, :n], self.of_controls(h)[:] = in_x, np.where(self.fixed, 0.0, in_u)
+            h[:, : n + problem.control_dim] *= self.units.cost * columns[:, : n + problem.control_dim]
+            stages = replace(stages, h=h, constant=problem.quadratic.value(origin.x, origin.u) * self.units.cost)
         stages.__dict__["coupled"] = self.stages.coupled
-        return replace(self, stages=stages, recovery=replace(self.recovery, problem=problem))
+        return replace(self, stages=stages, program=program)
 
     def same_matrices(self, other: Assembly) -> bool:
         """Whether another assembly is of the same arrays but for right-hand sides (``exchanged``)."""
         pairs = [(getattr(self.stages, name), getattr(other.stages, name)) for name in ("A", "B", "H", "G", "coupled")]
         return all(one is another for one, another in pairs)
 
+    def of_controls(self, y: Array) -> Array:
+        """Return a view of the entries of y that are controls, (T, m)."""
+        return y[:-1, self.problem.state_dim : self.problem.state_dim + self.problem.control_dim]
+
+    def _on_stages(self, values: Array, others: float = 0.0) -> Array:
+        """Return values of the program's variables at their entries of y, and another number elsewhere."""
+        y = np.full(self.stages.h.shape, others)
+        y.flat[self.positions] = values
+        return y
+
+    def _variables(self, y: Array) -> Array:
+        """Return the entries of y that are variables of the program, in its order."""
+        return y.ravel()[self.positions]
+
 
 def stages_of(problem: OptimalControlProblem) -> Assembly:
     """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit."""
-    builder = _Builder(problem)
-    coupling, parts = builder.coupling()
-    plain, priced, used = builder.stages(coupling), builder.priced(), builder.used()
-    columns = _column_units(problem, *stated_sizes(problem), builder.slack_columns, used.shape)
-    stages, units = scale_stages(plain, columns, priced)
-    targets, signs = builder.recovered(parts)
-    recovery = Recovery(problem, builder.origin, units, builder.layout, targets, signs)
-    return Assembly(fix_unused_entries(stages, used), recovery, builder.slack_columns, used, priced)
+    origin, fixed = origin_of(problem)
+    program, (T, m), n = LinearProgram(problem, origin), fixed.shape, problem.state_dim
+    ends, fixed_ends = _ends(problem)
+    given = np.zeros((T + 1, n), dtype=bool)
+    given[[0, -1]] = fixed_ends
+    left = np.concatenate([np.zeros(given.size, dtype=bool), fixed.ravel()])
+    rows = stage_rows(program, np.concatenate([given.ravel(), fixed.ravel()]), left)
+    slots = assign_slots(rows)
+    width = n + m + slots.slack_count
+    entries = np.arange((T + 1) * width).reshape(T + 1, width)
+    slacks = rows.slack_times * width + n + m + slots.slack_slot
+    positions = np.concatenate([entries[:, :n].ravel(), entries[:-1, n : n + m].ravel(), slacks])
+    columns = Columns(positions, entries.size, width)
+    parts = [part for of in program.rows if of.times is None for part in coupled_parts(program, of, columns)]
+    if len(slots.equations):
+        parts.append(stage_equations(rows, slots.equations, columns))
+    terminal = np.flatnonzero(fixed_ends[1])
+    coupling = on_channels(parts, width, terminal, ends[0, 1, terminal] - origin.x[-1, terminal])
+    initial = np.where(fixed_ends[0], ends[0, 0] - origin.x[0], np.nan)
+    plain = _plain_stages(program, fixed, rows, slots, columns, coupling, initial)
+    targets, weights = _dual_targets(program, rows, slots, parts, fixed_ends)
+    used = np.zeros(entries.shape, dtype=bool)
+    used.flat[positions] = ~np.append(left, np.zeros(len(slacks), dtype=bool))
+    priced = used.copy()
+    priced.flat[positions] &= program.priced
+    units = np.ones(used.shape)
+    units.flat[positions] = program.column_units(*stated_sizes(problem))
+    stages, scaled = scale_stages(plain, units, priced)
+    stages = fix_unused_entries(stages, used)
+    return Assembly(stages, program, fixed, positions, used, priced, scaled, targets, weights)
 
 
-class _Builder:
-    """The rows of a problem, their slots, and the arrays that follow."""
-
-    def __init__(self, problem: OptimalControlProblem):
-        T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-        self._problem, self._n, self._m, self._T = problem, n, m, T
-        self.layout = multiplier_layout(problem)
-        self.origin = origin_of(problem)
-        self._fixed = _ends(problem)[1]
-        free = np.ones((T + 1, n), dtype=bool)
-        free[[0, -1]] = ~self._fixed
-        parts = [
-            box_rows(problem.state_tube, free, 0, self.origin, self.layout.mu),
-            box_rows(problem.control_tube, ~self.origin.held[:-1, n:], n, self.origin, self.layout.nu),
-        ]
-        spread = 0
-        for term, target in zip(problem.terms, self.layout.terms, strict=True):
-            form = term.map.stage_form(n, m)
-            if form is not None:
-                parts.append(term_rows(term, form, self.origin, target))
-            else:
-                prices = term.penalty.conic(*term.shape).prices
-                times = (spread + np.arange(len(prices))) % (T + 1)
-                parts.append(nonnegative_slacks(times, prices, n + m))
-                spread += len(prices)
-        self._rows: StageRowList = concatenate_rows(parts)
-        self._slots = assign_slots(self._rows)
-        self._width = n + m + self._slots.slack_count
-        firsts = np.cumsum([len(part.prices) for part in parts])[1:]
-        self.slack_columns = tuple(self._flat_slacks[a:b] for a, b in pairwise(firsts.tolist()))
-
-    def stages(self, coupling: Coupling) -> Stages:
-        """Return the stages in the problem's own units; entries of y that are not used have Hessian 0."""
-        problem, T, n, m, width = self._problem, self._T, self._n, self._m, self._width
-        cost, origin = problem.quadratic, self.origin
-        H, h = np.zeros((T + 1, width, width)), np.zeros((T + 1, width))
-        H[:-1, : n + m, : n + m], H[-1, :n, :n] = cost.stage_hessians(), cost.P
-        h[:, :n], h[:-1, n : n + m] = cost.gradient(origin.x, origin.u)
-        time, entry = np.nonzero(origin.held)
-        H[time, entry], H[time, :, entry], h[time, entry] = 0.0, 0.0, 0.0
-        h.flat[self._flat_slacks] = self._rows.prices
-        rows, slots, first = self._rows, self._slots, n + m
-        G, g = np.zeros((T + 1, slots.count, width)), np.full((T + 1, slots.count), np.inf)
-        time = rows.times[slots.source]
-        G[time, slots.slot, :first] = slots.sign[:, None] * rows.matrix[slots.source]
-        slacks = sp.coo_array(rows.slacks[slots.source])
-        row, slack = slacks.coords
-        G[time[row], slots.slot[row], first + slots.slack_slot[slack]] = slots.sign[row] * slacks.data
-        g[time, slots.slot] = np.where(slots.sign > 0, rows.upper[slots.source], -rows.lower[slots.source])
-        lower = problem.state_tube.lower
-        initial = np.where(self._fixed[0], lower[0] - origin.x[0], np.nan)
-        dynamics = _dynamics(problem, origin, width)
-        return Stages(*dynamics, H, h, G, g, self._slots.cones, initial, coupling, cost.value(origin.x, origin.u))
-
-    def coupling(self) -> tuple[Coupling, list[CoupledPart]]:
-        """Return the rows that couple times, in the problem's own units, and their parts with the targets of duals."""
-        problem, T, n, m = self._problem, self._T, self._n, self._m
-        origin, columns = self.origin, Columns(T + 1, n, m, self._width)
-        parts = [
-            *stopped_parts(problem.state_stop, problem.state_samples, 0, origin.values, self._width, self.layout.rho_x),
-            *stopped_parts(problem.control_stop, T, n, origin.values, self._width, self.layout.rho_u),
-        ]
-        rows, equal = self._rows, self._slots.equations
-        if len(equal):
-            matrix = columns.of_stages(rows.times[equal], rows.matrix[equal], rows.slacks[equal], self._flat_slacks)
-            parts.append(CoupledPart(Equations(SparseRows(matrix), rows.lower[equal]), rows.targets[equal]))
-        for term, slacks, target in zip(problem.terms, self.slack_columns, self.layout.terms, strict=True):
-            if term.map.stage_form(n, m) is None:
-                parts += term_parts(term, columns, slacks, term.map.values(origin.x, origin.u), target)
-        terminal = np.flatnonzero(self._fixed[1])
-        end = problem.state_tube.lower[-1, terminal] - origin.x[-1, terminal]
-        return on_channels(parts, self._width, terminal, end), parts
-
-    @property
-    def _flat_slacks(self) -> Indices:
-        return self._rows.slack_times * self._width + self._n + self._m + self._slots.slack_slot
-
-    def used(self) -> Mask:
-        """Return which entries of y are used, (T+1, n+k)."""
-        used = np.zeros((self._T + 1, self._width), dtype=bool)
-        used[:, : self._n], used[:-1, self._n : self._n + self._m] = True, ~self.origin.held[:-1, self._n :]
-        used.flat[self._flat_slacks] = True
-        return used
-
-    def priced(self) -> Mask:
-        """Return which entries of y make the size of the cost: signals, and slacks of nonsmooth costs, (T+1, n+k)."""
-        priced = self.used()
-        for term, flat in zip(self._problem.terms, self.slack_columns, strict=True):
-            priced.flat[flat] = term.kind.is_cost
-        return priced
-
-    def recovered(self, parts: list[CoupledPart]) -> tuple[Indices, Array]:
-        """Return the target and the sign of every dual after those of the dynamics, flat."""
-        n, T, slots = self._n, self._T, self._slots
-        initial = np.where(self._fixed[0], self.layout.mu + np.arange(n), -1)
-        end = self.layout.mu + T * n + np.flatnonzero(self._fixed[1])
-        of_stages, signs = np.full((T + 1, slots.count), -1), np.ones((T + 1, slots.count))
-        at = self._rows.times[slots.source], slots.slot
-        of_stages[at], signs[at] = self._rows.targets[slots.source], slots.sign
-        ordered = [part for kind in (Equations, Inequalities, Balls) for part in parts if isinstance(part.family, kind)]
-        targets = [initial, of_stages.ravel(), end, *(part.targets.ravel() for part in ordered)]
-        of_parts = [np.full(part.targets.size, part.sign) for part in ordered]
-        return np.concatenate(targets), np.concatenate([np.ones(n), signs.ravel(), np.ones(len(end)), *of_parts])
+def origin_of(problem: OptimalControlProblem) -> tuple[Trajectory, Mask]:
+    """Return the origin of a problem, and which controls are fixed to its values, (T, m)."""
+    n, m, tube = problem.state_dim, problem.control_dim, problem.control_tube
+    # controls in rows that couple times are not fixed
+    coupled = problem.control_stop.any(axis=0)
+    for term in problem.terms:
+        if term.map.stage_form(n, m) is None:
+            form = term.map.spectrum_form(n, m)
+            coupled = coupled | (True if form is None else form.row[n:] != 0)
+    fixed = (tube.lower == tube.upper) & ~coupled
+    x = np.broadcast_to(problem.quadratic.x_ref, (problem.horizon + 1, n))
+    return Trajectory(x, np.where(fixed, tube.lower, problem.quadratic.u_ref)), fixed
 
 
-def _column_units(
-    problem: OptimalControlProblem, x: Array, u: Array, slacks: tuple[Indices, ...], shape: tuple[int, ...]
-) -> Array:
-    """Return units of y, (T+1, n+k), from those of states (n,) and controls (m,)."""
-    columns, n, m, T = np.ones(shape), problem.state_dim, problem.control_dim, problem.horizon
-    columns[:, :n], columns[:, n : n + m] = x, u
-    signals = np.broadcast_to(x, (T + 1, n)), np.broadcast_to(u, (T, m))
-    for term, flat in zip(problem.terms, slacks, strict=True):
-        if len(flat):
-            paid = term.penalty.conic(*term.shape).paid
-            sizes = term.map.sizes(*signals).ravel()[paid].max(axis=1, initial=0.0)
-            columns.flat[flat] = np.where(sizes > 0, sizes, 1.0)
-    return columns
+def _plain_stages(
+    program: LinearProgram,
+    fixed: Mask,
+    rows: StageRowList,
+    slots: StageSlots,
+    columns: Columns,
+    coupling: Coupling,
+    initial: Array,
+) -> Stages:
+    """Return the stages in the problem's own units; entries of y that are not used have Hessian 0."""
+    cost, origin, (T, m), n, width = program.problem.quadratic, program.origin, fixed.shape, len(initial), columns.width
+    H, h = np.zeros((T + 1, width, width)), np.zeros((T + 1, width))
+    H[:-1, : n + m, : n + m], H[-1, :n, :n] = cost.stage_hessians(), cost.P
+    h.flat[columns.positions] = program.gradient
+    time, control = np.nonzero(fixed)
+    H[time, n + control], H[time, :, n + control], h[time, n + control] = 0.0, 0.0, 0.0
+    G, g = np.zeros((T + 1, slots.count, width)), np.full((T + 1, slots.count), np.inf)
+    time, entries = rows.times[slots.source], rows.matrix[slots.source]
+    row = np.repeat(np.arange(len(time)), np.diff(entries.indptr))
+    G[time[row], slots.slot[row], columns.positions[entries.indices] % width] = slots.sign[row] * entries.data
+    g[time, slots.slot] = np.where(slots.sign > 0, rows.upper[slots.source], -rows.lower[slots.source])
+    dynamics = _dynamics(program, fixed, width)
+    return Stages(*dynamics, H, h, G, g, slots.cones, initial, coupling, cost.value(origin.x, origin.u))
 
 
-def _dynamics(problem: OptimalControlProblem, origin: Origin, width: int) -> tuple[Array, Array, Array]:
+def _dual_targets(
+    program: LinearProgram, rows: StageRowList, slots: StageSlots, parts: list[CoupledPart], fixed_ends: Mask
+) -> tuple[Indices, Array]:
+    """Return the target and the weight of every dual after those of the dynamics, flat."""
+    T, n, _ = program.layout.shape
+    initial = np.where(fixed_ends[0], program.layout.mu + np.arange(n), -1)
+    end = program.layout.mu + T * n + np.flatnonzero(fixed_ends[1])
+    of_stages, signs = np.full((T + 1, slots.count), -1), np.ones((T + 1, slots.count))
+    at = rows.times[slots.source], slots.slot
+    of_stages[at], signs[at] = rows.targets[slots.source], slots.sign
+    ordered = [part for kind in (Equations, Inequalities, Balls) for part in parts if isinstance(part.family, kind)]
+    targets = [initial, of_stages.ravel(), end, *(part.targets.ravel() for part in ordered)]
+    weights = [np.ones(n), signs.ravel(), np.ones(len(end)), *(part.weights.ravel() for part in ordered)]
+    return np.concatenate(targets), np.concatenate(weights)
+
+
+def _dynamics(program: LinearProgram, fixed: Mask, width: int) -> tuple[Array, Array, Array]:
     """Return A, B and d in deviations from the origin, with so many entries of y."""
-    linear, (T, n, m) = problem.linear, (problem.horizon, problem.state_dim, problem.control_dim)
+    linear, (T, n, m) = program.problem.linear, program.layout.shape
     A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
-    A[:-1], d[:-1] = linear.A, linear.successors(origin.x, origin.u) - origin.x[1:]
-    B[:-1, :, :m] = np.where(origin.held[:-1, None, n:], 0.0, linear.B)
+    A[:-1], d[:-1] = linear.A, program.drift
+    B[:-1, :, :m] = np.where(fixed[:, None], 0.0, linear.B)
     return A, B, d
 
 

@@ -18,7 +18,6 @@ from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_secon
 from lin_freq_ocp.methods.structured.embedding import Answer, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
-from lin_freq_ocp.methods.structured.recovery import Recovery
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -55,13 +54,13 @@ def solve_structured(
         yield Candidate("limit", message=f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s")
         return
     while True:
-        recovery, system = assembly.recovery, System(assembly.stages, recursions)
+        system = System(assembly.stages, recursions)
         step = StepSystem(system, choose_kkt_solver(assembly.stages, recursions))
         answer = Embedding(
-            system, step, targets, lambda z, recovery=recovery: excludes(recovery.multipliers(z, 0.0))
+            system, step, targets, lambda z, assembly=assembly: excludes(assembly.multipliers(z, 0.0))
         ).run()
         seconds = {"setup": setup, "solve": now() - started - setup}
-        yield _candidate(answer, recovery, seconds)
+        yield _candidate(answer, assembly, seconds)
         revised = assembly.revised(answer.y) if answer.end in (End.OPTIMAL, End.STALLED) else None
         if revised is None or now() + needed > end:
             return
@@ -90,7 +89,7 @@ def solve_again(
     responses, system = prepared.responses(assembly, recursions), System(stages, recursions)
     answer = solve_active(system, responses, targets, assembly.point(near))
     seconds = {"setup": 0.0, "solve": now() - started}
-    return None if answer is None else _candidate(answer, assembly.recovery, seconds)
+    return None if answer is None else _candidate(answer, assembly, seconds)
 
 
 class Prepared:
@@ -124,21 +123,21 @@ def _targets(options: SolveOptions) -> Targets:
     return Targets(RESIDUAL, GAP, end) if tolerance is None else Targets(tolerance, tolerance, end)
 
 
-def _candidate(answer: Answer, recovery: Recovery, seconds: dict[str, float]) -> Candidate:
+def _candidate(answer: Answer, assembly: Assembly, seconds: dict[str, float]) -> Candidate:
     if not all(np.isfinite(part).all() for part in (answer.y, *answer.z)):
         return Candidate("numerical_error", message="no step has finite numbers", seconds=seconds)
     message, errors = f"{answer.end.value} after {answer.steps} steps", answer.errors
     if answer.end is End.TIME:
         message += f": relative residuals of {max(errors.primal, errors.dual):.0e}, a gap of {errors.gap:.0e}"
     if answer.end is End.INFEASIBLE:
-        return Candidate("infeasible", ray=recovery.multipliers(answer.z, 0.0), message=message, seconds=seconds)
+        return Candidate("infeasible", ray=assembly.multipliers(answer.z, 0.0), message=message, seconds=seconds)
     if answer.end is End.UNBOUNDED:
-        return Candidate("unbounded", descent=recovery.direction(answer.y), message=message, seconds=seconds)
+        return Candidate("unbounded", descent=assembly.direction(answer.y), message=message, seconds=seconds)
     statuses = {End.OPTIMAL: "optimal", End.STALLED: "numerical_error"}
     return Candidate(
         statuses.get(answer.end, "limit"),
-        recovery.trajectory(answer.y),
-        recovery.multipliers(answer.z, 1.0, answer.y),
+        assembly.trajectory(answer.y),
+        assembly.multipliers(answer.z, 1.0, answer.y),
         message=message,
         seconds=seconds,
         interrupted=answer.end is End.INTERRUPTED,

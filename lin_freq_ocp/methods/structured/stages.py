@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -108,19 +108,37 @@ class Coupling:
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
-    """rows(y) = right, (count,)."""
+class RowFamily:
+    """Rows of one kind, (count,), that are compared with numbers one by one."""
 
     rows: Rows
     right: Array
 
+    def used(self, channels: int) -> Mask:
+        """Return which of so many channels have a coefficient."""
+        return self.rows.used(channels)
 
-@dataclass(frozen=True, eq=False)
-class Inequalities:
+    def narrowed(self, used: Mask) -> Self:
+        """Return it on the used channels only."""
+        return replace(self, rows=self.rows.narrowed(used))
+
+    def scaled(self, units: Array) -> tuple[Self, Array]:
+        """Return it with rows of length 1 on signals in units (T+1, channels), and the factors of the rows."""
+        factors = inverse_sizes(self.rows.scaled(np.ones(self.rows.count), units).norms())
+        return replace(self, rows=self.rows.scaled(factors, units), right=self.right * factors), factors
+
+
+class Equations(RowFamily):
+    """rows(y) = right, (count,)."""
+
+
+class Inequalities(RowFamily):
     """rows(y) <= limits, (count,)."""
 
-    rows: Rows
-    limits: Array
+    @property
+    def limits(self) -> Array:
+        """Return the right-hand sides."""
+        return self.right
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +163,38 @@ class Balls:
         """Return (radius, offset), (balls, 1 + dim): with (slack, v) added, a point of the cone."""
         offset = np.zeros((len(self.radius), self.dim)) if self.offset is None else self.offset
         return np.column_stack([self.radius, offset])
+
+    def used(self, channels: int) -> Mask:
+        """Return which of so many channels have a coefficient."""
+        return self.rows.used(channels) | (False if self.heads is None else self.heads.used(channels))
+
+    def narrowed(self, used: Mask) -> Self:
+        """Return them on the used channels only."""
+        return replace(self, rows=self.rows.narrowed(used), heads=self.heads and self.heads.narrowed(used))
+
+    def scaled(self, units: Array) -> tuple[Self, Array]:
+        """Return them on signals in units (T+1, channels), of radius 1 unless their slacks are larger, and factors.
+
+        There is one factor for each entry of ``right``, flat.
+        """
+        count, sizes = len(self.radius), np.abs(self.radius)
+        if self.heads is not None:
+            sizes = np.maximum(sizes, self.heads.scaled(np.ones(count), units).norms())
+        lengths = self.rows.scaled(np.ones(self.rows.count), units).norms().reshape(count, -1).max(axis=1)
+        factor = inverse_sizes(np.where(sizes > 0, sizes, lengths))
+        scaled = replace(
+            self,
+            rows=self.rows.scaled(np.repeat(factor, self.dim), units),
+            radius=self.radius * factor,
+            heads=self.heads and self.heads.scaled(factor, units),
+            offset=None if self.offset is None else self.offset * factor[:, None],
+        )
+        return scaled, np.repeat(factor, 1 + self.dim)
+
+
+def inverse_sizes(sizes: Array) -> Array:
+    """Return 1 / sizes, and 1 for sizes of zero."""
+    return 1.0 / np.where(sizes > 0, sizes, 1.0)
 
 
 class Rows(Protocol):

@@ -6,7 +6,7 @@
 
 with the bounds below, which are 0 for j = i: while mode i holds, its map and region do, and the rows of the
 others are void. One M for each pair of modes is at least as tight as M (1 - delta_{t,i}) with the largest of them. A
-row of several modes is written once, as an equation if all have it. Everything else is as in the linear transcription.
+row of several modes is written once, as an equation if all have it. Everything else is as in the linear program.
 
 The coefficients are the least bounds on maps and regions of a mode while another mode holds. While mode j holds at t,
 (x_t, u_t) lies in a domain D_tj: the region of j, the hard linear rows of the stage sets, the box of j in the forward
@@ -36,9 +36,8 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.hybrid.rows import signal_columns
+from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Block, Program, Scaling
-from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import common_scaling
 
 # Of rows of a domain, in half widths: ten times the solvers' tolerances. A mode with an empty domain cannot hold.
@@ -264,13 +263,13 @@ Row = tuple[Indices, Array, float, float]  # columns, their coefficients, lower 
 class MixedIntegerForm:
     """The mixed-integer program of a piecewise-affine problem in natural units, with its inverse.
 
-    ``host`` is the transcription with the map of mode 0 alone and no regions, whose variables come first; ``possible``
+    ``host`` is the linear program with the map of mode 0 alone and no regions, whose variables come first; ``possible``
     (T, modes) says which modes can hold.
     """
 
     program: Program
     scaling: Scaling
-    host: LinearTranscription
+    host: LinearProgram
     possible: Mask
 
     def sequence(self, z: Array) -> Indices:
@@ -310,14 +309,13 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
     dynamics, T = piecewise_affine(problem), problem.horizon
     arrays, found = dynamics.arrays(T), excesses(problem, end)
     hosts = [
-        LinearTranscription(replace(problem, dynamics=dynamics.along(np.full(T, i))))
-        for i in range(len(dynamics.modes))
+        LinearProgram(replace(problem, dynamics=dynamics.along(np.full(T, i)))) for i in range(len(dynamics.modes))
     ]
     n, m = problem.state_dim, problem.control_dim
     columns = _Columns(
         x=np.arange((T + 1) * n).reshape(T + 1, n),
         y=signal_columns(T, n, m),
-        delta=len(hosts[0].program.q) + np.arange(T * len(hosts)).reshape(T, len(hosts)),
+        delta=len(hosts[0].sparse.q) + np.arange(T * len(hosts)).reshape(T, len(hosts)),
     )
     rows = {
         Block.DYNAMICS: list(_dynamics_rows(arrays, found, columns)),
@@ -381,18 +379,16 @@ def _equal_groups(chosen: Indices, *parts: Array) -> Iterator[Indices]:
             yield chosen[group.ravel() == g]
 
 
-def _join_rows(rows: dict[Block, list[Row]], host: LinearTranscription, columns: _Columns) -> Program:
+def _join_rows(rows: dict[Block, list[Row]], host: LinearProgram, columns: _Columns) -> Program:
     """Return the rows with all of the host's but its dynamics, in the host's deviations from the references."""
-    program, count, binaries = host.program, len(host.program.q) + columns.delta.size, columns.delta.size
+    program, count, binaries = host.sparse, len(host.sparse.q) + columns.delta.size, columns.delta.size
     listed = [row for block in rows.values() for row in block]
     of_column = np.concatenate([row[0] for row in listed])
     of_row = np.repeat(np.arange(len(listed)), [len(row[0]) for row in listed])
     values = np.concatenate([row[1] for row in listed])
     own = sp.csr_array((values, (of_row, of_column)), (len(listed), count))
-    # the references: states and controls minus the variables of the program
-    zero = Trajectory(np.zeros(columns.x.shape), np.zeros((len(columns.y), columns.y.shape[1] - columns.x.shape[1])))
     origin = np.zeros(count)
-    origin[: host.signals] = -host.point(zero)[: host.signals]
+    origin[: host.signals] = np.append(host.origin.x, host.origin.u)
     limits = np.array([row[2:] for row in listed]).T - own @ origin
     first = program.rows[Block.DYNAMICS].stop  # the host's first rows
     of_host = sp.hstack([program.A[first:], sp.csc_array((len(program.lower) - first, binaries))])

@@ -42,8 +42,8 @@ from lin_freq_ocp.program.hybrid.rows import (
     mode_stages,
     symmetric_roots,
 )
+from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, StandardForm
-from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import common_scaling
 
 COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
@@ -72,12 +72,12 @@ class ModeRelaxation:
         self.level = level  # by how much the objective of members is larger than it would be of itself
         T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(piecewise_affine(problem).modes)
         hosts = [
-            LinearTranscription(replace(problem, dynamics=piecewise_affine(problem).along(np.full(T, mode))))
+            LinearProgram(replace(problem, dynamics=piecewise_affine(problem).along(np.full(T, mode))))
             for mode in range(modes)
         ]
         self._host, units = hosts[0], common_scaling(hosts)
         self._scaling = replace(units, cost=COST_SHARE * level * units.cost)
-        self._program = self._host.program.scaled(self._scaling)
+        self._program = self._host.sparse.scaled(self._scaling)
         states = (T + 1) * n
         sizes = np.concatenate([units.columns[:n], units.columns[states : states + m]])
         self._stages, self._n = mode_stages(problem, sizes), n
@@ -208,11 +208,11 @@ class ModeRelaxation:
 
     def objective(self, cost: float) -> float:
         """Return the objective of a member of a cost."""
-        return (cost - self._host.program.constant) * self._scaling.cost
+        return (cost - self._host.sparse.constant) * self._scaling.cost
 
     def cost(self, objective: float) -> float:
         """Return the cost of an objective of a member."""
-        return objective / self._scaling.cost + self._host.program.constant
+        return objective / self._scaling.cost + self._host.sparse.constant
 
     def point(self, member: Member, z: Array) -> tuple[Trajectory, Array]:
         """Return (x, u), in which x need not follow from u, and the weights delta, (T, modes)."""

@@ -23,6 +23,7 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.program.linear_program import signal_columns
 from lin_freq_ocp.program.program import StandardForm
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -205,12 +206,6 @@ def symmetric_roots(hessians: Array) -> Array:
     roots = np.sqrt(np.where(kept, values, 0.0))[..., None] * np.swapaxes(vectors, 1, 2)
     rank = int(kept.sum(axis=1).max(initial=0))
     return roots[:, hessians.shape[-1] - rank :]
-
-
-def signal_columns(horizon: int, n: int, m: int) -> Indices:
-    """Return the columns of (x_t, u_t), (T, n + m), in a program whose variables begin with all x, then all u."""
-    x, u = np.arange(horizon * n), (horizon + 1) * n + np.arange(horizon * m)
-    return np.hstack([x.reshape(horizon, n), u.reshape(horizon, m)])
 
 
 class ModeColumns:

@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.loop.step_problem import soften
-from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.linear_program import LinearProgram
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")
 # Share of the problems with an end moved away or with bounds made too tight; most of these are infeasible
@@ -322,8 +322,8 @@ def least_cost(problem: lfo.OptimalControlProblem) -> lfo.Trajectory:
     Equations that depend on one another are met to rounding if they can be met: one factorisation of the proximal
     method of multipliers, and a few of its steps.
     """
-    transcription = LinearTranscription(problem)
-    program = transcription.program
+    linear = LinearProgram(problem)
+    program = linear.sparse
     rows = np.flatnonzero(program.equality)
     A, b = program.A[rows], program.upper[rows]
     unit = program.P.diagonal().mean()
@@ -334,4 +334,4 @@ def least_cost(problem: lfo.OptimalControlProblem) -> lfo.Trajectory:
     for _ in range(6):
         step = factor.solve(np.concatenate([-(P @ z + q + A.T @ y), b - A @ z]))
         z, y = z + step[: len(q)], y + step[len(q) :]
-    return transcription.trajectory(z)
+    return linear.trajectory(z)

@@ -14,7 +14,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.spectral import spaces as spaces_module
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
-from lin_freq_ocp.program.stop_band_rows import real_rows
+from lin_freq_ocp.program.program_rows import real_rows
 
 BIN = 3
 """The bin on which undamped modes lie, at any horizon."""

@@ -51,8 +51,8 @@ def test_trajectories_cost_the_same(kind):
         trajectory = lfo.Trajectory(rng.standard_normal((T + 1, 2)), u)
         y = assembly.point(trajectory)
         expected = problem.value(trajectory.x, trajectory.u)
-        assert cost_of(assembly.stages, y) / assembly.recovery.units.cost == pytest.approx(expected, rel=1e-12)
-        back = assembly.recovery.trajectory(y)
+        assert cost_of(assembly.stages, y) / assembly.units.cost == pytest.approx(expected, rel=1e-12)
+        back = assembly.trajectory(y)
         np.testing.assert_allclose(back.x, trajectory.x, atol=1e-14)
         np.testing.assert_allclose(back.u, trajectory.u, atol=1e-14)
         assert worst_violation(assembly.stages, y) > 1e-3  # it follows no dynamics
@@ -65,9 +65,9 @@ def test_the_optimum_is_that_of_the_sparse_program(kind):
     assert worst_violation(assembly.stages, assembly.point(known.trajectory)) < 1e-8
     status, y, z = solved_stages(assembly.stages)
     assert status in ("Solved", "AlmostSolved")
-    cost = cost_of(assembly.stages, y) / assembly.recovery.units.cost
+    cost = cost_of(assembly.stages, y) / assembly.units.cost
     assert cost == pytest.approx(known.cost, rel=1e-8)
-    certificate = lfo.certify(problem, assembly.recovery.trajectory(y), assembly.recovery.multipliers(z, 1.0, y))
+    certificate = lfo.certify(problem, assembly.trajectory(y), assembly.multipliers(z, 1.0, y))
     assert certificate.globally_optimal, certificate
 
 
@@ -169,11 +169,11 @@ def test_a_small_solution_has_units_of_its_own(kind):
     y = revised.point(small)
     np.testing.assert_allclose(np.abs(y[:, 2:4]).max(axis=0), 1.0, rtol=1e-6)
     assert (np.abs(y[:, :2]).max(axis=0) < 1 + 1e-9).all()  # those that controls would notice are larger
-    assert cost_of(revised.stages, y) / revised.recovery.units.cost == pytest.approx(problem.value(x, u), rel=1e-12)
-    np.testing.assert_allclose(revised.recovery.trajectory(y).x, x, rtol=1e-14)
+    assert cost_of(revised.stages, y) / revised.units.cost == pytest.approx(problem.value(x, u), rel=1e-12)
+    np.testing.assert_allclose(revised.trajectory(y).x, x, rtol=1e-14)
     status, y, z = solved_stages(revised.stages)
     assert status in ("Solved", "AlmostSolved")
-    back = revised.recovery.trajectory(y), revised.recovery.multipliers(z, 1.0, y)
+    back = revised.trajectory(y), revised.multipliers(z, 1.0, y)
     assert lfo.certify(problem, *back).globally_optimal
 
 
@@ -189,10 +189,10 @@ def test_numbers_of_dynamics_and_fixed_ends_are_exchanged(kind):
     assert exchanged is not None
     status, y, z = solved_stages(exchanged.stages)
     assert status in ("Solved", "AlmostSolved")
-    back = exchanged.recovery.trajectory(y), exchanged.recovery.multipliers(z, 1.0, y)
+    back = exchanged.trajectory(y), exchanged.multipliers(z, 1.0, y)
     assert lfo.certify(slower, *back).globally_optimal
     known = lfo.solve(slower, method="convex").cost
-    assert cost_of(exchanged.stages, y) / exchanged.recovery.units.cost == pytest.approx(known, rel=1e-8)
+    assert cost_of(exchanged.stages, y) / exchanged.units.cost == pytest.approx(known, rel=1e-8)
 
 
 def replaced_where_fixed(end):
@@ -218,8 +218,8 @@ def test_what_never_moves_does_not_measure_the_cost():
     y[:, 3] = 0.0
     revised = assembly.revised(y)
     assert revised is not None
-    assert assembly.recovery.units.cost < 1e-10
-    assert revised.recovery.units.cost > 0.1
+    assert assembly.units.cost < 1e-10
+    assert revised.units.cost > 0.1
 
 
 def banded(unit: float) -> lfo.OptimalControlProblem:

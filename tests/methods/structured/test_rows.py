@@ -7,38 +7,45 @@ import pytest
 
 from helpers.linear_kinds import KINDS, T
 from lin_freq_ocp.methods.structured.assembly import stages_of
-from lin_freq_ocp.methods.structured.recovery import origin_of
-from lin_freq_ocp.methods.structured.rows import assign_slots, concatenate_rows, term_rows
+from lin_freq_ocp.methods.structured.rows import assign_slots, stage_rows
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.program.linear_program import LinearProgram
 
-ORIGIN = origin_of(KINDS["no constraint"]())
 
-
-def rows_of(times, coefficients, penalty):
-    coefficients = np.asarray(coefficients, dtype=float)
-    stage_map = StageMap(np.asarray(times), coefficients, None, np.zeros(coefficients.shape[-2]))
-    term = Term("rows", TermKind.STATE_SET, stage_map, penalty)
-    form = stage_map.stage_form(2, 2)
-    return term_rows(term, form, ORIGIN, 0)
+def stage_rows_of(*parts):
+    """Return the rows of single times of a problem with these terms alone: times, coefficients of x_t, penalty."""
+    problem = KINDS["no constraint"]()
+    terms = []
+    for k, (times, coefficients, penalty) in enumerate(parts):
+        coefficients = np.asarray(coefficients, dtype=float)
+        stage_map = StageMap(np.asarray(times), coefficients, None, np.zeros(coefficients.shape[-2]))
+        terms.append(Term(f"rows {k}", TermKind.STATE_SET, stage_map, penalty))
+    problem.__dict__["terms"] = tuple(terms)
+    program = LinearProgram(problem)
+    none = np.zeros(program.signals, dtype=bool)
+    given = none.copy()
+    given[:2] = True  # x_0
+    return stage_rows(program, given, none)
 
 
 def test_rows_of_different_times_share_places():
-    early = rows_of([0, 1], [[1.0, 0.0], [0.0, 1.0]], HalfSpaces(np.array([1.0, 2.0]), HARD))
-    late = rows_of([1, 2, 3], [[1.0, 1.0]], HalfSpaces(np.array([3.0]), HARD))
-    found = assign_slots(concatenate_rows([early, late]))
+    early = [0, 1], [[1.0, 0.0], [0.0, 1.0]], HalfSpaces(np.array([1.0, 2.0]), HARD)
+    late = [1, 2, 3], [[1.0, 1.0]], HalfSpaces(np.array([3.0]), HARD)
+    rows = stage_rows_of(early, late)
+    found = assign_slots(rows)
     assert found.count == 3  # at t = 1 only
-    pairs = list(zip(concatenate_rows([early, late]).times[found.source], found.slot, strict=True))
+    pairs = list(zip(rows.times[found.source], found.slot, strict=True))
     assert len(set(pairs)) == len(pairs) == 7
 
 
 def test_cones_of_one_size_share_places_behind_the_single_rows():
-    single = rows_of([1], [[1.0, 0.0]], HalfSpaces(np.array([1.0]), HARD))
-    wide = rows_of([0, 1], np.eye(2), NormBall(2, np.ones(()), HARD))
-    other = rows_of([1, 2], -np.eye(2), NormBall(2, np.ones(()), HARD))
-    found = assign_slots(concatenate_rows([single, wide, other]))
+    single = [1], [[1.0, 0.0]], HalfSpaces(np.array([1.0]), HARD)
+    wide = [0, 1], np.eye(2), NormBall(2, np.ones(()), HARD)
+    other = [1, 2], -np.eye(2), NormBall(2, np.ones(()), HARD)
+    found = assign_slots(stage_rows_of(single, wide, other))
     assert found.cones == (3, 3)
     assert found.count == 7
     assert sorted(found.slot[1:]) == sorted([1, 2, 3] * 3 + [4, 5, 6])
@@ -46,7 +53,7 @@ def test_cones_of_one_size_share_places_behind_the_single_rows():
 
 @pytest.mark.parametrize(("limit", "kept"), [(1.0, 0), (0.0, 0), (-1.0, 1)])
 def test_rows_without_coefficients_are_kept_if_they_do_not_hold(limit, kept):
-    rows = rows_of([2], [[0.0, 0.0]], HalfSpaces(np.array([limit]), HARD))
+    rows = stage_rows_of(([2], [[0.0, 0.0]], HalfSpaces(np.array([limit]), HARD)))
     assert len(assign_slots(rows).source) == kept
 
 

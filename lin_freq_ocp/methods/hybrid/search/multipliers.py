@@ -48,9 +48,8 @@ from lin_freq_ocp.problem.hybrid.forms import linear_along, measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.program.hybrid.rows import signal_columns
+from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
-from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import scaled_program
 
 ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: what the judge accepts
@@ -237,7 +236,7 @@ class _FitPoint:
     active: Mask
     facets: Mask
     normals: list[list[Normal]]
-    transcription: LinearTranscription
+    linear: LinearProgram
     scaling: Scaling
     program: Program
     z: Array
@@ -249,7 +248,7 @@ class _FitPoint:
     def of(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _FitPoint:
         arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
         sequence, active = arrays.sequence(x, u), arrays.active_modes(x, u)
-        transcription, scaling, program = scaled_program(problem.with_modes(sequence))
+        linear, scaling, program = scaled_program(problem.with_modes(sequence))
         numbers = np.arange(1.0, 1.0 + len(program.lower))
         return cls(
             arrays=arrays,
@@ -257,18 +256,18 @@ class _FitPoint:
             active=active,
             facets=arrays.active_facets(x, u),
             normals=stage_normals(problem, trajectory),
-            transcription=transcription,
+            linear=linear,
             scaling=scaling,
             program=program,
-            z=scaling.scaled_primal(transcription.point(trajectory)),
+            z=scaling.scaled_primal(linear.point(trajectory)),
             signals=signal_columns(problem.horizon, problem.state_dim, problem.control_dim),
-            rows=transcription.multipliers(numbers, 1.0),
+            rows=linear.multipliers(numbers, 1.0),
             stages=[(int(t), int(j)) for t, j in np.argwhere(active) if j != sequence[t]],
         )
 
     def multipliers(self, y: Array) -> Multipliers:
         """Return the multipliers of the mode sequence from duals that begin with those of its program."""
-        return self.transcription.multipliers(self.scaling.dual(y[: len(self.program.lower)]), 1.0)
+        return self.linear.multipliers(self.scaling.dual(y[: len(self.program.lower)]), 1.0)
 
     @property
     def times(self) -> list[int]:

@@ -20,6 +20,7 @@ from lin_freq_ocp.methods.structured.stages import Stages
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.linear_program import LinearProgram
 
 TERMINAL_WEIGHT = 1e2  # of the distance from a fixed end, relative to the largest curvature of the cost
 LEAST_CURVATURE = 1e-3  # of order 1 are the units
@@ -58,13 +59,13 @@ class SmoothModel:
 
     def trajectory(self, y: Array) -> Trajectory:
         """Return the trajectory of a point."""
-        return self.assembly.recovery.trajectory(y)
+        return self.assembly.trajectory(y)
 
     def multipliers(self, y: Array, z: Values) -> Multipliers:
         """Return the multipliers of duals at a point."""
-        recovery, trajectory = self.assembly.recovery, self.trajectory(y)
-        linear = replace(recovery.problem, dynamics=self.problem.dynamics_along(trajectory))
-        return replace(recovery, problem=linear).multipliers(z, 1.0, y)
+        assembly, dynamics = self.assembly, self.problem.dynamics_along(self.trajectory(y))
+        program = LinearProgram(replace(assembly.problem, dynamics=dynamics), assembly.program.origin)
+        return replace(assembly, program=program).multipliers(z, 1.0, y)
 
     def defects(self, y: Array) -> Array:
         """Return x_{t+1} - c_t at a point, (T, n); not a number where the map is not defined."""
@@ -76,7 +77,8 @@ class SmoothModel:
     def derivatives(self, y: Array) -> Derivatives:
         """Return c with its derivatives at a point; those by controls that are held are zero."""
         found = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
-        units = self._units[:-1] * ~self.assembly.recovery.origin.held[:-1]
+        units = self._units[:-1].copy()
+        units[:, self.problem.state_dim :][self.assembly.fixed] = 0.0
         after = self._units[1:, : self.problem.state_dim]
         slopes = found.slopes * units[:, None, :] / after[:, :, None]
         curvatures = found.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]
@@ -92,14 +94,14 @@ class SmoothModel:
 
     @property
     def _units(self) -> Array:
-        return self.assembly.recovery.units.columns[:, : self.problem.state_dim + self.problem.control_dim]
+        return self.assembly.units.columns[:, : self.problem.state_dim + self.problem.control_dim]
 
     def _signals(self, y: Array) -> Array:
-        units = self._units
-        return (self.assembly.recovery.origin.values + y[:, : units.shape[1]] * units)[:-1]
+        origin, units = self.assembly.program.origin, self._units[:-1]
+        return np.hstack([origin.x[:-1], origin.u]) + y[:-1, : units.shape[1]] * units
 
     def _deviations(self, values: Array) -> Array:
-        return (values - self.assembly.recovery.origin.x[1:]) / self._units[1:, : self.problem.state_dim]
+        return (values - self.assembly.program.origin.x[1:]) / self._units[1:, : self.problem.state_dim]
 
 
 def _with_terminal_weight(stages: Stages) -> Stages:

@@ -33,8 +33,8 @@ from lin_freq_ocp.problem.hybrid.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.program.stop_band_rows import rows_per_component, stop_band_multipliers, stop_band_rows
-from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.program import Block
 from lin_freq_ocp.program.units import natural_scaling
 
 
@@ -52,11 +52,13 @@ class NewtonSystem:
     """The equations near a trajectory, and the numbers of their unknowns.
 
     ``switches`` are (time, second mode, region row of the first), one for each alpha; ``norms`` are (norm, time), one
-    for each xi. Unknowns are divided by ``units``, equations multiplied by ``scales``.
+    for each xi. Unknowns are divided by ``units``, equations multiplied by ``scales``; ``linear`` has the rows of stop
+    bands.
     """
 
     problem: OptimalControlProblem
     sequence: Indices
+    linear: LinearProgram
     x: Indices
     u: Indices
     eta: Indices
@@ -77,12 +79,12 @@ class NewtonSystem:
     def of(cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float) -> NewtonSystem:
         """Return the system near a trajectory."""
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-        scaling = natural_scaling(LinearTranscription(problem.affine_at(trajectory).with_modes(sequence)))
+        linear = LinearProgram(problem.affine_at(trajectory).with_modes(sequence))
+        scaling = natural_scaling(linear)
         in_x, in_u = scaling.columns[:n], scaling.columns[(T + 1) * n : (T + 1) * n + m]
-        rows_x = stop_band_rows(problem.state_stop, problem.state_samples, (T + 1) * n, 0).toarray()
-        rows_u = stop_band_rows(problem.control_stop, T, T * m, 0).toarray()
-        of_x = np.repeat(in_x, rows_per_component(problem.state_stop, problem.state_samples))
-        of_u = np.repeat(in_u, rows_per_component(problem.control_stop, T))
+        rows_x = linear.sparse.A[linear.sparse.rows[Block.STATE_SPECTRUM], : linear.states].toarray()
+        rows_u = linear.sparse.A[linear.sparse.rows[Block.CONTROL_SPECTRUM], linear.states : linear.signals].toarray()
+        of_x, of_u = in_x[np.abs(rows_x).argmax(axis=1) % n], in_u[np.abs(rows_u).argmax(axis=1) % m]
         switches = _switches(problem, trajectory, sequence, np.append(in_x, in_u), near)
         y = np.hstack([trajectory.x[:T], trajectory.u])
         norms: list[tuple[Formula, int]] = []
@@ -111,7 +113,7 @@ class NewtonSystem:
         lower[alpha], upper[alpha] = 0.0, 1.0
         shaped = x.reshape(T + 1, n), u.reshape(T, m), eta.reshape(T, n)
         parts = *shaped, rho_x, rho_u, switches, alpha, norms, numbers[6:]
-        return cls(problem, sequence, *parts, units, scales, lower / units, upper / units, rows_x, rows_u)
+        return cls(problem, sequence, linear, *parts, units, scales, lower / units, upper / units, rows_x, rows_u)
 
     def at(self, v: Array) -> SystemValue:
         """Return Phi and an element of its generalised derivative."""
@@ -317,9 +319,11 @@ def _run(system: NewtonSystem, v: Array, most_steps: int) -> NewtonRun:
         np.where(np.isfinite(box.lower) | np.isfinite(box.upper), -F[block], 0.0)
         for block, box in ((system.x, problem.state_tube), (system.u, problem.control_tube))
     )
-    rho_u = stop_band_multipliers(problem.control_stop, T, values[system.rho_u])
-    rho_x = stop_band_multipliers(problem.state_stop, problem.state_samples, values[system.rho_x])
-    multipliers = Multipliers(1.0, values[system.eta], mu, nu, rho_u, rho_x, None, weights)
+    program, rho = system.linear.sparse, np.append(system.rho_x, system.rho_u)
+    duals = np.zeros(len(program.lower))
+    duals[program.rows[Block.STATE_SPECTRUM].start : program.rows[Block.CONTROL_SPECTRUM].stop] = values[rho]
+    bands = system.linear.multipliers(duals, 1.0)
+    multipliers = Multipliers(1.0, values[system.eta], mu, nu, bands.rho_u, bands.rho_x, None, weights)
     return NewtonRun(Trajectory(x, u), multipliers, tuple(residuals), residuals[-1] <= 1e3 * CONVERGED)
 
 

@@ -24,9 +24,8 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import Claim, backend
-from lin_freq_ocp.program.hybrid.rows import signal_columns
+from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
-from lin_freq_ocp.program.transcription import LinearTranscription
 from lin_freq_ocp.program.units import natural_scaling
 
 PRICES = (1e2, 1e4, 1e6)  # of violations, one after the other while some are left; slopes of the cost are of order 10
@@ -138,7 +137,7 @@ class _SequenceProgram:
 
     problem: OptimalControlProblem
     sequence: Indices
-    transcription: LinearTranscription
+    linear: LinearProgram
     scaling: Scaling
     program: Program
     signals: Indices
@@ -153,10 +152,10 @@ class _SequenceProgram:
         y = np.hstack([start.x[:T], start.u])
         if not dynamics.jets_at(y).defined()[np.arange(T), sequence].all():
             return None
-        transcription = LinearTranscription(problem.affine_at(start).with_modes(sequence))
-        scaling = natural_scaling(transcription)
-        program = transcription.program.scaled(scaling)
-        numbers = transcription.multipliers(np.arange(1.0, 1.0 + len(program.lower)), 1.0)
+        linear = LinearProgram(problem.affine_at(start).with_modes(sequence))
+        scaling = natural_scaling(linear)
+        program = linear.sparse.scaled(scaling)
+        numbers = linear.multipliers(np.arange(1.0, 1.0 + len(program.lower)), 1.0)
         maps, regions = (part.astype(np.intp) - 1 for part in (numbers.eta, numbers.stage[REGION]))
         signals = signal_columns(T, n, m)
         entries = sp.coo_array(program.A)
@@ -167,19 +166,19 @@ class _SequenceProgram:
         kept = np.where(of_maps, after[row] == column, ~of_regions)
         A = sp.csc_array((entries.data[kept], (row[kept], column[kept])), shape=program.A.shape)
         program = replace(program, A=A)
-        return cls(problem, sequence, transcription, scaling, program, signals, maps, regions)
+        return cls(problem, sequence, linear, scaling, program, signals, maps, regions)
 
     def trajectory(self, z: Array) -> Trajectory:
         """Return the trajectory of a point of the program."""
-        return self.transcription.trajectory(self.scaling.primal(z))
+        return self.linear.trajectory(self.scaling.primal(z))
 
     def multipliers(self, y: Array) -> Multipliers:
         """Return the multipliers of duals that begin with those of the program."""
-        return self.transcription.multipliers(self.scaling.dual(y[: len(self.program.lower)]), 1.0)
+        return self.linear.multipliers(self.scaling.dual(y[: len(self.program.lower)]), 1.0)
 
     def within_sets(self, trajectory: Trajectory) -> Array | None:
         """Return the nearest point that satisfies all but maps and regions; None if it was not found."""
-        z, program = self.scaling.scaled_primal(self.transcription.point(trajectory)), self.program
+        z, program = self.scaling.scaled_primal(self.linear.point(trajectory)), self.program
         kept = np.ones(len(program.lower), dtype=bool)
         kept[self.maps] = kept[self.regions[self.regions >= 0]] = False
         lower, upper = np.where(kept, program.lower, -np.inf), np.where(kept, program.upper, np.inf)
@@ -187,7 +186,7 @@ class _SequenceProgram:
         if sets.residuals(z, np.zeros(len(lower))).primal <= VIOLATION:
             return z
         near = np.zeros(len(z))
-        near[: self.transcription.signals] = 1.0
+        near[: self.linear.signals] = 1.0
         P, q = sp.csc_array(sp.diags_array(near)), SLACK_PRICE * (1 - near) - near * z
         solution = backend("clarabel")(replace(sets, P=P, q=q), QP_TOLERANCE, None)
         return solution.z if solution.claim is Claim.SOLVED else None
@@ -271,7 +270,7 @@ def _step(point: _Linearised, price: float, radius: float) -> tuple[Array, Array
     maps, regions = fixed.maps.ravel(), fixed.regions[fixed.regions >= 0]
     relaxed = np.concatenate([maps, maps, regions])
     signs = np.concatenate([np.ones(len(maps)), -np.ones(len(maps) + len(regions))])
-    slacks, curvature, signals = len(relaxed), point.added_curvature(), fixed.transcription.signals
+    slacks, curvature, signals = len(relaxed), point.added_curvature(), fixed.linear.signals
     bounded = np.concatenate([np.arange(signals), np.arange(count, count + slacks)])
     rows = np.arange(len(bounded)) + len(program.lower)
     entries = sp.coo_array(program.A)

@@ -7,14 +7,18 @@ import dataclasses
 import numpy as np
 import pytest
 
+from helpers.linear_kinds import KINDS, T
 from helpers.transcribed import M, N, each_problem, small_problem
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.penalties import Within
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.backends.base import backend
+from lin_freq_ocp.program.backends.base import Claim, backend
+from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block
-from lin_freq_ocp.program.stop_band_rows import real_rows
-from lin_freq_ocp.program.transcription import LinearTranscription
+from lin_freq_ocp.program.program_rows import real_rows
 
 
 def random_trajectory(problem: OptimalControlProblem, seed: int) -> Trajectory:
@@ -30,29 +34,29 @@ def at(values: np.ndarray, t: int, ndim: int) -> np.ndarray:
 
 @each_problem
 def test_trajectory_and_point_are_inverse(problem):
-    transcription = LinearTranscription(problem)
+    linear = LinearProgram(problem)
     trajectory = random_trajectory(problem, 1)
-    z = transcription.point(trajectory)
-    assert z.shape == transcription.program.q.shape
-    back = transcription.trajectory(z)
+    z = linear.point(trajectory)
+    assert z.shape == linear.sparse.q.shape
+    back = linear.trajectory(z)
     np.testing.assert_allclose(back.x, trajectory.x, rtol=1e-14, atol=1e-14)
     np.testing.assert_allclose(back.u, trajectory.u, rtol=1e-14, atol=1e-14)
-    np.testing.assert_allclose(transcription.point(back), z, rtol=1e-14, atol=1e-14)
-    origin, one = transcription.trajectory(0 * z), transcription.trajectory(z)
-    units = transcription.column_units(np.array([2.0, 3.0, 5.0]), np.array([7.0, 11.0]))
-    scaled = transcription.trajectory(units * z)
+    np.testing.assert_allclose(linear.point(back), z, rtol=1e-14, atol=1e-14)
+    origin, one = linear.trajectory(0 * z), linear.trajectory(z)
+    units = linear.column_units(np.array([2.0, 3.0, 5.0]), np.array([7.0, 11.0]))
+    scaled = linear.trajectory(units * z)
     np.testing.assert_allclose(scaled.x - origin.x, (one.x - origin.x) * [2, 3, 5], atol=1e-12)
     np.testing.assert_allclose(scaled.u - origin.u, (one.u - origin.u) * [7, 11], atol=1e-12)
 
 
 @each_problem
 def test_objective_is_the_cost(problem):
-    transcription = LinearTranscription(problem)
-    program = transcription.program
+    linear = LinearProgram(problem)
+    program = linear.sparse
     assert abs(program.P - program.P.T).max() < 1e-13
     for seed in range(4):
         trajectory = random_trajectory(problem, seed)
-        z = transcription.point(trajectory)
+        z = linear.point(trajectory)
         assert program.objective(z) == pytest.approx(problem.cost.value(trajectory.x, trajectory.u), rel=1e-12)
         gradient = np.concatenate([part.ravel() for part in problem.cost.gradient(trajectory.x, trajectory.u)])
         np.testing.assert_allclose(program.P @ z + program.q, gradient, atol=1e-11)
@@ -60,14 +64,14 @@ def test_objective_is_the_cost(problem):
 
 @each_problem
 def test_rows_are_the_constraints_under_their_names(problem):
-    transcription = LinearTranscription(problem)
-    program, T = transcription.program, problem.horizon
+    linear = LinearProgram(problem)
+    program, T = linear.sparse, problem.horizon
     assert sorted(i for rows in program.rows.values() for i in range(rows.start, rows.stop)) == list(
         range(program.A.shape[0])
     )
     trajectory = random_trajectory(problem, 3)
     x, u = trajectory.x, trajectory.u
-    value = program.A @ transcription.point(trajectory)
+    value = program.A @ linear.point(trajectory)
 
     def of(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rows = program.rows[block]
@@ -120,13 +124,13 @@ def test_rows_are_the_constraints_under_their_names(problem):
 @each_problem
 def test_feasible_points_of_the_program_are_those_of_the_problem(problem):
     """A signal in its bands and boxes gives no residual in those rows; leaving any one of them gives one."""
-    transcription = LinearTranscription(problem)
-    program = transcription.program
+    linear = LinearProgram(problem)
+    program = linear.sparse
     inside = Trajectory(problem.state_tube.project(np.zeros((problem.horizon + 1, N))), np.zeros((problem.horizon, M)))
     boxes = np.r_[program.rows[Block.STATE_SET], program.rows[Block.CONTROL_SET]]
 
     def violation(x: np.ndarray, u: np.ndarray) -> float:
-        value = (program.A @ transcription.point(Trajectory(x, u)))[boxes]
+        value = (program.A @ linear.point(Trajectory(x, u)))[boxes]
         return float(np.maximum(program.lower[boxes] - value, value - program.upper[boxes]).max())
 
     assert violation(inside.x, inside.u) <= 0
@@ -142,11 +146,11 @@ def test_feasible_points_of_the_program_are_those_of_the_problem(problem):
 @each_problem
 def test_multipliers_are_those_of_the_lagrangian_of_the_theorem(problem):
     """For any duals y, A'y is the gradient of <eta, x+ - f> + <mu, x> + <nu, u> + <rho, DFT>, here by explicit sums."""
-    transcription = LinearTranscription(problem)
-    program, T = transcription.program, problem.horizon
+    linear = LinearProgram(problem)
+    program, T = linear.sparse, problem.horizon
     rng = np.random.default_rng(7)
     y = rng.normal(size=program.A.shape[0])
-    multipliers = transcription.multipliers(y, 1.0)
+    multipliers = linear.multipliers(y, 1.0)
     eta, rho_x, rho_u = multipliers.eta, multipliers.rho_x, multipliers.rho_u
 
     def in_time(rho: np.ndarray, t: int, length: int) -> np.ndarray:
@@ -172,9 +176,9 @@ def test_multipliers_are_those_of_the_lagrangian_of_the_theorem(problem):
 
 @each_problem
 def test_multipliers_live_only_where_there_are_constraints(problem):
-    transcription = LinearTranscription(problem)
-    y = 1 + np.random.default_rng(8).random(transcription.program.A.shape[0])
-    multipliers = transcription.multipliers(y, 0.0)
+    linear = LinearProgram(problem)
+    y = 1 + np.random.default_rng(8).random(linear.sparse.A.shape[0])
+    multipliers = linear.multipliers(y, 0.0)
     assert multipliers.eta_C == 0.0
     for values, where in (
         (multipliers.mu, np.isfinite(problem.state_tube.lower) | np.isfinite(problem.state_tube.upper)),
@@ -190,12 +194,12 @@ def test_multipliers_live_only_where_there_are_constraints(problem):
 def test_a_bin_multiplier_is_the_price_of_its_bin():
     """d J* / d uhat_k = -rho_u[k], the conjugate bin moving with it: by central differences of solved programs."""
     problem = small_problem(terminal_state=Box([0, None], [0, None]))
-    transcription = LinearTranscription(problem)
-    program, T = transcription.program, problem.horizon
+    linear = LinearProgram(problem)
+    program, T = linear.sparse, problem.horizon
     band = program.rows[Block.CONTROL_SPECTRUM]
     solve = backend("clarabel")
     solution = solve(program, 1e-12, None)
-    rho = transcription.multipliers(solution.y, 1.0).rho_u[:, 0]
+    rho = linear.multipliers(solution.y, 1.0).rho_u[:, 0]
     step = 1e-3
     for bin_, direction in ((5, 1), (5, 1j), (8, 1), (8, 1j), (10, 1)):
         costs = []
@@ -210,9 +214,57 @@ def test_a_bin_multiplier_is_the_price_of_its_bin():
                 upper=np.where(program.equality, right, program.upper),
             )
             answer = solve(moved, 1e-12, None)
-            u = transcription.trajectory(answer.z).u[:, 0]
+            u = linear.trajectory(answer.z).u[:, 0]
             assert np.fft.fft(u)[bin_] == pytest.approx(delta, abs=1e-8)
-            costs.append(problem.cost.value(*dataclasses.astuple(transcription.trajectory(answer.z))))
+            costs.append(problem.cost.value(*dataclasses.astuple(linear.trajectory(answer.z))))
         price = -(rho[bin_] * np.conj(direction)).real
         assert abs(price) > 1e-3
         assert (costs[0] - costs[1]) / (2 * step) == pytest.approx(price, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_another_origin_changes_the_variables_only(kind):
+    problem, rng = KINDS[kind](), np.random.default_rng(4)
+    origin = Trajectory(rng.normal(size=(problem.horizon + 1, 2)), rng.normal(size=(problem.horizon, 2)))
+    trajectory = Trajectory(origin.x + 0.3, origin.u - 0.2)
+    plain, moved = LinearProgram(problem), LinearProgram(problem, origin)
+    z, other = plain.point(trajectory), moved.point(trajectory)
+    np.testing.assert_allclose(moved.trajectory(other).x, trajectory.x, atol=1e-14)
+    np.testing.assert_allclose(moved.trajectory(other).u, trajectory.u, atol=1e-14)
+    assert moved.sparse.objective(other) == pytest.approx(problem.value(trajectory.x, trajectory.u), rel=1e-12)
+    for side in ("lower", "upper"):
+        margins = [getattr(each.sparse, side) - each.sparse.A @ at for each, at in ((plain, z), (moved, other))]
+        np.testing.assert_allclose(*margins, atol=1e-12)
+    y = rng.normal(size=len(plain.sparse.lower))
+    one, same = plain.multipliers(y, 1.0), moved.multipliers(y, 1.0)
+    for name in one.stage:
+        np.testing.assert_array_equal(one.stage[name], same.stage[name])
+
+
+@pytest.mark.parametrize(("constant", "rows"), [(0.0, 0), (1.0, 1)])
+def test_an_equation_without_coefficients_is_left_out_only_where_it_holds(constant, rows):
+    problem = KINDS["no constraint"]()
+    empty = SumMap(np.zeros((2, 1, 2)), None, np.array([constant]))
+    problem.__dict__["terms"] = (Term("nothing", TermKind.STATE_SPECTRUM, empty, Within(0.0)),)
+    program = LinearProgram(problem).sparse
+    found = program.rows[Block.TERMS]
+    assert found.stop - found.start == rows
+    if rows:
+        assert backend("clarabel")(program, 1e-9, None).claim is Claim.INFEASIBLE
+
+
+def test_the_layout_has_one_place_for_every_multiplier():
+    problem = KINDS["coasting with a band"]()
+    program = LinearProgram(problem)
+    layout, rng = program.layout, np.random.default_rng(1)
+    values, eta = rng.normal(size=layout.count), rng.normal(size=(T, 2))
+    found = layout.multipliers(eta, np.append(np.arange(layout.count), -1), np.append(values, 9.0), 0.0)
+    flat = [found.mu, found.nu]
+    for rho in (found.rho_x, found.rho_u):
+        flat.append(np.stack([rho.T.real, rho.T.imag], axis=-1))
+    flat += [found.stage[term.name] for term in problem.terms]
+    np.testing.assert_array_equal(np.concatenate([part.ravel() for part in flat]), values)
+    assert found.eta_C == 0.0
+    # duals of one multiplier add up
+    twice = layout.multipliers(eta, np.array([3, 3]), np.array([1.0, 0.5]), 1.0)
+    assert twice.mu.ravel()[3] == 1.5

@@ -1,12 +1,17 @@
-"""Real rows of stopped bins, and their multipliers as a function of time."""
+"""Rows of stopped bins, real and of programs, and their multipliers as a function of time."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from lin_freq_ocp.problem.spectrum.bands import time_signal
-from lin_freq_ocp.program.stop_band_rows import bin_multipliers, real_rows
+from helpers.linear_kinds import KINDS, T
+from lin_freq_ocp.problem.spectrum.bands import stop_band, time_signal
+from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.program import Block
+from lin_freq_ocp.program.program_rows import bin_multipliers, real_rows
 
 
 def masks(length: int) -> list[np.ndarray]:
@@ -80,3 +85,19 @@ def test_bin_multipliers_are_the_duals_as_a_function_of_time(length):
         phase = np.exp(2j * np.pi * np.outer(np.arange(length), k) / length)
         np.testing.assert_allclose((phase @ rho).real, rows.T @ duals, atol=1e-12)
         np.testing.assert_allclose(time_signal(rho[:, None], length)[:, 0], rows.T @ duals, atol=1e-12)
+
+
+def test_rows_of_stop_bands_are_the_real_rows_of_each_component():
+    bands = [stop_band(bins=[0, 3], component=0), stop_band(bins=[1, 4], component=1)]
+    problem = replace(KINDS["control band"](), control_spectrum=bands)
+    program = LinearProgram(problem)
+    found = program.sparse.A[program.sparse.rows[Block.CONTROL_SPECTRUM], program.states : program.signals].toarray()
+    expected = [np.kron(real_rows(T, problem.control_stop[:, j]), np.eye(1, 2, j)) for j in range(2)]
+    np.testing.assert_allclose(found, np.concatenate(expected), atol=1e-15)
+
+
+def test_spectra_have_no_dense_rows_before_they_are_asked_for():
+    rows = LinearProgram(KINDS["mask"]()).of_terms[0]
+    assert rows.spectrum is not None
+    assert rows.times is None
+    assert "signals" not in vars(rows)

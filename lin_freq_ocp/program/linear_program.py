@@ -1,0 +1,349 @@
+"""A problem with linear dynamics as a linear program: dynamics, cost, rows, slacks, and the way back.
+
+    minimise    sum_t 1/2 x_t'Q x_t + 1/2 u_t'R u_t + x_t'S u_t + (linear terms) + 1/2 x_T'P x_T + p'x_T + prices's
+    DYNAMICS          x_{t+1} - A_t x_t - B_t u_t = d_t         dual eta_t
+    STATE_SET         lower_t <= x_t <= upper_t                 dual mu_t   (bounded components only)
+    CONTROL_SET       lower_t <= u_t <= upper_t                 dual nu_t
+    STATE_SPECTRUM    R_i x^i = 0, rows of the DFT of N         dual rho, one real number a row
+    CONTROL_SPECTRUM  R_j u^j = 0, rows of the DFT of T
+    TERMS             every other term h(L(x, u)): v = L(x, u) with the conic form of h, and slacks s with prices
+
+The variables are deviations from an origin, so that a small cost is not the difference of large numbers: from the
+references x_ref, u_ref, unless another is given. Fixed ends are rows of STATE_SET with equal bounds: their dual is
+mu_0, mu_T. Signs: P z + q + A'y = 0 with all duals y, so that eta, mu, nu, rho and the multipliers of the terms come
+out as in the maximum principle.
+
+The rows have two forms. ``sparse`` is one matrix over x_0 .. x_T, u_0 .. u_{T-1}, and the slacks, for solvers of other
+projects; frequency constraints are dense rows there, whose memory and time are estimated before. The structured method
+makes stages of the same rows (methods/structured/assembly.py). Either maps its duals back by ``MultiplierLayout``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.resources import require_memory
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.program import Block, Program
+from lin_freq_ocp.program.program_rows import ProgramRows, box_rows, map_rows, stop_band_rows
+
+BYTES_PER_ENTRY = 100.0  # of a dense row at the peak, with indices during assembly and the scaled copies for solvers
+BYTES_OF_FACTOR = 12.0  # per entry of a solver's factor: a value and an index
+SECONDS_PER_ENTRY = 7.5e-7  # to make, scale and order dense rows, measured with Clarabel
+SECONDS_PER_PRODUCT = 4e-10  # of one factorisation, measured with Clarabel: d^2 V for d dense rows and V variables
+SECONDS_PER_VARIABLE = 5e-6  # of one factorisation without dense rows, or of measuring a point
+LEAST_FACTORISATIONS = 5.0  # of an interior-point method
+
+BLOCKS = Block.STATE_SET, Block.CONTROL_SET, Block.STATE_SPECTRUM, Block.CONTROL_SPECTRUM, Block.TERMS
+Entries = tuple[Array, Indices, Indices]  # of a matrix: values, rows and columns
+
+
+@dataclass(frozen=True, eq=False)
+class LinearProgram:
+    """The program of a linear problem, with its own inverse for trajectories and multipliers."""
+
+    problem: OptimalControlProblem
+    given_origin: Trajectory | None = None  # None: the references
+
+    @cached_property
+    def origin(self) -> Trajectory:
+        """The trajectory from which the variables are deviations; it need not follow the dynamics."""
+        if self.given_origin is not None:
+            return self.given_origin
+        problem = self.problem
+        x = np.broadcast_to(problem.quadratic.x_ref, (problem.horizon + 1, problem.state_dim))
+        return Trajectory(x, np.broadcast_to(problem.quadratic.u_ref, (problem.horizon, problem.control_dim)))
+
+    @cached_property
+    def layout(self) -> MultiplierLayout:
+        """Where the multipliers of the problem stand in one flat array."""
+        return multiplier_layout(self.problem)
+
+    @cached_property
+    def rows(self) -> tuple[ProgramRows, ...]:
+        """All rows but those of the dynamics, by blocks in their order; those of terms come last, one for each."""
+        problem, origin, layout = self.problem, self.origin, self.layout
+        rows = [
+            box_rows(Block.STATE_SET, problem.state_tube, origin, layout.mu),
+            box_rows(Block.CONTROL_SET, problem.control_tube, origin, layout.nu),
+            *stop_band_rows(Block.STATE_SPECTRUM, problem.state_stop, origin, problem.state_samples, layout.rho_x),
+            *stop_band_rows(Block.CONTROL_SPECTRUM, problem.control_stop, origin, problem.horizon, layout.rho_u),
+        ]
+        for term, target in zip(problem.terms, layout.terms, strict=True):
+            rows.append(map_rows(term.name, term.map, term.penalty, origin, target))
+        return tuple(rows)
+
+    @property
+    def of_terms(self) -> tuple[ProgramRows, ...]:
+        """Return the rows of each term of the problem."""
+        return self.rows[len(self.rows) - len(self.problem.terms) :]
+
+    @cached_property
+    def prices(self) -> Array:
+        """The cost of one unit of each slack."""
+        return np.concatenate([np.zeros(0), *(rows.prices for rows in self.rows)])
+
+    @property
+    def priced(self) -> Mask:
+        """Return which variables make the size of the cost: signals, and slacks of nonsmooth costs."""
+        parts = zip(self.problem.terms, self.of_terms, strict=True)
+        slacks = [np.full(len(rows.prices), term.kind.is_cost) for term, rows in parts]
+        return np.concatenate([np.ones(self.signals, dtype=bool), *slacks])
+
+    @property
+    def states(self) -> int:
+        """Return how many variables are states; controls follow."""
+        return (self.problem.horizon + 1) * self.problem.state_dim
+
+    @property
+    def signals(self) -> int:
+        """Return how many variables are states and controls; slacks follow."""
+        return self.states + self.problem.horizon * self.problem.control_dim
+
+    @property
+    def variables(self) -> int:
+        """Return how many variables there are."""
+        return self.signals + len(self.prices)
+
+    @property
+    def gradient(self) -> Array:
+        """Return the slope of the cost in all variables at the origin."""
+        parts = self.problem.quadratic.gradient(self.origin.x, self.origin.u)
+        return np.concatenate([*(part.ravel() for part in parts), self.prices])
+
+    def matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
+        """Return the coefficients of all variables in chosen ones of the rows."""
+        signals, slacks = [(rows.signals, 0) for rows in chosen], self.slack_matrix(chosen)
+        of_signals = stack_rows(signals, self.variables)
+        return sp.csr_array(of_signals + slacks) if slacks.nnz else of_signals
+
+    def slack_matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
+        """Return the coefficients of slacks among all variables in chosen ones of the rows."""
+        ends = self.signals + np.cumsum([0, *(len(rows.prices) for rows in self.rows)])
+        firsts = {rows: int(first) for rows, first in zip(self.rows, ends, strict=False)}
+        return stack_rows([(rows.slacks, firsts[rows]) for rows in chosen], int(ends[-1]))
+
+    @cached_property
+    def sparse(self) -> Program:
+        """The program in the problem's own units; UnsupportedError if it does not fit into memory."""
+        problem, dense = self.problem, dense_rows(self.problem)
+        require_memory(
+            f"the frequency constraints, {dense.count} dense rows of a program of {dense.variables} variables,",
+            dense.size,
+            "Method 'spectral' needs no dense rows (time-invariant linear dynamics, quadratic costs, boxes, joint rows "
+            "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
+        )
+        origin, drift, dynamics = self.origin, self.drift.ravel(), self.dynamics
+        A = sp.csc_array(stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], dynamics.shape[1]))
+        A.eliminate_zeros()
+        blocks, cones, first = {Block.DYNAMICS: slice(0, len(drift))}, list[slice](), len(drift)
+        for block in BLOCKS:
+            begin = first
+            for part in (part for part in self.rows if part.block is block):
+                cones += [slice(first + int(start), first + int(stop)) for start, stop in part.cones]
+                first += len(part.lower)
+            blocks[block] = slice(begin, first)
+        return Program(
+            self.hessian,
+            self.gradient,
+            problem.quadratic.value(origin.x, origin.u),
+            A,
+            np.concatenate([drift, *(part.lower for part in self.rows)]),
+            np.concatenate([drift, *(part.upper for part in self.rows)]),
+            blocks,
+            tuple(cones),
+        )
+
+    @property
+    def drift(self) -> Array:
+        """Return what the dynamics add to the deviations in each step, d_t, (T, n)."""
+        problem, origin = self.problem, self.origin
+        response = problem.dynamics.response(problem.horizon)
+        if response is not None:  # x_{t+1} is a sum over all controls
+            through_u = response.matrix[problem.state_dim :] @ origin.u.ravel()
+            return response.base[1:] + through_u.reshape(origin.x[1:].shape) - origin.x[1:]
+        return problem.linear.successors(origin.x, origin.u) - origin.x[1:]
+
+    def trajectory(self, z: Array) -> Trajectory:
+        """Return (x, u) from a point of the program."""
+        change = self.direction(z)
+        return Trajectory(self.origin.x + change.x, self.origin.u + change.u)
+
+    def direction(self, z: Array) -> Trajectory:
+        """Return the change (dx, du) of a change z of the point of the program."""
+        return Trajectory(*self.split_signals(z))
+
+    def split_signals(self, z: Array) -> tuple[Array, Array]:
+        """Return the states (T+1, n) and the controls (T, m) of a point, finite or not."""
+        x, u = z[: self.states], z[self.states : self.signals]
+        return x.reshape(-1, self.problem.state_dim), u.reshape(-1, self.problem.control_dim)
+
+    def point(self, trajectory: Trajectory) -> Array:
+        """Return the point of the program of a trajectory, with the least slacks."""
+        x, u = trajectory.x, trajectory.u
+        slacks = [term.penalty.least_slacks(term.map.values(x, u)) for term in self.problem.terms]
+        return np.concatenate([(x - self.origin.x).ravel(), (u - self.origin.u).ravel(), *slacks])
+
+    def multipliers(self, y: Array, eta_C: float) -> Multipliers:
+        """Return the theorem's multipliers from the duals of all rows of ``sparse``; eta_C = 0 for a Farkas ray."""
+        eta, duals = np.split(y, [self.problem.horizon * self.problem.state_dim])
+        targets = np.concatenate([rows.targets for rows in self.rows])
+        weights = [np.ones(len(rows.lower)) if rows.weights is None else rows.weights for rows in self.rows]
+        return self.layout.multipliers(eta, targets, np.concatenate(weights) * duals, eta_C)
+
+    def column_units(self, state_units: Array, control_units: Array) -> Array:
+        """Return one unit per variable from those of states, (n,) or (T+1, n), and of controls, (m,) or (T, m)."""
+        T, n, m = self.problem.horizon, self.problem.state_dim, self.problem.control_dim
+        steady = np.broadcast_to(state_units, (T + 1, n)), np.broadcast_to(control_units, (T, m))
+        slacks = (rows.slack_units(*steady) for rows in self.of_terms)
+        return np.concatenate([*(part.ravel() for part in steady), *slacks])
+
+    @property
+    def dynamics(self) -> sp.csr_array:
+        """Return the coefficients of all variables in the rows of the dynamics, (T n, variables)."""
+        (T, n, m), after = self.layout.shape, np.arange(self.problem.state_dim, self.states)
+        rows, response = np.arange(T * n).reshape(T, n, 1), self.problem.dynamics.response(T)
+        parts = [_entries(np.ones(T * n), rows.ravel(), after)]
+        if response is not None:  # x_{t+1} is a sum over all controls
+            parts.append(_entries(-response.matrix[n:], rows.reshape(-1, 1), np.arange(self.states, self.signals)))
+        else:
+            columns, linear = signal_columns(T, n, m)[:, None], self.problem.linear
+            parts += [_entries(-linear.A, rows, columns[:, :, :n]), _entries(-linear.B, rows, columns[:, :, n:])]
+        return sp.csr_array(_sparse_matrix(parts, (T * n, self.variables)))
+
+    @property
+    def hessian(self) -> sp.csc_array:
+        """Return the second derivatives of the cost, (variables, variables)."""
+        cost, columns = self.problem.quadratic, signal_columns(*self.layout.shape)
+        last = np.arange(self.states - self.problem.state_dim, self.states)
+        parts = [
+            _entries(cost.stage_hessians(), columns[:, :, None], columns[:, None]),
+            _entries(cost.P, last[:, None], last),
+        ]
+        return _sparse_matrix(parts, (self.variables, self.variables))
+
+
+def signal_columns(horizon: int, n: int, m: int) -> Indices:
+    """Return the columns of (x_t, u_t), (T, n + m), in a program whose variables begin with all x, then all u."""
+    x, u = np.arange(horizon * n), (horizon + 1) * n + np.arange(horizon * m)
+    return np.hstack([x.reshape(horizon, n), u.reshape(horizon, m)])
+
+
+def _entries(values: Array, rows: Indices, columns: Indices) -> Entries:
+    """Return values with their rows and columns, of shapes that broadcast."""
+    values, rows, columns = np.broadcast_arrays(values, rows, columns)
+    return values.ravel(), rows.ravel(), columns.ravel()
+
+
+def _sparse_matrix(parts: Sequence[Entries], shape: tuple[int, int]) -> sp.csc_array:
+    """Return the matrix of these entries: to join sparse matrices takes several times as long."""
+    values, i, j = (np.concatenate(part) for part in zip(*parts, strict=True))
+    matrix = sp.csc_array((values, (i, j)), shape=shape)
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def stack_rows(parts: Sequence[tuple[sp.csr_array, int]], columns: int) -> sp.csr_array:
+    """Return rows one after the other, each part from its column on; scipy's takes several times as long."""
+    entries = np.cumsum([0, *(part.nnz for part, _ in parts)]).tolist()
+    indices = [part.indices + first for part, first in parts]
+    pointers = [part.indptr[1:] + first for (part, _), first in zip(parts, entries, strict=False)]
+    data = np.concatenate([np.zeros(0), *(part.data for part, _ in parts)])
+    pointers = np.concatenate([np.zeros(1, dtype=np.int32), *pointers])
+    indices = np.concatenate([np.zeros(0, dtype=np.int32), *indices])
+    return sp.csr_array((data, indices, pointers), shape=(len(pointers) - 1, columns))
+
+
+@dataclass(frozen=True, eq=False)
+class MultiplierLayout:
+    """Where each multiplier begins in one flat array of all of them; eta is not among them."""
+
+    shape: tuple[int, int, int]  # T, n, m
+    mu: int
+    nu: int
+    rho_x: int  # (Re, Im) of every bin of a state, state by state
+    rho_u: int
+    terms: tuple[int, ...]
+    names: tuple[tuple[str, tuple[int, int]], ...]  # of the terms, with the shape of their values
+    count: int
+
+    def multipliers(self, eta: Array, targets: Indices, duals: Array, eta_C: float) -> Multipliers:
+        """Return the multipliers of the maximum principle: eta, and sums of duals by their targets (-1: none)."""
+        T, n, m = self.shape
+        values = np.bincount(targets + 1, duals, minlength=self.count + 1)[1:].astype(np.float64)
+        stages = zip(self.names, np.split(values, self.terms)[1:], strict=True)
+        return Multipliers(
+            eta_C=eta_C,
+            eta=eta.reshape(T, n),
+            mu=values[self.mu : self.nu].reshape(T + 1, n),
+            nu=values[self.nu : self.rho_x].reshape(T, m),
+            rho_x=_bins(values[self.rho_x : self.rho_u], n),
+            rho_u=_bins(values[self.rho_u : (*self.terms, self.count)[0]], m),
+            stage={name: part.reshape(shape) for (name, shape), part in stages},
+        )
+
+
+def multiplier_layout(problem: OptimalControlProblem) -> MultiplierLayout:
+    """Return where the multipliers of a problem begin."""
+    names = tuple((term.name, term.shape) for term in problem.terms)
+    sizes = [
+        problem.state_tube.lower.size,
+        problem.control_tube.lower.size,
+        2 * problem.state_stop.size,
+        2 * problem.control_stop.size,
+        *(groups * dim for _, (groups, dim) in names),
+    ]
+    mu, nu, rho_x, rho_u, *terms = (int(first) for first in np.cumsum([0, *sizes]))
+    shape = problem.horizon, problem.state_dim, problem.control_dim
+    return MultiplierLayout(shape, mu, nu, rho_x, rho_u, tuple(terms[:-1]), names, terms[-1])
+
+
+def _bins(pairs: Array, components: int) -> ComplexArray:
+    """Return multipliers (bins, components) from (Re, Im) of every bin, component by component."""
+    of_bins = pairs.reshape(components, -1, 2)
+    return (of_bins[:, :, 0] + 1j * of_bins[:, :, 1]).T
+
+
+def dense_rows(problem: OptimalControlProblem) -> DenseRows:
+    """Return the dense rows of stop bands, masks, energy bounds, and of a frequency response."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    of_u, of_x = 2 * int(problem.control_stop.sum()), 2 * int(problem.state_stop.sum())
+    count, entries = of_u + of_x, of_u * T + of_x * (T + 1)
+    if problem.dynamics.response(T) is not None:
+        count, entries = count + T * n, entries + T * n * T * m
+    for term in problem.terms:
+        rows, size = term.map.dense_size
+        count, entries = count + rows, entries + size
+    return DenseRows(count, entries, (T + 1) * n + T * m)
+
+
+@dataclass(frozen=True)
+class DenseRows:
+    """The numbers of dense rows, of their entries, and of the variables of the program."""
+
+    count: int
+    entries: int
+    variables: int
+
+    @property
+    def size(self) -> float:
+        """Return the bytes that the rows and their part of a factor take, estimated."""
+        factor = self.count * (self.variables + self.count / 2)
+        return BYTES_PER_ENTRY * self.entries + BYTES_OF_FACTOR * factor
+
+    @property
+    def factorisation_seconds(self) -> float:
+        """Return the time of one factorisation, estimated."""
+        return (SECONDS_PER_PRODUCT * self.count**2 + SECONDS_PER_VARIABLE) * self.variables
+
+    @property
+    def seconds(self) -> float:
+        """Return the least time to an answer, estimated."""
+        return SECONDS_PER_ENTRY * self.entries + LEAST_FACTORISATIONS * self.factorisation_seconds

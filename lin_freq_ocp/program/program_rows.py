@@ -1,0 +1,183 @@
+"""The rows of a linear program: bounds, stop bands, and every other term h(L(x, u)) in the conic form of h.
+
+    lower <= weights * L(x, u) + S s <= upper,   or rows less their lower limits in second-order cones,
+
+for deviations (x, u) from an origin and slacks s. A row has at most one value of L, whose multiplier is the sum of the
+duals of its rows times their weights. Stop bands are terms, too: (Re, Im) of the bins of one component, with weights
+that make the rows orthonormal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.maps import AffineMap, SpectrumForm
+from lin_freq_ocp.problem.terms.penalty import Penalty
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.program import Block
+
+ROUNDING = 1e-12  # of the limit of a row without coefficients, relative to the terms that it is made of
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramRows:
+    """The rows of the bounds on one signal (without a map: each value is a signal), of a stop band, or of a term."""
+
+    block: Block
+    name: str  # of the term
+    shape: tuple[int, int, int]  # T, n, m
+    map: AffineMap | None  # L
+    entries: Indices  # (rows,): the value in each row; -1 without one
+    targets: Indices  # (rows,): where the multiplier of that value stands among all; -1: none
+    weights: Array | None  # (rows,); None: ones
+    lower: Array  # (rows,)
+    upper: Array  # (rows,)
+    slacks: sp.csr_array  # (rows, slacks)
+    prices: Array  # (slacks,)
+    paid: Indices  # (slacks, k): the values whose violation each slack measures
+    cones: Indices  # (cones, 2): first row, and the one after the last
+
+    @cached_property
+    def signals(self) -> sp.csr_array:
+        """Return the coefficients of x_0 .. x_T, u_0 .. u_{T-1}, (rows, (T+1) n + T m)."""
+        T, n, m = self.shape
+        if self.map is None:
+            count, shape = len(self.entries), (len(self.entries), (T + 1) * n + T * m)
+            return sp.csr_array((np.ones(count), self.entries, np.arange(count + 1)), shape=shape)
+        L = self.map.rows(T, n, m)[0]
+        if not np.array_equal(self.entries, np.arange(L.shape[0])):
+            L = sp.csr_array(sp.vstack([L, sp.csr_array((1, L.shape[1]))]))[self.entries]  # -1: the row of zeros
+        if self.weights is not None:
+            L.data *= np.repeat(self.weights, np.diff(L.indptr))
+        return L
+
+    @cached_property
+    def spectrum(self) -> SpectrumForm | None:
+        """Return the data of the spectrum whose values are in the rows; None for other maps."""
+        return None if self.map is None else self.map.spectrum_form(*self.shape[1:])
+
+    @cached_property
+    def times(self) -> Indices | None:
+        """Return the time of the value in each row, -1 without one; None if values depend on several times."""
+        T, n, m = self.shape
+        if self.map is None:
+            last = (T + 1) * n
+            return np.where(self.entries < last, self.entries // n, (self.entries - last) // m)
+        if self.map.stage_form(n, m) is None:
+            return None
+        return np.where(self.entries >= 0, self.map.positions[self.entries // self.map.shape[1]], -1)
+
+    @property
+    def empty(self) -> Mask:
+        """Return which rows have no coefficient."""
+        if self.spectrum is None:
+            without = np.diff(self.signals.indptr) == 0
+        else:
+            zero = np.append(self.spectrum.zero[self.spectrum.kept], True)
+            without = zero[self.entries]
+        return without & (np.diff(self.slacks.indptr) == 0)
+
+    def rounding(self, origin: Trajectory) -> Array:
+        """Return the rounding error of the limits, (rows,), which are deviations from this origin."""
+        if self.map is None:
+            return np.zeros(len(self.lower))
+        return ROUNDING * np.append(self.map.sizes(np.abs(origin.x), np.abs(origin.u)), 0.0)[self.entries]
+
+    def selected(self, chosen: Indices) -> ProgramRows:
+        """Return some of the rows, with all of those in cones."""
+        assert self.weights is None  # of stop bands none are left out
+        parts = {name: getattr(self, name)[chosen] for name in ("entries", "targets", "lower", "upper")}
+        return replace(self, **parts, slacks=sp.csr_array(self.slacks[chosen]))
+
+    def slack_units(self, x: Array, u: Array) -> Array:
+        """Return one unit for each slack, with states and controls as large as x (T+1, n) and u (T, m)."""
+        if self.map is None or not len(self.prices):
+            return np.zeros(0)
+        units = self.map.sizes(x, u).ravel()[self.paid].max(axis=1, initial=0.0)
+        return np.where(units > 0, units, 1.0)
+
+
+def cone_members(cones: Indices) -> tuple[Indices, Indices]:
+    """Return the rows of all cones (first, after the last), and the cone of each of them."""
+    sizes = cones[:, 1] - cones[:, 0]
+    cone = np.repeat(np.arange(len(cones)), sizes)
+    return np.arange(len(cone)) + np.repeat(cones[:, 0] - np.cumsum(sizes) + sizes, sizes), cone
+
+
+def box_rows(block: Block, tube: Box, origin: Trajectory, target: int) -> ProgramRows:
+    """Return the finite bounds on the states, or on the controls, in deviations from the origin."""
+    signal, first = (origin.x, 0) if block is Block.STATE_SET else (origin.u, origin.x.size)
+    bounded = np.flatnonzero(np.isfinite(tube.lower) | np.isfinite(tube.upper))
+    lower, upper = ((side - signal).ravel()[bounded] for side in (tube.lower, tube.upper))
+    at, shape = (None, first + bounded, target + bounded, None), (len(origin.u), origin.x.shape[1], origin.u.shape[1])
+    return ProgramRows(block, block.value, shape, *at, lower, upper, *_no_slacks(len(bounded)))
+
+
+def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, target: int) -> Iterator[ProgramRows]:
+    """Yield the rows of the stopped bins (bins, components) of each component of a signal of so many samples.
+
+    From ``target`` on stand the multipliers of (Re, Im) of every bin, component by component.
+    """
+    of_states, shape = block is Block.STATE_SPECTRUM, (len(origin.u), origin.x.shape[1], origin.u.shape[1])
+    for j in np.flatnonzero(stop.any(axis=0)).tolist():
+        row = np.eye(1, stop.shape[1], j)[0]
+        map, weights = orthonormal_spectrum(length, stop[:, j], row if of_states else None, None if of_states else row)
+        pairs, right = (2 * map.bins[:, None] + [0, 1]).ravel()[map.kept], -weights * map.values(origin.x, origin.u)[0]
+        at = map, np.arange(len(pairs)), target + j * 2 * len(stop) + pairs, weights
+        yield ProgramRows(block, block.value, shape, *at, right, right, *_no_slacks(len(pairs)))
+
+
+def _no_slacks(rows: int) -> tuple[sp.csr_array, Array, Indices, Indices]:
+    """Return the slacks of rows without any, their prices and what they measure, and no cones."""
+    return sp.csr_array((rows, 0)), np.zeros(0), np.zeros((0, 1), dtype=int), np.zeros((0, 2), dtype=int)
+
+
+def map_rows(name: str, map: AffineMap, penalty: Penalty, origin: Trajectory, target: int) -> ProgramRows:
+    """Return the rows of a term h(L(x, u)) in deviations from the origin; its multipliers stand from ``target`` on.
+
+    Equations 0 = 0 are left out, such as those of the imaginary parts of real bins.
+    """
+    form, values = penalty.conic(*map.shape), np.append(map.values(origin.x, origin.u), 0.0)
+    limits = form.lower - values[form.entries], form.upper - values[form.entries]
+    targets = np.where(form.entries >= 0, target + form.entries, -1)
+    cones = np.array([(cone.start, cone.stop) for cone in form.cones], dtype=int).reshape(-1, 2)
+    at, shape = (map, form.entries, targets, None), (len(origin.u), origin.x.shape[1], origin.u.shape[1])
+    rows = ProgramRows(Block.TERMS, name, shape, *at, *limits, form.slacks, form.prices, form.paid, cones)
+    equal = np.flatnonzero(form.lower == form.upper)
+    empty = equal[rows.empty[equal]] if len(equal) else equal
+    if not len(empty):
+        return rows
+    satisfied = empty[np.abs(rows.lower[empty]) <= rows.rounding(origin)[empty]]
+    return rows.selected(np.setdiff1d(np.arange(len(targets)), satisfied))
+
+
+def orthonormal_spectrum(length: int, stopped: Mask, C: Array | None, D: Array | None) -> tuple[SpectrumMap, Array]:
+    """Return (Re, Im) of the stopped bins of y = C x + D u, and the weights that make its rows orthonormal.
+
+    Bins 0 and length/2 have one row, cos(2 pi k t/N)/sqrt(N); every other bin k has two, sqrt(2/N) cos(2 pi k t/N)
+    and -sqrt(2/N) sin(2 pi k t/N), one after the other. ``length`` is N, ``stopped`` (N//2 + 1,) says which bins.
+    """
+    map = SpectrumMap(C, D, np.ones(length), length, np.flatnonzero(stopped), together=True)
+    return map, np.repeat(np.sqrt(np.where(map.real, 1, 2) / length), 2)[map.kept]
+
+
+def real_rows(length: int, stopped: Mask) -> Array:
+    """Return R, shape (rows, length), with R v = 0 iff the stopped DFT bins of v are zero, and R R' = I."""
+    map, weights = orthonormal_spectrum(length, stopped, None, np.ones(1))
+    return weights[:, None] * map.waves()
+
+
+def bin_multipliers(length: int, stopped: Mask, rho: Array) -> ComplexArray:
+    """Return the multipliers per bin in the units of the DFT, shape (N//2 + 1,), from one real dual per row of R."""
+    map, weights = orthonormal_spectrum(length, stopped, None, np.ones(1))
+    result = np.zeros(len(stopped), dtype=np.complex128)
+    result[map.bins] = map.pairs((weights * rho)[None]) @ [1, 1j]
+    return result
