@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, positive_integer, real_array
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, positive_integer, printable, real_array, require_bool
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import EXTERNAL
@@ -105,10 +105,8 @@ class DifferentiableFunction:
             if not callable(given) and not (label == "hessian" and given is None):
                 advice = "lfo.from_casadi has derivatives by automatic differentiation." if label == "jacobian" else ""
                 raise ProblemError(f"DifferentiableFunction.{label}", brief(given), "a function of (x, u)", advice)
-        if not isinstance(name, str) or not name.isprintable():
-            raise ProblemError("DifferentiableFunction.name", brief(name), "a printable text")
-        if not isinstance(vectorized, bool):
-            raise ProblemError("DifferentiableFunction.vectorized", brief(vectorized), "true or false")
+        printable("DifferentiableFunction.name", name)
+        require_bool("DifferentiableFunction.vectorized", vectorized)
         scale = real_array("DifferentiableFunction.sizes", sizes)
         if scale.ndim > 1 or (scale <= 0).any():
             raise ProblemError("DifferentiableFunction.sizes", brief(sizes), "one number above zero, or one each")

@@ -9,14 +9,14 @@ from functools import cached_property
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer, printable
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, in_form, printable
+from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, in_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.levels import with_levels
 from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, changed, terms_of

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign, brief
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, sealed, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
@@ -179,8 +178,7 @@ DEPENDENT = {
 
 def changed(problem: Data, **fields: object) -> Data:
     """Return a problem with other fields, which fit: nothing is checked again, and what depends on them not kept."""
-    other = copy(problem)
-    assign(other, **fields)
+    other = with_fields(problem, **fields)
     for name in (name for field in fields for name in DEPENDENT.get(field, ())):
         other.__dict__.pop(name, None)
     return other
@@ -304,5 +302,4 @@ def bounded_bins(terms: Sequence[Term], kind: TermKind, shape: tuple[int, int]) 
     for term in terms:
         if term.kind == kind:
             bounded[term.map.nearest_bins, term.map.component] = True
-    bounded.flags.writeable = False
-    return bounded
+    return sealed(bounded)

@@ -22,10 +22,7 @@ FAR_BEYOND = 1e4  # factor between a bound and other sizes of a component from w
 def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
     """Return the sum of the absolute terms of the cost, or what rounding errors cost, over FINEST_GAP."""
     cost, (x, u) = problem.quadratic, (trajectory.x, trajectory.u)
-    linear = x[:-1] * cost.q, u * cost.r, x[-1:] * cost.p
-    signed = np.append(linear[0].sum(axis=1) + linear[1].sum(axis=1), linear[2].sum())
-    total = float(np.abs(cost.stage_values(x, u) - signed).sum() + sum(np.abs(part).sum() for part in linear))
-    total += sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
+    total = cost.sum_of_terms(x, u) + sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
     sizes = zip(stated_sizes(problem), (x, u), strict=True)
     moved = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)
     return max(total, cost.magnitudes().value(*moved) / FINEST_GAP)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -17,11 +16,24 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, one_component, real_array, shaped, times_vectors
+from lin_freq_ocp.base.arrays import (
+    Array,
+    Mask,
+    assign,
+    brief,
+    one_component,
+    real_array,
+    shaped,
+    times_vectors,
+    with_fields,
+)
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum
 from lin_freq_ocp.problem.terms.term import Term
 
+# Of each field, the axes of one time: n states, m controls
+AXES = {"Q": "nn", "R": "mm", "S": "nm", "q": "n", "r": "m", "P": "nn", "p": "n", "x_ref": "n", "u_ref": "m"}
+WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")
 SYMMETRY_TOLERANCE = 1e-12  # relative asymmetry of Q, R or P that is rounding and not a mistake
 CONVEXITY_TOLERANCE = 1e-12  # negative eigenvalue, relative to the largest, that is rounding of a semidefinite matrix
 
@@ -179,7 +191,7 @@ class QuadraticCost(Cost):
     @property
     def zero(self) -> bool:
         """Whether all its terms are zero."""
-        return not any(getattr(self, term).any() for term in ("Q", "R", "S", "q", "r", "P", "p"))
+        return not any(getattr(self, term).any() for term in WEIGHTS)
 
     def describe(self) -> str:
         """Return the nonzero terms as a formula; empty if all are zero."""
@@ -201,51 +213,31 @@ class QuadraticCost(Cost):
     def describe_data(self) -> list[str]:
         """Return the value of every letter of the formula."""
         used = {"x_ref": self.Q.any() or self.P.any() or self.S.any(), "u_ref": self.R.any() or self.S.any()}
-        dimensions = {"Q": 2, "R": 2, "S": 2, "P": 2, "q": 1, "r": 1, "p": 1, "x_ref": 1, "u_ref": 1}
         return [
-            datum(field, getattr(self, field), count)
-            for field, count in dimensions.items()
+            datum(field, getattr(self, field), len(AXES[field]))
+            for field in ("Q", "R", "S", "P", "q", "r", "p", "x_ref", "u_ref")
             if getattr(self, field).any() and used.get(field, True)
         ]
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
-        T = horizon
-
-        def square(field: str, size: int, times: int | None) -> Array:
-            value: Array = getattr(self, field)
-            value = shaped(f"cost.{field}", value * np.eye(size) if value.ndim == 0 else value, (size, size), times)
-            asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max()
-            if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():
-                raise ProblemError(
-                    f"cost.{field}",
-                    f"a matrix that differs from its transpose by {asymmetry:g}",
-                    "a symmetric matrix",
-                    f"Only the symmetric part counts: pass ({field} + {field}')/2.",
-                )
-            return value
-
-        def vector(field: str, shape: tuple[int, ...], times: int | None) -> Array:
-            value: Array = getattr(self, field)
-            if value.ndim == 0 and value == 0:
+        sizes, complete = {"n": n, "m": m}, dict[str, Array]()
+        for field, axes in AXES.items():
+            shape, value = tuple(sizes[axis] for axis in axes), np.asarray(getattr(self, field))
+            times = {"P": None, "p": None, "x_ref": horizon + 1}.get(field, horizon)
+            square, reference = len(set(axes)) < len(axes), field.endswith("_ref")
+            if square and value.ndim == 0:
+                value = value * np.eye(*shape)
+            elif value.ndim == 0 and value == 0:
                 value = np.zeros(shape)
-            return shaped(f"cost.{field}", value, shape, times)
-
-        def reference(field: str, size: int, times: int) -> Array:
-            value: Array = getattr(self, field)
-            value = np.zeros(size) if value.ndim == 0 and value == 0 else one_component(value, size)
-            return shaped(f"cost.{field}", value, (size,), times)
-
-        return QuadraticCost(
-            Q=square("Q", n, T),
-            R=square("R", m, T),
-            S=vector("S", (n, m), T),
-            q=vector("q", (n,), T),
-            r=vector("r", (m,), T),
-            P=square("P", n, None),
-            p=vector("p", (n,), None),
-            x_ref=reference("x_ref", n, T + 1),
-            u_ref=reference("u_ref", m, T),
-        )
+            elif reference:
+                value = one_component(value, *shape)
+            complete[field] = value = shaped(f"cost.{field}", value, shape, times)
+            asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max() if square else 0.0
+            if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():
+                got = f"a matrix that differs from its transpose by {asymmetry:g}"
+                advice = f"Only the symmetric part counts: pass ({field} + {field}')/2."
+                raise ProblemError(f"cost.{field}", got, "a symmetric matrix", advice)
+        return QuadraticCost(**complete)
 
     @cached_property
     def weighs(self) -> Mask:
@@ -273,6 +265,12 @@ class QuadraticCost(Cost):
         """Return the total cost."""
         return float(self.stage_values(x, u).sum())
 
+    def sum_of_terms(self, x: Array, u: Array) -> float:
+        """Return the sum of absolute values: of the quadratic part at each time, and of every linear term."""
+        linear = np.append((x[:-1] * self.q).sum(1) + (u * self.r).sum(1), x[-1] @ self.p)
+        total = float(np.abs(self.stage_values(x, u) - linear).sum() + np.abs(x[-1] * self.p).sum())
+        return total + float(np.abs(x[:-1] * self.q).sum() + np.abs(u * self.r).sum())
+
     def gradient(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the gradients in x, shape (T+1, n), and in u, shape (T, m)."""
         a, b = self.deviations(x, u)
@@ -288,10 +286,8 @@ class QuadraticCost(Cost):
 
     @cached_property
     def _magnitudes(self) -> QuadraticCost:
-        other = copy(self)
-        assign(other, **{field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")})
-        assign(other, x_ref=np.zeros(()), u_ref=np.zeros(()))
-        return other
+        weights = {field: np.abs(getattr(self, field)) for field in WEIGHTS}
+        return with_fields(self, **weights, x_ref=np.zeros(()), u_ref=np.zeros(()))
 
     def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of the gradient, in x (T+1, n) and in u (T, m)."""

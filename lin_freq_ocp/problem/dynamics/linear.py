@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,6 +18,7 @@ from lin_freq_ocp.base.arrays import (
     real_array,
     times_vectors,
     with_columns,
+    with_fields,
     with_products,
     with_rows,
 )
@@ -305,6 +305,4 @@ class LinearDynamics(StateEquations):
 
     @cached_property
     def _magnitudes(self) -> LinearDynamics:
-        other = copy(self)
-        assign(other, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset))
-        return other
+        return with_fields(self, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset))

@@ -10,8 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, real_array, with_columns, with_products
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, assign, require_rows_hold, row_matrix, shaped, with_columns, with_products
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.terms.maps import EndsMap
@@ -60,19 +59,10 @@ class LinkedEnds(ConvexSet):
     periodic: ClassVar[bool] = False
 
     def __init__(self, E_0: ArrayLike, E_T: ArrayLike, e: ArrayLike | None = None):
-        first, last = real_array("LinkedEnds.E_0", E_0), real_array("LinkedEnds.E_T", E_T)
-        if first.ndim != 2 or 0 in first.shape:
-            raise ProblemError("LinkedEnds.E_0", f"shape {first.shape}", "a matrix (rows, n)")
-        if last.shape != first.shape:
-            raise ProblemError("LinkedEnds.E_T", f"shape {last.shape}", f"shape {first.shape}, that of E_0")
-        right = real_array("LinkedEnds.e", np.zeros(len(first)) if e is None else e)
-        if right.shape != first.shape[:1]:
-            expected = f"one number for each of the {len(first)} rows of E_0 and E_T"
-            raise ProblemError("LinkedEnds.e", f"shape {right.shape}", expected)
-        impossible = ~(first.any(axis=1) | last.any(axis=1)) & (right != 0)
-        if impossible.any():
-            row = int(np.argmax(impossible))
-            raise ProblemError("LinkedEnds.e", f"{right[row]:g} for row {row} of zeros", "a row that can hold")
+        first = row_matrix("LinkedEnds.E_0", E_0)
+        last = shaped("LinkedEnds.E_T", E_T, first.shape)
+        right = shaped("LinkedEnds.e", np.zeros(len(first)) if e is None else e, first.shape[:1])
+        require_rows_hold("LinkedEnds.e", ~(first.any(axis=1) | last.any(axis=1)) & (right != 0), right)
         assign(self, E_0=first, E_T=last, e=right, reach=0.0, repeats=False)
 
     @property

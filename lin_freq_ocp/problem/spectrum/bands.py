@@ -14,9 +14,20 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, assign, brief, positive_number, real_array, with_columns
+from lin_freq_ocp.base.arrays import (
+    Array,
+    ComplexArray,
+    Mask,
+    assign,
+    brief,
+    positive_number,
+    real_array,
+    require_rows_hold,
+    sealed,
+    shaped,
+    with_columns,
+)
 from lin_freq_ocp.base.errors import BandWarning, ProblemError
 from lin_freq_ocp.base.phrases import datum, first_few, number, price, runs_in_words, runs_of, short_name
 from lin_freq_ocp.problem.spectrum.base import (
@@ -30,7 +41,7 @@ from lin_freq_ocp.problem.spectrum.base import (
 from lin_freq_ocp.problem.terms.maps import SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD, weight_of
-from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap, real_signal
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 BIN_TOLERANCE = 1e-9  # distance of a cut-off from a bin (relative to the bin number above 1) at which it falls on it
@@ -359,8 +370,7 @@ def stopped_bins(
         if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
             what = f"removes every bin of a signal of {length} samples that the bands before it leave"
             warnings.warn(f"{where}: {band} {what}; it must then be zero.", BandWarning, stacklevel=2)
-    stopped.flags.writeable = False
-    return stopped
+    return sealed(stopped)
 
 
 def bands_of(stop: Mask) -> list[Band]:
@@ -373,9 +383,7 @@ def time_signal(rho: ComplexArray, length: int) -> Array:
     """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (N//2 + 1, components)."""
     if not rho.any():
         return np.zeros((length, rho.shape[1]), dtype=rho.real.dtype)
-    k = np.arange(length // 2 + 1)
-    weight = np.where((k == 0) | (2 * k == length), 1.0, 0.5)
-    return fft.irfft(length * weight[:, None] * rho, n=length, axis=0)
+    return real_signal(rho.T, length).T
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -414,15 +422,10 @@ class LinearConstraint(FrequencyConstraint):
             expected = "one matrix (rows, components) per time"
             raise ProblemError("LinearConstraint.coefficients", f"shape {matrices.shape}", expected)
         rows = matrices.shape[1]
-        right = np.zeros(rows) if constant is None else real_array("LinearConstraint.constant", constant)
-        if right.shape != (rows,):
-            raise ProblemError("LinearConstraint.constant", f"shape {right.shape}", f"shape ({rows},)")
+        right = shaped("LinearConstraint.constant", np.zeros(rows) if constant is None else constant, (rows,))
         soft = None if penalty is None else positive_number("LinearConstraint.penalty", penalty)
-        impossible = ~matrices.any(axis=(0, 2)) & (right != 0)
-        if impossible.any() and soft is None:
-            row = int(np.argmax(impossible))
-            got = f"{right[row]:g} for row {row}, which has no coefficients"
-            raise ProblemError("LinearConstraint.constant", got, "a row that can hold")
+        if soft is None:
+            require_rows_hold("LinearConstraint.constant", ~matrices.any(axis=(0, 2)) & (right != 0), right)
         assign(self, coefficients=matrices, constant=right, penalty=soft)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
