@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import fft
 
 from lin_freq_ocp.base.errors import ProblemError
 
@@ -23,7 +24,7 @@ LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer one i
 
 
 def real_array(
-    field: str, value: object, allow_infinite: bool = False, kinds: str = "iuf", dtype: Any = float
+    field: str, value: object, allow_infinite: bool = False, kinds: str = "iuf", dtype: type[complex] = float
 ) -> Array:
     """Convert to a read-only float64 array; NaN, complex and (by default) infinite entries are refused."""
     try:
@@ -46,8 +47,7 @@ def real_array(
 
 def complex_array(field: str, value: object) -> ComplexArray:
     """Convert to a read-only complex128 array; entries that are not finite are refused."""
-    array: Any = real_array(field, value, kinds="iufc", dtype=complex)
-    return array
+    return np.asarray(real_array(field, value, kinds="iufc", dtype=complex), dtype=np.complex128)
 
 
 def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None = None) -> Array:
@@ -210,3 +210,10 @@ def with_columns(array: Array, columns: int) -> Array:
 def with_rows(matrices: Array, rows: Array) -> Array:
     """Return a matrix, or one per time, with these rows below."""
     return np.concatenate([matrices, np.broadcast_to(rows, (*matrices.shape[:-2], *rows.shape))], axis=-2)
+
+
+def real_signal(spectra: ComplexArray, points: int) -> Array:
+    """Return sum_k Re(spectrum_k exp(2 pi i k t / N)), (..., N), N = points, of spectra (..., N//2 + 1)."""
+    k = np.arange(points // 2 + 1)
+    weight = np.where((k == 0) | (2 * k == points), 1.0, 0.5)
+    return fft.irfft(points * weight * spectra, n=points)

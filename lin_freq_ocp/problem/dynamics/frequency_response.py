@@ -33,7 +33,7 @@ from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
-from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import Within
 from lin_freq_ocp.problem.terms.term import Link
 
@@ -267,7 +267,8 @@ class FrequencyResponse(StateEquations):
             return Periodic().links(self.state_dim, horizon)
         response, p = self.response(horizon), self.state_dim
         of_u = response.matrix[:p].reshape(p, horizon, -1).swapaxes(0, 1)
-        first = SumMap(np.eye(p)[None], -of_u, -response.base[0])
+        x_0 = StageMap(np.array([0]), np.eye(p), None, np.zeros(p))
+        first = SumMap((x_0, StageMap(np.arange(horizon), None, -of_u, np.zeros(p))), -response.base[0])
         return (Link("first output", first, Within(0.0), periodic=False, repeats=False),)
 
     def successors(self, x: Array, u: Array) -> Array:

@@ -125,8 +125,7 @@ class Ellipsoid(ConvexSet):
         return f"an ellipsoid: |W {inside}| {AT_MOST} {number(self.radius)} with {datum('W', self.W, 2)}"
 
 
-@dataclass(frozen=True, eq=False, init=False)
-class Ball(ConvexSet):
+class Ball(Ellipsoid):
     """{v : |v - centre| <= radius}, in the Euclidean norm.
 
     Parameters

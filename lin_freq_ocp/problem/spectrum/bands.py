@@ -23,6 +23,7 @@ from lin_freq_ocp.base.arrays import (
     brief,
     positive_number,
     real_array,
+    real_signal,
     require_rows_hold,
     sealed,
     shaped,
@@ -36,12 +37,12 @@ from lin_freq_ocp.problem.spectrum.base import (
     Signal,
     component_indices,
     component_words,
-    entries_of,
+    named_entries,
 )
-from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD, weight_of
-from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap, real_signal
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 BIN_TOLERANCE = 1e-9  # distance of a cut-off from a bin (relative to the bin number above 1) at which it falls on it
@@ -356,8 +357,7 @@ def stopped_bins(
 ) -> Mask:
     """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united."""
     stopped = np.zeros((length // 2 + 1, len(component_names)), dtype=bool)
-    for i, band in enumerate(entries_of(given)):
-        where = f"{field}[{i}]" if band is not given else field
+    for where, band in named_entries(field, given):
         if not isinstance(band, FrequencyConstraint):
             expected = "a band, MagnitudeBound, EnergyBound or LinearConstraint"
             advice = "Make a band with low_pass, high_pass, band_pass, notch or stop_band."
@@ -433,8 +433,9 @@ class LinearConstraint(FrequencyConstraint):
         if self.coefficients.shape != expected:
             raise ProblemError(f"{field}.coefficients", f"shape {self.coefficients.shape}", f"shape {expected}")
         parts = (self.coefficients, None) if signal.D is None else (None, self.coefficients)
+        stages = StageMap(np.arange(signal.length), *parts, np.zeros(len(self.constant)))
         ball = NormBall(2, np.zeros(()), weight_of(self.penalty))
-        yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap(*parts, self.constant), ball, source)
+        yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap((stages,), self.constant), ball, source)
 
     def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]

@@ -205,6 +205,11 @@ def entries_of(given: Any) -> Sequence[Any]:
     return given if isinstance(given, (list, tuple)) else () if given is None else (given,)
 
 
+def named_entries(field: str, given: Any) -> list[tuple[str, Any]]:
+    """Return the entries of a field, each with its name in messages: the field, or the field and an index."""
+    return [(field if one is given else f"{field}[{i}]", one) for i, one in enumerate(entries_of(given))]
+
+
 def component_words(component: int | str | None, names: Sequence[str]) -> str:
     """Return the name of a component, without its unit, or that all are meant."""
     if component is None and len(names) > 1:

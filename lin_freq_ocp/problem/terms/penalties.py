@@ -255,8 +255,7 @@ class NormBall(Penalty):
         round_, count = (radius > 0) | (not self.hard), 0 if self.hard else len(entries)
         zero, inside = entries[~round_].ravel(), entries[round_]
         cones, size = len(inside), entries.shape[1] + 1
-        rows = np.column_stack([np.full(cones, -1), inside]).ravel()
-        lower = np.column_stack([-radius[round_], np.zeros(inside.shape)]).ravel()
+        rows, lower, slices = cone_rows(inside, radius[round_])
         first = np.arange(cones) * size
         of_cones = sp.csr_array((np.ones(count), (first[:count], np.arange(count))), shape=(len(rows), count))
         positive = sp.csr_array(sp.eye_array(count, format="csr")[radius[:count] > 0])  # else |v| <= s implies it
@@ -268,7 +267,7 @@ class NormBall(Penalty):
             sp.csr_array(sp.vstack([of_cones, positive, sp.csr_array((len(zero), count))])),
             weight[:count],
             entries[:count],
-            tuple(slice(int(row), int(row) + size) for row in first),
+            slices,
         )
 
 
@@ -305,8 +304,7 @@ class StandardCone(Penalty):
 
     def conic(self, groups: int, dim: int) -> ConicForm:
         count = groups * dim
-        cones = tuple(slice(g * dim, (g + 1) * dim) for g in range(groups))
-        return selected_rows(np.arange(count), np.zeros(count), np.full(count, np.inf), cones)
+        return selected_rows(np.arange(count), np.zeros(count), np.full(count, np.inf), cone_slices(groups, dim))
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,14 +381,11 @@ class LargestExcess(Penalty):
     def conic(self, groups: int, dim: int) -> ConicForm:
         limited = np.flatnonzero(np.isfinite(self.limit))
         limit, entries = self.limit[limited], limited[:, None] * dim + np.arange(dim)
-        rows = np.append(np.column_stack([np.full(len(limited), -1), entries]).ravel(), -1)
-        lower = np.append(np.column_stack([-limit, np.zeros(entries.shape)]).ravel(), 0.0)
-        first = np.arange(len(limited)) * (dim + 1)
-        slacks = np.zeros((len(rows), 1))
-        slacks[first, 0], slacks[-1, 0] = limit / self._unit, 1.0
+        rows, lower, cones = cone_rows(entries, limit)
+        slacks = np.append(np.column_stack([limit / self._unit, np.zeros(entries.shape)]), 1.0)[:, None]
         price, paid = np.array([float(self.weight) / self._unit]), entries.reshape(1, -1)
-        cones = tuple(slice(int(row), int(row) + dim + 1) for row in first)
-        return ConicForm(rows, lower, np.full(len(rows), np.inf), sp.csr_array(slacks), price, paid, cones)
+        rows, lower, upper = np.append(rows, -1), np.append(lower, 0.0), np.full(len(slacks), np.inf)
+        return ConicForm(rows, lower, upper, sp.csr_array(slacks), price, paid, cones)
 
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
@@ -411,6 +406,18 @@ class LargestExcess(Penalty):
         """Return l |lambda|, (groups,)."""
         size = norm_of(multipliers, 2)
         return np.where(size > 0, self.limit, 0.0) * size
+
+
+def cone_rows(entries: Indices, radius: Array) -> tuple[Indices, Array, tuple[slice, ...]]:
+    """Return entries, lower limits and cones of rows (radius, v), for values v of these entries (cones, dim)."""
+    rows = np.column_stack([np.full(len(entries), -1), entries])
+    lower = np.column_stack([-radius, np.zeros(entries.shape)])
+    return rows.ravel(), lower.ravel(), cone_slices(*rows.shape)
+
+
+def cone_slices(count: int, size: int) -> tuple[slice, ...]:
+    """Return the rows of each of so many cones, one after the other."""
+    return tuple(slice(g * size, (g + 1) * size) for g in range(count))
 
 
 def norm_of(v: Array, order: float) -> Array:

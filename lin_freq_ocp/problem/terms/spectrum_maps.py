@@ -16,15 +16,8 @@ import scipy.sparse as sp
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, real_signal
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, joined_rows, pad_columns
-
-
-def real_signal(spectra: ComplexArray, points: int) -> Array:
-    """Return sum_k Re(spectrum_k exp(2 pi i k t / N)), (..., N), N = points, of spectra (..., N//2 + 1)."""
-    k = np.arange(points // 2 + 1)
-    weight = np.where((k == 0) | (2 * k == points), 1.0, 0.5)
-    return fft.irfft(points * weight * spectra, n=points)
 
 
 @dataclass(frozen=True, eq=False)
