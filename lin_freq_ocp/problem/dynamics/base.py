@@ -226,6 +226,10 @@ class StandardDynamics(Dynamics):
 class StateEquations(StandardDynamics):
     """x_{t+1} = f_t, affine in all states and controls of the trajectory: what the judge needs of linear dynamics."""
 
+    def linear_at(self, x: Array, u: Array) -> Dynamics:
+        """Return these dynamics."""
+        return self
+
     @abstractmethod
     def successors(self, x: Array, u: Array) -> Array:
         """Return f_t for all t < T, (T, n); x is (T+1, n) or (T, n), u is (T, m)."""

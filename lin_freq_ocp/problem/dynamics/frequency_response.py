@@ -301,10 +301,6 @@ class FrequencyResponse(StateEquations):
             known = known + np.abs(self.disturbance).max(0)
         return np.zeros((self.state_dim, self.state_dim)), np.abs(self.G).max(0), known
 
-    def linear_at(self, x: Array, u: Array) -> FrequencyResponse:
-        """Return these dynamics."""
-        return self
-
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> FrequencyResponse:
         """Return the response with the outputs w_{t+1} = B u_t; a recursion A that is not zero is refused."""
         if A.any():

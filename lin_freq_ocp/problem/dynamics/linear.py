@@ -283,10 +283,6 @@ class LinearDynamics(StateEquations):
         A, B = np.abs(self.A).reshape(-1, n, n).max(0), np.abs(self.B).reshape(-1, n, m).max(0)
         return A, B, np.abs(self.offset).reshape(-1, n).max(0)
 
-    def linear_at(self, x: Array, u: Array) -> LinearDynamics:
-        """Return these dynamics."""
-        return self
-
     def translated(self, origin: Array) -> LinearDynamics:
         """Return the dynamics of x - origin, whose offset is d + (A - I) origin."""
         growth = extended(self.A) - np.eye(self.state_dim)

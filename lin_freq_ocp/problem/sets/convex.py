@@ -125,7 +125,8 @@ class Ellipsoid(ConvexSet):
         return f"an ellipsoid: |W {inside}| {AT_MOST} {number(self.radius)} with {datum('W', self.W, 2)}"
 
 
-class Ball(Ellipsoid):
+@dataclass(frozen=True, eq=False, init=False)
+class Ball(ConvexSet):
     """{v : |v - centre| <= radius}, in the Euclidean norm.
 
     Parameters

@@ -140,6 +140,9 @@ def limits_on(intervals: Sequence[tuple[float, float]], frequencies: Array, limi
     return Limits(starts, stops, np.interp(starts, frequencies, limits), np.interp(stops, frequencies, limits))
 
 
+ZERO = 1e-6  # of S, below which an end of an interval is none of the first points: its constraint is hardly any
+
+
 @dataclass(frozen=True, eq=False)
 class Frequencies(Continuum):
     """|V(w)| <= l(w) at every frequency w in rad/sample of the intervals of the limits."""
@@ -151,10 +154,17 @@ class Frequencies(Continuum):
         return self.limits.at(points)
 
     def first_points(self) -> Array:
-        """Return the bins of the signal's DFT within the intervals, and their ends."""
-        bins = 2 * np.pi * np.arange(self.map.samples // 2 + 1) / self.map.samples
-        inside = bins[np.isfinite(self.limits.at(bins))]
-        return np.unique(np.concatenate([inside, self.limits.low, self.limits.high]))
+        """Return the bins within the intervals, of those with the same V the one with the least limit, and the ends."""
+        N = self.map.samples
+        k = np.arange(round(N * self.limits.high.max() / (2 * np.pi)) + 1)
+        w = 2 * np.pi * k / N
+        limits, same = self.limits.at(w), np.minimum(k % N, -k % N)
+        of_V = np.full(len(k), np.inf)
+        np.divide(limits, self.factor(w), out=of_V, where=np.isfinite(limits) & (k % N > 0) | (k == 0))
+        tightest = np.lexsort((of_V, same))
+        firsts = tightest[np.unique(same[tightest], return_index=True)[1]]
+        ends = np.concatenate([self.limits.low, self.limits.high])
+        return np.unique(np.concatenate([w[firsts[np.isfinite(of_V[firsts])]], ends[self.factor(ends) > ZERO]]))
 
     def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
         if points.ndim == 1 and (points > self.highest).any():
@@ -212,9 +222,6 @@ class ScaledMap(FrequencyMap, ABC):
         return super().pulled_sizes(weights * np.abs(self.gain.astype(complex))[:, None], shapes)
 
 
-ZERO = 1e-6  # of S, below which an end of an interval is none of the first points: its constraint is hardly any
-
-
 @dataclass(frozen=True, eq=False)
 class HeldMap(ScaledMap):
     """(Re, Im) of S(w) V(w)."""
@@ -229,7 +236,7 @@ class HeldMap(ScaledMap):
 
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
-        first, second = self.plain_factors
+        first, second = super()._factors
         return self.gain[:, None] * first, second
 
 
@@ -244,19 +251,6 @@ class HeldFrequencies(Frequencies):
     """
 
     highest: ClassVar[float] = np.inf
-
-    def first_points(self) -> Array:
-        """Return the bins within the intervals, of those with the same V the one with the least limit, and the ends."""
-        N = self.map.samples
-        k = np.arange(int(N * self.limits.high.max() / (2 * np.pi)) + 1)
-        w = 2 * np.pi * k / N
-        limits = self.limits.at(w)
-        of_V = np.full(len(k), np.inf)
-        np.divide(limits, np.abs(sinc(w)), out=of_V, where=np.isfinite(limits) & (k % N > 0) | (k == 0))
-        tightest = np.lexsort((of_V, np.minimum(k % N, -k % N)))
-        firsts = tightest[np.unique(np.minimum(k % N, -k % N)[tightest], return_index=True)[1]]
-        ends = np.concatenate([self.limits.low, self.limits.high])
-        return np.unique(np.concatenate([w[firsts[np.isfinite(of_V[firsts])]], ends[self.factor(ends) > ZERO]]))
 
     def factor(self, points: Array) -> Array:
         return np.abs(sinc(points))

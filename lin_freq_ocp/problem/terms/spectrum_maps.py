@@ -252,10 +252,6 @@ class FrequencyMap(OutputMap):
 
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
-        return self.plain_factors
-
-    @property
-    def plain_factors(self) -> tuple[ComplexArray, ComplexArray]:
         """Return the factors in extended precision."""
         B = int(np.ceil(np.sqrt(self.samples)))
         w, A = self.at.astype(np.longdouble)[:, None], -(-self.samples // B)
