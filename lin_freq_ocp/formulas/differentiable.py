@@ -236,12 +236,12 @@ class DifferentiableFunction:
     def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
         """Return values, (points, outputs, n + m) and (points, outputs, n + m, n + m)."""
 
-        def found() -> tuple[Array, Array, Array]:
+        def compute() -> tuple[Array, Array, Array]:
             values, slopes = self._evaluate("call", x, u), self._evaluate("jacobian", x, u)
             curvatures = self._differences(x, u, slopes) if self.hessian is None else self._evaluate("hessian", x, u)
             return values, slopes, np.where(np.isfinite(curvatures), curvatures, 0.0)
 
-        values, slopes, curvatures = self._recall("derivatives", x, u, found)
+        values, slopes, curvatures = self._recall("derivatives", x, u, compute)
         return values, slopes, curvatures
 
     def _recall(self, what: str, x: Array, u: Array, compute: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:

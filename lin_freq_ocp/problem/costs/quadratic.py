@@ -226,11 +226,11 @@ class QuadraticCost(Cost):
             times = {"P": None, "p": None, "x_ref": horizon + 1}.get(field, horizon)
             square, reference = len(set(axes)) < len(axes), field.endswith("_ref")
             if square and value.ndim == 0:
-                value = value * np.eye(*shape)
+                value = value * np.eye(shape[0])
             elif value.ndim == 0 and value == 0:
                 value = np.zeros(shape)
             elif reference:
-                value = one_component(value, *shape)
+                value = one_component(value, shape[0])
             complete[field] = value = shaped(f"cost.{field}", value, shape, times)
             asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max() if square else 0.0
             if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():

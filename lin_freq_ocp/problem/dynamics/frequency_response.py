@@ -312,7 +312,7 @@ class FrequencyResponse(StateEquations):
         return FrequencyResponse(
             np.concatenate([self.G, delay[:, None, None] * B], axis=1),
             self.sampling_time,
-            with_columns(self.offset, k),
+            np.hstack([self.offset, np.zeros((len(self.offset), k))]),
             None if signal is None else with_columns(signal, k),
             self.mode,
             [*self.state_names, *names],

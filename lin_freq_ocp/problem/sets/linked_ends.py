@@ -83,16 +83,16 @@ class LinkedEnds(ConvexSet):
 
     def extended(self, n: int, k: int) -> ConvexSet:
         E_0, E_T, e = self.matrices(n)
-        return self._restated(with_columns(E_0, k), with_columns(E_T, k), e)
+        return self._restate(with_columns(E_0, k), with_columns(E_T, k), e)
 
     def widened(self, amount: float, dimension: int) -> ConvexSet:
-        return self._restated(*self.matrices(dimension), amount)
+        return self._restate(*self.matrices(dimension), amount)
 
     def translated(self, origin: Array) -> ConvexSet:
         E_0, E_T, e = self.matrices(len(origin))
-        return self._restated(E_0, E_T, with_products(e, (-E_0, origin), (-E_T, origin)))
+        return self._restate(E_0, E_T, with_products(e, (-E_0, origin), (-E_T, origin)))
 
-    def _restated(self, E_0: Array, E_T: Array, e: Array, farther: float = 0.0) -> LinkedEnds:
+    def _restate(self, E_0: Array, E_T: Array, e: Array, farther: float = 0.0) -> LinkedEnds:
         links = LinkedEnds(E_0, E_T, e)
         assign(links, reach=self.reach + farther, repeats=self.repeats)
         return links

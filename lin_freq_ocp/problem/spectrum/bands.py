@@ -109,11 +109,10 @@ class Band(FrequencyConstraint):
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed; warn if none or all."""
         stopped = self.at(length, sampling_time, field)
-        if not stopped.any():
-            warnings.warn(f"{field}: {self} removes no bin of a signal of {length} samples.", BandWarning, stacklevel=2)
-        elif stopped.all():
-            what = f"removes every bin of a signal of {length} samples, which must then be zero"
-            warnings.warn(f"{field}: {self} {what}.", BandWarning, stacklevel=2)
+        if stopped.all() or not stopped.any():
+            count, then = ("every", ", which must then be zero") if stopped.any() else ("no", "")
+            what = f"removes {count} bin of a signal of {length} samples{then}."
+            warnings.warn(f"{field}: {self} {what}", BandWarning, stacklevel=2)
         return stopped
 
     def at(self, length: int, sampling_time: float | None, field: str) -> Mask:

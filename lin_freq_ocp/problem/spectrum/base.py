@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,8 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name
 from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
+
+Entry = TypeVar("Entry")
 
 
 class FrequencyConstraint(ABC):
@@ -205,7 +207,7 @@ def entries_of(given: Any) -> Sequence[Any]:
     return given if isinstance(given, (list, tuple)) else () if given is None else (given,)
 
 
-def named_entries(field: str, given: Any) -> list[tuple[str, Any]]:
+def named_entries(field: str, given: Entry | Sequence[Entry] | None) -> list[tuple[str, Entry]]:
     """Return the entries of a field, each with its name in messages: the field, or the field and an index."""
     return [(field if one is given else f"{field}[{i}]", one) for i, one in enumerate(entries_of(given))]
 

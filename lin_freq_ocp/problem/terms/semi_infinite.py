@@ -189,7 +189,7 @@ class Frequencies(Continuum):
         for low, high, *levels in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
             k = np.arange(int(low / step), int(high / step) + 2)
             k = k[(step * k > low) & (step * k < high)]
-            ends, w = np.array([low, high]), step * k
+            ends, w = np.array([low, high]), np.asarray(step * k, dtype=np.float64)
             inner = spectrum[np.minimum(k % points, -k % points)] * self.factor(w) / np.interp(w, ends, levels)
             share = np.concatenate([[0.0], (w - low) / (high - low), [1.0]])
             yield (float(low), float(high)), share, np.insert(self.ratios(signal, ends), 1, inner)
