@@ -1,8 +1,8 @@
 """Plants known by their frequency response: y_k = G_k u_k + g_k at every bin of the DFT.
 
 The states of such a problem are the outputs: x_t = y_t for t = 0 .. T, with eta_t the multiplier of x_{t+1} = y_{t+1}.
-Of a periodic record, x_T = x_0; else the first output is an equation of its own (``FirstOutput``). Measured responses
-are tables of frequency, real and imaginary part, interpolated at the bins of a record.
+Of a periodic record, x_T = x_0; else the first output is an equation of its own. Measured responses are tables of
+frequency, real and imaginary part, interpolated at the bins of a record.
 """
 
 from __future__ import annotations

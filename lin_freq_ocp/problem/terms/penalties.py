@@ -80,7 +80,7 @@ class HalfSpaces(Penalty):
 
     def conic(self, groups: int, dim: int) -> ConicForm:
         entries = self._limited_entries((groups, dim))
-        upper, identity = self.bounds((groups, dim))[1].ravel()[entries], sp.eye_array(len(entries))
+        upper, identity = self.bounds((groups, dim))[1].ravel()[entries], sp.csr_array(sp.eye_array(len(entries)))
         if self.hard:
             return selected_rows(entries, np.full(len(entries), -np.inf), upper)
         blocks: list[Block] = [(entries, -np.inf, upper, -identity), (-1, 0.0, np.inf, identity)]
@@ -203,15 +203,16 @@ class NormBall(Penalty):
         limited = np.flatnonzero(np.isfinite(radius))
         weight = np.broadcast_to(self.weight, (groups,))[limited]
         entries = limited[:, None] * dim + np.arange(dim)
-        flat, reach, identity = entries.ravel(), np.repeat(radius[limited], dim), sp.eye_array(len(limited))
+        flat, reach = entries.ravel(), np.repeat(radius[limited], dim)
         if self.order == 1:
-            each = sp.eye_array(len(flat))
+            each = sp.csr_array(sp.eye_array(len(flat)))
             sides: list[Block] = [(flat, -np.inf, 0.0, -each), (flat, 0.0, np.inf, each)]
             return block_rows(sides, np.repeat(weight, dim), flat[:, None])
         if self.order == 2 and dim > 1:
             return self._cones(entries, radius[limited], weight)
         if self.hard:
             return selected_rows(flat, -reach, reach)
+        identity = sp.csr_array(sp.eye_array(len(limited)))
         spread = sp.csr_array(sp.kron(identity, np.ones((dim, 1))))
         blocks: list[Block] = [(flat, -np.inf, reach, -spread), (flat, -reach, np.inf, spread)]
         return block_rows([*blocks, (-1, 0.0, np.inf, identity)], weight, entries)
@@ -352,7 +353,7 @@ class LargestExcess(Penalty):
         rows, lower, cones = cone_rows(entries, limit)
         radii = sp.csr_array(np.column_stack([limit / self._unit, np.zeros(entries.shape)]).reshape(-1, 1))
         price, paid = np.array([float(self.weight) / self._unit]), entries.reshape(1, -1)
-        blocks: list[Block] = [(rows, lower, np.inf, radii), (-1, 0.0, np.inf, sp.eye_array(1))]
+        blocks: list[Block] = [(rows, lower, np.inf, radii), (-1, 0.0, np.inf, sp.csr_array([[1.0]]))]
         return block_rows(blocks, price, paid, cones)
 
     def softened(self, weight: Array) -> Penalty:

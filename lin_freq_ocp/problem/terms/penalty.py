@@ -183,14 +183,14 @@ def weight_of(penalty: float | None) -> Array:
     return HARD if penalty is None else np.asarray(penalty)
 
 
-Block = tuple[Indices | int, Array | float, Array | float, sp.sparray]  # entries, lower, upper and slacks of rows
+Block = tuple[Indices | int, Array | float, Array | float, sp.csr_array]  # entries, lower, upper and slacks of rows
 
 
 def block_rows(blocks: Sequence[Block], prices: Array, paid: Indices, cones: tuple[slice, ...] = ()) -> ConicForm:
     """Return the rows of blocks, one after the other; a number stands for all rows of its block."""
     entries, lower, upper = (
-        np.concatenate([np.broadcast_to(np.asarray(block[part]), block[3].shape[:1]) for block in blocks])
-        for part in range(3)
+        np.concatenate([np.broadcast_to(np.asarray(block[i]), block[3].shape[:1]) for block in blocks])
+        for i in range(3)
     )
     slacks = sp.csr_array(sp.vstack([block[3] for block in blocks]))
     return ConicForm(entries, lower, upper, slacks, prices, paid, cones)
