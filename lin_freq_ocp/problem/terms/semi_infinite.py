@@ -73,7 +73,7 @@ class Continuum(ABC):
 
 
 FINENESS = 16  # points of a first search for each bin of the signal's DFT
-STEPS = 3  # of Newton's method, from 1/16 of a bin: it converges quadratically from the first on
+STEPS = 4  # of Newton's method, from 1/16 of a bin: it converges quadratically from the first on
 DIFFERENCE = 1e-2  # distance of the points of differences, in that of the samples: they err by 1e-5 of a step
 FARTHEST = 2.0  # distances of the samples that a maximum may be from the sample
 
