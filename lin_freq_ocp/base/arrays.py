@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import fft
 
 from lin_freq_ocp.base.errors import ProblemError
 
@@ -15,19 +17,22 @@ ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 Entry = TypeVar("Entry", bound=np.generic)
+Instance = TypeVar("Instance")
 Bound = ArrayLike | Sequence[float | None] | None  # as users give it: numbers, with None where there is none
 NO_BOUND = 1e20  # a bound from here on is none: other tools write infinity so
 LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer one is a slip of the pen
 
 
-def real_array(field: str, value: object, allow_infinite: bool = False) -> Array:
+def real_array(
+    field: str, value: object, allow_infinite: bool = False, kinds: str = "iuf", dtype: type[complex] = float
+) -> Array:
     """Convert to a read-only float64 array; NaN, complex and (by default) infinite entries are refused."""
     try:
         array = np.asarray(value)
-        if array.size and array.dtype.kind not in "iuf":
+        if array.size and array.dtype.kind not in kinds:
             raise TypeError(f"entries of type {array.dtype}")
-        if array.flags.writeable or not array.flags.owndata or array.dtype != np.float64:
-            array = np.array(array, dtype=np.float64)
+        if array.flags.writeable or not array.flags.owndata or array.dtype != dtype:
+            array = np.array(array, dtype=dtype)
     except (TypeError, ValueError, OverflowError) as error:
         raise ProblemError(field, f"{brief(value)}", "numbers in a rectangular array", f"({error})") from None
     bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)
@@ -38,6 +43,11 @@ def real_array(field: str, value: object, allow_infinite: bool = False) -> Array
         )
     array.flags.writeable = False
     return array
+
+
+def complex_array(field: str, value: object) -> ComplexArray:
+    """Convert to a read-only complex128 array; entries that are not finite are refused."""
+    return np.asarray(real_array(field, value, kinds="iufc", dtype=complex), dtype=np.complex128)
 
 
 def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None = None) -> Array:
@@ -52,6 +62,32 @@ def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None 
 def one_component(array: Array, size: int) -> Array:
     """Return a single number as the vector that it stands for where there is one component; else what was given."""
     return array.reshape(1) if array.ndim == 0 and size == 1 else array
+
+
+def row_matrix(field: str, value: object, advice: str = "") -> Array:
+    """Require a matrix (rows, n) that is not empty."""
+    matrix = real_array(field, value)
+    if matrix.ndim != 2 or 0 in matrix.shape:
+        raise ProblemError(field, f"shape {matrix.shape}", "a matrix (rows, n)", advice)
+    return matrix
+
+
+def upper_limits(field: str, value: object) -> Array:
+    """Convert to upper limits, inf where there is none: from ``NO_BOUND`` on."""
+    limits = real_array(field, value, allow_infinite=True)
+    if (limits == -np.inf).any():
+        entry = "".join(f"[{i}]" for i in np.argwhere(limits == -np.inf)[0])
+        raise ProblemError(f"{field}{entry}", "-inf", "a number, or inf for no bound")
+    return frozen(np.where(limits >= NO_BOUND, np.inf, limits))
+
+
+def require_rows_hold(field: str, broken: Mask, limits: Array) -> None:
+    """Raise ProblemError if 0 is beyond the limit of a row without coefficients; both (rows,), or (times, rows)."""
+    if broken.any():
+        at = tuple(int(i) for i in np.argwhere(broken)[0])
+        when = f" at t = {at[0]}" if broken.ndim == 2 else ""
+        got = f"{np.broadcast_to(limits, broken.shape)[at]:g} for row {at[-1]}{when}, which has no coefficients"
+        raise ProblemError(field, got, "a row that can hold")
 
 
 def positive_integer(field: str, value: object) -> int:
@@ -83,20 +119,20 @@ def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> t
     """Require ``count`` different names; without any, ``x_0 ...``."""
     if given is None:
         return tuple(f"{letter}_{i}" for i in range(count))
-    if (
-        isinstance(given, str)
-        or not isinstance(given, Sequence)
-        or not all(isinstance(name, str) and name.strip() for name in given)
-    ):
+    if isinstance(given, str) or not isinstance(given, Sequence):
         raise ProblemError(field, brief(given), f"a list of {count} names")
-    unseen = [name for name in given if not name.isprintable()]
-    if unseen:
-        raise ProblemError(field, brief(unseen[0]), "names of printable characters")
-    if len(given) != count or len(set(given)) != count:
-        raise ProblemError(
-            field, brief(list(given)), f"{count} different names", 'One per component, such as "position [m]".'
-        )
-    return tuple(given)
+    checked = tuple(printable(field, name, "") for name in given)
+    if len(checked) != count or len(set(checked)) != count:
+        advice = 'One per component, such as "position [m]".'
+        raise ProblemError(field, brief(list(given)), f"{count} different names", advice)
+    return checked
+
+
+def printable(field: str, name: object, empty: str | None = None) -> str:
+    """Require a text of printable characters, other than ``empty`` where that is given."""
+    if not isinstance(name, str) or not name.isprintable() or name.strip() == empty:
+        raise ProblemError(field, brief(name), "a name of printable characters")
+    return name
 
 
 def brief(value: object, length: int = 80) -> str:
@@ -108,10 +144,23 @@ def brief(value: object, length: int = 80) -> str:
     return text if len(text) <= length else text[: length - 3] + "..."
 
 
+def require_bool(field: str, value: object) -> None:
+    """Raise ProblemError unless the value is True or False."""
+    if not isinstance(value, bool):
+        raise ProblemError(field, brief(value), "True or False")
+
+
 def assign(instance: object, **fields: object) -> None:
     """Set the fields of a frozen dataclass from within its own ``__init__``."""
     for name, value in fields.items():
         object.__setattr__(instance, name, value)
+
+
+def with_fields(instance: Instance, **fields: object) -> Instance:
+    """Return a shallow copy of a frozen dataclass with other fields; nothing is checked, and its caches are shared."""
+    other = copy(instance)
+    assign(other, **fields)
+    return other
 
 
 def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
@@ -161,3 +210,10 @@ def with_columns(array: Array, columns: int) -> Array:
 def with_rows(matrices: Array, rows: Array) -> Array:
     """Return a matrix, or one per time, with these rows below."""
     return np.concatenate([matrices, np.broadcast_to(rows, (*matrices.shape[:-2], *rows.shape))], axis=-2)
+
+
+def real_signal(spectra: ComplexArray, points: int) -> Array:
+    """Return sum_k Re(spectrum_k exp(2 pi i k t / N)), (..., N), N = points, of spectra (..., N//2 + 1)."""
+    k = np.arange(points // 2 + 1)
+    weight = np.where((k == 0) | (2 * k == points), 1.0, 0.5)
+    return fft.irfft(points * weight * spectra, n=points)

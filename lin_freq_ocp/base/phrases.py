@@ -9,7 +9,7 @@ from math import isfinite
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import NO_BOUND, Array
+from lin_freq_ocp.base.arrays import NO_BOUND, Array, Indices
 
 NAME_WITH_UNIT = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 SMALL, LARGE = 1e-3, 1e6  # numbers outside this range are written with a power of ten
@@ -67,10 +67,10 @@ def runs_in_words(runs: Sequence[tuple[int, int]]) -> str:
     return first_few([f"{first}" if first == last else f"{first} to {last}" for first, last in runs])
 
 
-def runs_of(numbers: Array) -> list[tuple[int, int]]:
+def runs_of(numbers: Array | Indices) -> list[tuple[int, int]]:
     """Return (first, last) of every run of neighbours among different whole numbers in ascending order."""
-    cuts = np.flatnonzero(np.diff(numbers) > 1)
-    return [(int(a), int(b)) for a, b in zip(numbers[np.r_[0, cuts + 1]], numbers[np.r_[cuts, -1]], strict=True)]
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    return [(int(run[0]), int(run[-1])) for run in runs if len(run)]
 
 
 def vector(values: Array) -> str:
@@ -122,7 +122,7 @@ def combination(row: Array, names: Sequence[str]) -> str:
         value = float(row[i])
         factor = "" if abs(value) == 1 else f"{number(abs(value))} "
         sign = (" - " if value < 0 else " + ") if text else "-" if value < 0 else ""
-        text += f"{sign}{factor}{split_unit(names[i])[0]}"
+        text += f"{sign}{factor}{short_name(names[i])}"
     return text or "0"
 
 

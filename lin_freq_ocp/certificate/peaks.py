@@ -301,7 +301,7 @@ def certified_vibration(samples: Array, box: PlantBox) -> Peak:
     parts = [_cells(values, box, limit, k, edge) for k, edge in enumerate(box.edges)]
     peak = largest(joined(parts))
     k, share = divmod(peak.frequency, 2.0)
-    ((frequency, damping),) = box.modes_on(box.edges[int(k)], np.array([share])).tolist()
+    ((frequency, damping),) = box.points_on(box.edges[int(k)], np.array([share])).tolist()
     return Peak(peak.ratio, peak.found, frequency, damping)
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer
+from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer, require_bool
 from lin_freq_ocp.base.errors import MissingExtraError, ProblemError, first_line
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.formulas.nodes import LARGEST_POWER, Formula, extreme, norm, signals
@@ -97,8 +97,7 @@ def from_casadi(
     [5.0]
     """
     casadi = _casadi()
-    if not isinstance(smooth, bool):
-        raise ProblemError("from_casadi.smooth", brief(smooth), "true or false")
+    require_bool("from_casadi.smooth", smooth)
     native: type[Function] = casadi.Function
     if isinstance(function, native):
         made = function

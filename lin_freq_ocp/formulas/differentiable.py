@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, positive_integer, real_array
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, positive_integer, printable, real_array, require_bool
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import EXTERNAL
@@ -105,10 +105,8 @@ class DifferentiableFunction:
             if not callable(given) and not (label == "hessian" and given is None):
                 advice = "lfo.from_casadi has derivatives by automatic differentiation." if label == "jacobian" else ""
                 raise ProblemError(f"DifferentiableFunction.{label}", brief(given), "a function of (x, u)", advice)
-        if not isinstance(name, str) or not name.isprintable():
-            raise ProblemError("DifferentiableFunction.name", brief(name), "a printable text")
-        if not isinstance(vectorized, bool):
-            raise ProblemError("DifferentiableFunction.vectorized", brief(vectorized), "true or false")
+        printable("DifferentiableFunction.name", name)
+        require_bool("DifferentiableFunction.vectorized", vectorized)
         scale = real_array("DifferentiableFunction.sizes", sizes)
         if scale.ndim > 1 or (scale <= 0).any():
             raise ProblemError("DifferentiableFunction.sizes", brief(sizes), "one number above zero, or one each")
@@ -187,13 +185,39 @@ class DifferentiableFunction:
                 raise ProblemError(f"check_at[{i}]", brief(point), "a point (x, u)")
             x, u = (np.atleast_1d(real_array(f"check_at[{i}]", part)) for part in point)
             self._require(len(x), len(u))
+            self._require_derivative("call", "jacobian", x, u)
+            if self.hessian is not None:
+                self._require_derivative("jacobian", "hessian", x, u)
 
-            def evaluate(what: str, points: Array, states: int = len(x)) -> Array:
-                return self._evaluate(what, points[:, :states], points[:, states:])
+    def _require_derivative(self, of: str, what: str, x: Array, u: Array) -> None:
+        """Raise ProblemError unless central differences of ``of`` agree with the derivative ``what`` at (x, u).
 
-            for of, what in (("call", "jacobian"), ("jacobian", "hessian"))[: 1 if self.hessian is None else 2]:
-                y, sizes = np.concatenate([x, u]), self._sizes(len(x) + len(u))
-                require_derivative(self.title, of, what, evaluate, y, len(x), sizes)
+        ``scipy.differentiate`` fails where a function is undefined within its first step, and loses digits on noisy or
+        rapidly changing functions unless their scale is known. Here steps of all sizes are compared.
+        """
+        y, sizes = np.concatenate([x, u]), self._sizes(len(x) + len(u))
+        labels, where = [f"x[{i}]" for i in range(len(x))] + [f"u[{i}]" for i in range(len(u))], _place(x, u)
+        given = self._evaluate(what, x[None], u[None])[0]
+        if not np.isfinite(self._evaluate(of, x[None], u[None])).all():
+            advice = "Choose a point in its domain."
+            raise ProblemError(f"{self.title}.{of}", f"no finite number at {where}", "finite numbers", advice)
+        for j, label in enumerate(labels):
+            size = float(max(abs(y[j]), sizes[j]))
+            found, doubt = _differences(lambda y: self._evaluate(of, y[:, : len(x)], y[:, len(x) :]), y, j, size)
+            if not np.isfinite(found).all():
+                got = f"nothing finite on one of the sides of {label} = {y[j]:g}, at {where}"
+                advice = "Choose a point inside its domain."
+                raise ProblemError(f"{self.title}.{of}", got, "a function that is defined around", advice)
+            own = given[..., j]
+            allowed = DOUBT * doubt + DERIVATIVE_TOLERANCE * np.maximum(np.abs(own), np.abs(found))
+            for index in np.argwhere(~(np.abs(own - found) <= allowed)):  # not a number is wrong, too
+                at = tuple(map(int, index))
+                by = " and ".join([*(labels[i] for i in at[1:]), label])
+                expected = f"{found[at]:.8g}, as differences of {of} say"
+                name = "derivative" if what == "jacobian" else "second derivative"
+                advice = f"It is the {name} of output {at[0]} by {by}."
+                entry = f"{self.title}.{what}[{', '.join(map(str, (*at, j)))}]"
+                raise ProblemError(entry, f"{own[at]:.8g}, at {where}", expected, advice)
 
     def _require(self, states: int, controls: int) -> None:
         if self.dimensions not in (None, (states, controls)):
@@ -212,12 +236,12 @@ class DifferentiableFunction:
     def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
         """Return values, (points, outputs, n + m) and (points, outputs, n + m, n + m)."""
 
-        def found() -> tuple[Array, Array, Array]:
+        def compute() -> tuple[Array, Array, Array]:
             values, slopes = self._evaluate("call", x, u), self._evaluate("jacobian", x, u)
             curvatures = self._differences(x, u, slopes) if self.hessian is None else self._evaluate("hessian", x, u)
             return values, slopes, np.where(np.isfinite(curvatures), curvatures, 0.0)
 
-        values, slopes, curvatures = self._recall("derivatives", x, u, found)
+        values, slopes, curvatures = self._recall("derivatives", x, u, compute)
         return values, slopes, curvatures
 
     def _recall(self, what: str, x: Array, u: Array, compute: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
@@ -324,40 +348,6 @@ DERIVATIVE_TOLERANCE = 1e-6
 # The best difference is off by up to so many times the distance of its neighbour and rounding.
 DOUBT = 10.0
 ROUNDING = 4 * float(np.finfo(np.float64).eps)  # error of values, relative to their largest
-
-
-def require_derivative(
-    title: str, of: str, what: str, evaluate: Callable[[str, Array], Array], y: Array, states: int, sizes: Array
-) -> None:
-    """Raise ProblemError unless central differences of ``of`` agree with the derivative ``what`` at y (arguments,).
-
-    ``scipy.differentiate`` fails where a function is undefined within its first step, and loses digits on noisy or
-    rapidly changing functions unless their scale is known. Here steps of all sizes are compared.
-
-    ``evaluate`` takes the name of either and points (points, arguments), of which the first arguments are ``states``.
-    """
-    labels = [f"x[{i}]" for i in range(states)] + [f"u[{i}]" for i in range(len(y) - states)]
-    where = f"x = {brief(y[:states].tolist())}, u = {brief(y[states:].tolist())}"
-    given = evaluate(what, y[None])[0]
-    if not np.isfinite(evaluate(of, y[None])).all():
-        advice = "Choose a point in its domain."
-        raise ProblemError(f"{title}.{of}", f"no finite number at {where}", "finite numbers", advice)
-    for j, label in enumerate(labels):
-        found, doubt = _differences(lambda points: evaluate(of, points), y, j, float(max(abs(y[j]), sizes[j])))
-        if not np.isfinite(found).all():
-            got = f"nothing finite on one of the sides of {label} = {y[j]:g}, at {where}"
-            advice = "Choose a point inside its domain."
-            raise ProblemError(f"{title}.{of}", got, "a function that is defined around", advice)
-        own = given[..., j]
-        allowed = DOUBT * doubt + DERIVATIVE_TOLERANCE * np.maximum(np.abs(own), np.abs(found))
-        for index in np.argwhere(~(np.abs(own - found) <= allowed)):  # not a number is wrong, too
-            at = tuple(map(int, index))
-            by = " and ".join([*(labels[i] for i in at[1:]), label])
-            expected = f"{found[at]:.8g}, as differences of {of} say"
-            name = "derivative" if what == "jacobian" else "second derivative"
-            advice = f"It is the {name} of output {at[0]} by {by}."
-            entry = f"{title}.{what}[{', '.join(map(str, (*at, j)))}]"
-            raise ProblemError(entry, f"{own[at]:.8g}, at {where}", expected, advice)
 
 
 def _differences(evaluate: Callable[[Array], Array], y: Array, j: int, size: float) -> tuple[Array, Array]:

@@ -138,7 +138,7 @@ class Formula(Node):
         raise AttributeError(f"a formula has no attribute {name!r}")
 
     def __repr__(self) -> str:
-        return f"Formula({written(self, shown(), LONGEST_SHOWN)})"
+        return f"Formula({text_of(self)})"
 
 
 def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
@@ -276,8 +276,13 @@ def in_order(formulas: Sequence[Formula]) -> tuple[Formula, ...]:
 
 @lru_cache(maxsize=256)  # a search evaluates the same formulas some thousand times
 def _in_order(formulas: tuple[Formula, ...]) -> tuple[Formula, ...]:
-    found: dict[Formula, None] = {}
-    stack = [(one, False) for one in reversed(formulas)]
+    return tuple(post_order(formulas, lambda one: one.arguments))
+
+
+def post_order(roots: Sequence[Value], parts: Callable[[Value], Sequence[Value]]) -> dict[Value, None]:
+    """Return all nodes of a graph, each after its parts; without recursion, as long sums are nested deeply."""
+    found: dict[Value, None] = {}
+    stack = [(one, False) for one in reversed(roots)]
     while stack:
         one, done = stack.pop()
         if one in found:
@@ -285,8 +290,8 @@ def _in_order(formulas: tuple[Formula, ...]) -> tuple[Formula, ...]:
         if done:
             found[one] = None
         else:
-            stack += [(one, True), *((argument, False) for argument in reversed(one.arguments))]
-    return tuple(found)
+            stack += [(one, True), *((part, False) for part in reversed(parts(one)))]
+    return found
 
 
 def evaluated(formulas: Sequence[Formula], rule: Callable[[Formula, list[Value]], Value]) -> list[Value]:
@@ -332,8 +337,17 @@ def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:
     return (one for one in in_order(formulas) if one.kind in kinds)
 
 
-def written(formula: Formula, notation: Notation, longest: float = float("inf")) -> str:
-    """Return the text of a formula; parts that are longer than ``longest`` are cut to three dots."""
+def text_of(
+    formula: Formula,
+    labels: Sequence[str] | None = None,
+    number: Callable[[float], str] = "{:.4g}".format,
+    longest: float = LONGEST_SHOWN,
+) -> str:
+    """Return the text of a formula, by default for people, with the given names of states and controls.
+
+    Parts that are longer than ``longest`` are cut to three dots.
+    """
+    notation = Notation(number, labels)
 
     def text(node: Formula, parts: list[str]) -> str:
         cut = {i for i, part in enumerate(parts) if len(part) > longest}
@@ -341,11 +355,6 @@ def written(formula: Formula, notation: Notation, longest: float = float("inf"))
         return "..." if len(parts) > longest / 2 else operations.OPERATIONS[node.kind].text(node, parts, notation, cut)
 
     return evaluated([formula], text)[0]
-
-
-def shown(labels: Sequence[str] | None = None) -> Notation:
-    """Return the notation for people: rounded numbers."""
-    return Notation(lambda value: f"{value:.4g}", labels)
 
 
 def _sum(like: Formula, factors: Mapping[Formula, float], constant: float) -> Formula:

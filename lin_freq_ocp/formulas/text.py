@@ -19,7 +19,7 @@ from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas import nodes
-from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.formulas.nodes import Formula, post_order
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, OPERATIONS, SUM, VARIABLE, Notation, scalar_functions
 
 LONGEST_FORMULA = 100_000  # characters of one formula
@@ -113,21 +113,18 @@ class _Reader:
         self._text, self._known = text, known
 
     def read(self, root: ast.expr) -> Formula | float:
-        """Return what a node says, from the innermost outwards: a long sum is nested as deeply as it is long."""
+        """Return the formula or number of a syntax tree."""
         made: dict[ast.expr, Formula | float] = {}
-        stack = [(root, False)]
-        while stack:
-            node, ready = stack.pop()
-            parts = node.args if isinstance(node, ast.Call) else []
-            if isinstance(node, ast.UnaryOp):
-                parts = [node.operand]
-            if isinstance(node, ast.BinOp):
-                parts = [node.left, node.right]
-            if ready or not parts:
-                made[node] = self._apply_operation(node, [made[part] for part in parts])
-            else:
-                stack += [(node, True), *((part, False) for part in reversed(parts))]
+        for node in post_order([root], self._operands):
+            made[node] = self._apply_operation(node, [made[part] for part in self._operands(node)])
         return made[root]
+
+    def _operands(self, node: ast.expr) -> list[ast.expr]:
+        if isinstance(node, ast.BinOp):
+            return [node.left, node.right]
+        if isinstance(node, ast.UnaryOp):
+            return [node.operand]
+        return node.args if isinstance(node, ast.Call) else []
 
     def _apply_operation(self, node: ast.expr, parts: Sequence[Formula | float]) -> Formula | float:
         value = node.value if isinstance(node, ast.Constant) else None
@@ -208,11 +205,6 @@ def require_formula(one: Formula, field: str = "formula") -> None:
     """Raise ProblemError if a node is a function that is no formula."""
     if one.function is not None:
         raise ProblemError(field, f"the function {one.function.title}", "formulas, which are text in a file")
-
-
-def text_of(one: Formula, labels: Sequence[str] | None = None) -> str:
-    """Return a formula for people, with rounded numbers and the given names of states and controls, shortened."""
-    return nodes.written(one, nodes.shown(labels), nodes.LONGEST_SHOWN)
 
 
 LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
+from operator import itemgetter
 from textwrap import shorten
 
-from lin_freq_ocp.base.phrases import interval, intervals, listed, number, plural, short_name
+from lin_freq_ocp.base.phrases import interval, intervals, listed, number, plural, runs_in_words, short_name
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of
@@ -106,9 +108,8 @@ def _over_time(words: Sequence[str]) -> str:
     """Return which set holds when; of many different ones, the first and the last."""
     if len(words) == 1:
         return words[0]
-    starts = [t for t in range(len(words)) if t == 0 or words[t] != words[t - 1]]
-    runs = [(first, after - 1) for first, after in zip(starts, [*starts[1:], len(words)], strict=True)]
-    said = [f"t = {a}{'' if a == b else f' to {b}'}: {words[a]}" for a, b in runs]
+    runs = [[t for t, _ in run] for _, run in groupby(enumerate(words), key=itemgetter(1))]
+    said = [f"t = {runs_in_words([(run[0], run[-1])])}: {words[run[0]]}" for run in runs]
     if len("; ".join(said)) <= LONGEST_FACT - 20:
         return "; ".join(said)
     if len(said[0]) + len(said[-1]) <= LONGEST_FACT - 60:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.phrases import runs_of
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -93,8 +94,7 @@ def padded_spectrum(signal: Array) -> tuple[Array, Array]:
 
 def stopped_runs(stopped: Mask) -> list[tuple[int, int]]:
     """Return (first, last) of every run of neighbouring stopped bins of one component, stopped (bins,)."""
-    edges = np.flatnonzero(np.diff(np.r_[False, stopped, False].astype(int)))
-    return [(int(first), int(after) - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
+    return runs_of(np.flatnonzero(stopped))
 
 
 def stopband_peak(signal: Array, stopped: Mask) -> float | None:

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer, printable
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, in_form, printable
+from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, in_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.levels import with_levels
 from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, changed, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.box import SetOrSets, box_of, end_set, end_within
+from lin_freq_ocp.problem.sets.box import SetOrSets, end_set
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
+
+OF_MODES = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
 
 
 class OptimalControlProblem(ProblemData):
@@ -143,16 +144,11 @@ class OptimalControlProblem(ProblemData):
         ProblemError
             If an end does not fit the problem.
         """
-        problem, ends = copy(self), list(self.met_ends)
-        for t, field, given in ((0, "initial_state", initial_state), (-1, "terminal_state", terminal_state)):
-            if given is not None:
-                assign(problem, **{field: end_set(field, given, self.state_dim)})
-                end = box_of(getattr(problem, field)).at_dimension(self.state_dim, field)
-                ends[t] = end_within(end, self.state_boxes.at(t))
-        problem.__dict__["met_ends"] = tuple(ends)
-        problem.__dict__.pop("state_tube", None)
+        given = {"initial_state": initial_state, "terminal_state": terminal_state}
+        ends = {field: end_set(field, end, self.state_dim) for field, end in given.items() if end is not None}
+        problem = changed(self, **ends)
         boxes = not problem.initial_state.members and not problem.terminal_state.members
-        outside = any(beyond.any() for _, beyond in ends)
+        outside = any(beyond.any() for _, beyond in problem.met_ends)
         of_ends = TermKind.STATE_SET, TermKind.LINKED_ENDS
         if not boxes or outside or any(term.kind in of_ends for term in self.terms):  # other terms: no ends
             problem.__dict__.pop("terms", None)
@@ -182,14 +178,12 @@ class OptimalControlProblem(ProblemData):
     @cached_property
     def linear(self) -> LinearDynamics:
         """The dynamics, which must be linear; else UnsupportedError."""
-        advice = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
-        return in_form(self.dynamics, LinearDynamics, advice)
+        return in_form(self.dynamics, LinearDynamics, OF_MODES)
 
     @cached_property
     def equations(self) -> StateEquations:
         """The dynamics, which must be linear or known by a frequency response; else UnsupportedError."""
-        advice = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
-        return in_form(self.dynamics, StateEquations, advice)
+        return in_form(self.dynamics, StateEquations, OF_MODES)
 
     def affine_at(
         self, trajectory: Trajectory, selections: Mapping[Formula, Array] | None = None

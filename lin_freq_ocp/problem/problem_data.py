@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign, brief
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, sealed, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
@@ -22,7 +21,7 @@ from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE, Box, SetOrSets, box_of, end_within, stacked
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stopped_bins, time_signal
-from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, entries_of
+from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, named_entries
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 from lin_freq_ocp.problem.terms.penalty import HARD, weight_of
@@ -174,13 +173,14 @@ DEPENDENT = {
     "dynamics": ("linear", "equations", "borders", "gap"),
     "cost": ("quadratic",),
     "state_set": ("state_boxes", "met_ends", "state_tube", "terms"),
+    "initial_state": ("met_ends", "state_tube"),  # and of some, the terms: see ``with_ends``
+    "terminal_state": ("met_ends", "state_tube"),
 }
 
 
 def changed(problem: Data, **fields: object) -> Data:
     """Return a problem with other fields, which fit: nothing is checked again, and what depends on them not kept."""
-    other = copy(problem)
-    assign(other, **fields)
+    other = with_fields(problem, **fields)
     for name in (name for field in fields for name in DEPENDENT.get(field, ())):
         other.__dict__.pop(name, None)
     return other
@@ -213,11 +213,14 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
             for link, source in zip(problem.links, sources, strict=True)
         ),
         *set_terms("control_set", problem.control_set, m, np.arange(T), {}),
-        *spectrum_terms("state_spectrum", problem.state_spectrum, states),
-        *spectrum_terms("control_spectrum", problem.control_spectrum, controls),
+        *(
+            term
+            for field, signal in (("state_spectrum", states), ("control_spectrum", controls))
+            for i, (where, one) in enumerate(named_entries(field, getattr(problem, field)))
+            for term in one.terms(signal, where, (field, i))
+        ),
     ]
-    for i, outputs in enumerate(entries_of(problem.output_spectrum)):
-        where = "output_spectrum" if outputs is problem.output_spectrum else f"output_spectrum[{i}]"
+    for i, (where, outputs) in enumerate(named_entries("output_spectrum", problem.output_spectrum)):
         if not isinstance(outputs, OutputSpectrum):
             raise ProblemError("output_spectrum", brief(outputs), "OutputSpectrum, a list of them, or None")
         found += outputs.terms(n, m, T, step, where, i)
@@ -289,12 +292,6 @@ def _merge_equal(arrays: list[Array]) -> Array:
     return first if all(one is first or np.array_equal(one, first) for one in arrays) else np.array(arrays)
 
 
-def spectrum_terms(field: str, given: Constraints, signal: Signal) -> Iterator[Term]:
-    """Yield the terms of the frequency constraints of states or controls beyond stop bands."""
-    for i, one in enumerate(entries_of(given)):
-        yield from one.terms(signal, f"{field}[{i}]" if one is not given else field, (field, i))
-
-
 def bounded_bins(terms: Sequence[Term], kind: TermKind, shape: tuple[int, int]) -> Mask:
     """Return which bins of which component the magnitude and energy bounds of a spectrum are about, (bins, components).
 
@@ -304,5 +301,4 @@ def bounded_bins(terms: Sequence[Term], kind: TermKind, shape: tuple[int, int]) 
     for term in terms:
         if term.kind == kind:
             bounded[term.map.nearest_bins, term.map.component] = True
-    bounded.flags.writeable = False
-    return bounded
+    return sealed(bounded)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, real_array
+from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, complex_array, real_array
 from lin_freq_ocp.base.errors import ProblemError
 
 
@@ -101,29 +100,20 @@ class Multipliers:
         value = real_array("multipliers.eta_C", eta_C)
         if value.ndim:
             raise ProblemError("multipliers.eta_C", brief(eta_C), "one number")
-        assign(self, eta_C=float(value))
-        for field, value in (("eta", eta), ("mu", mu), ("nu", nu)):
-            assign(self, **{field: real_array(f"multipliers.{field}", value)})
-        for field, value in (("rho_u", rho_u), ("rho_x", rho_x)):
-            rho = np.asarray(value)
-            if rho.dtype.kind not in "iufc" or not np.isfinite(rho).all():
-                raise ProblemError(f"multipliers.{field}", brief(value), "finite complex numbers")
-            rho = rho.astype(np.complex128)
-            rho.flags.writeable = False
-            assign(self, **{field: rho})
-        for field, value in (("eta", self.eta), ("nu", self.nu)):
-            _require_matrix(f"multipliers.{field}", value)
+        real = {"eta": eta, "mu": mu, "nu": nu}
+        arrays = {field: real_array(f"multipliers.{field}", given) for field, given in real.items()}
+        spectra = {"rho_u": rho_u, "rho_x": rho_x}
+        assign(self, eta_C=float(value), **arrays)
+        assign(self, **{field: complex_array(f"multipliers.{field}", given) for field, given in spectra.items()})
+        for field in ("eta", "nu"):
+            _require_matrix(f"multipliers.{field}", arrays[field])
         T, n, m = len(self.eta), self.eta.shape[-1], self.nu.shape[-1]
-        expected = {
-            "eta": (T, n),
-            "mu": (T + 1, n),
-            "nu": (T, m),
-            "rho_u": (T // 2 + 1, m),
-            "rho_x": ((T + 1) // 2 + 1, n),
-        }
-        for field, shape in expected.items():
-            if getattr(self, field).shape not in (shape, (T // 2 + 1, n) if field == "rho_x" else shape):
-                raise ProblemError(f"multipliers.{field}", f"shape {getattr(self, field).shape}", f"shape {shape}")
+        bins, closed = T // 2 + 1, (T // 2 + 1, n)  # the latter with periodic ends
+        shapes = {"eta": (T, n), "mu": (T + 1, n), "nu": (T, m), "rho_u": (bins, m), "rho_x": ((T + 1) // 2 + 1, n)}
+        for field, shape in shapes.items():
+            got = getattr(self, field).shape
+            if got != shape and (field, got) != ("rho_x", closed):
+                raise ProblemError(f"multipliers.{field}", f"shape {got}", f"shape {shape}")
         stage = {} if stage is None else stage
         if not isinstance(stage, Mapping):
             expected = "a mapping from names of joint rows to arrays (T, rows)"

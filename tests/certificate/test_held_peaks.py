@@ -68,16 +68,6 @@ def test_deep_images_of_a_smooth_signal():
     assert peak.found <= peak.ratio <= peak.found * (1 + 1e-7)
 
 
-def test_slopes_of_the_factor():
-    everywhere = held(5, [(0.0, 1.0)])
-    w = np.array([0.0, 1e-3, 0.3, 2.0, 5.0, 7.0, 20.0])
-    first, second = everywhere.log_slopes(w)
-    step = 1e-4
-    ln = [np.log(everywhere.factor(np.abs(w + move))) for move in (-step, 0.0, step)]
-    np.testing.assert_allclose(first, (ln[2] - ln[0]) / (2 * step), rtol=1e-5, atol=1e-8)
-    np.testing.assert_allclose(second, (ln[2] - 2 * ln[1] + ln[0]) / step**2, rtol=1e-4, atol=1e-6)
-
-
 def test_zeros_and_what_is_not_finite():
     everywhere = held(5, [(1.0, 9.0)])
     assert proven_peak(everywhere, np.zeros(5)).ratio == 0

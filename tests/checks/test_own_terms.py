@@ -11,7 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
-from lin_freq_ocp.problem.terms.maps import AffineMap, SumMap
+from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Term
@@ -56,7 +56,8 @@ class Drift(FrequencyConstraint):
     def terms(self, signal, field, source) -> Iterator[Term]:
         weights = np.cos(np.arange(signal.length))[:, None, None] * np.ones((2, len(signal.names)))
         weights[:, 1, 0], weights[:, :, self.n :] = 0.5, 0.0
-        yield Term("drift", signal.kind, self.values(weights, None, np.array([0.1, -0.3])), self.penalty, source)
+        stages = StageMap(np.arange(signal.length), weights, None, np.zeros(2))
+        yield Term("drift", signal.kind, self.values((stages,), np.array([0.1, -0.3])), self.penalty, source)
 
     def extended(self, n, k):
         return [Drift(self.penalty, self.values, n)]

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.formulas import random_formula
+from helpers.formulas import exact_text, random_formula
 from lin_freq_ocp import library
 from lin_freq_ocp.batch.grid import fingerprint
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.dynamics import SmoothMode
 from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, in_order, written
-from lin_freq_ocp.formulas.text import EXACT, formula_from_text
+from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.text import formula_from_text
 
 X, U = lfo.signals(2, 1)
 POLE, KEPT = 2.0, exp(-0.5)
@@ -340,7 +340,7 @@ def test_functions_of_casadi_become_formulas_where_these_have_its_operations(cas
     assert {one.kind for one in in_order(formulas)} >= {"norm", "tanh", "arctan", "sqrt"}
     y = np.random.default_rng(0).uniform(0.5, 2, (6, 3))
     np.testing.assert_allclose(values_of(formulas, y), [made(row[:2], row[2:]) for row in y], rtol=1e-14)
-    again = [formula_from_text("f", written(one, EXACT), (2, 1)) for one in formulas]
+    again = [formula_from_text("f", exact_text(one), (2, 1)) for one in formulas]
     np.testing.assert_array_equal(values_of(again, y), values_of(formulas, y))
     found, exact = jets(formulas, y), made.derivatives_at(y[:, :2], y[:, 2:])
     np.testing.assert_allclose(found.slopes, exact[1], rtol=1e-11, atol=1e-13)

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
-from helpers.formulas import random_formula
+from helpers.formulas import exact_text, random_formula
 from lin_freq_ocp.formulas.jets import jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, in_order, written
-from lin_freq_ocp.formulas.text import EXACT, formula_from_text, text_of
+from lin_freq_ocp.formulas.nodes import Formula, in_order, text_of
+from lin_freq_ocp.formulas.text import formula_from_text
 
 N, M = 2, 1
 X, U = lfo.signals(N, M)
@@ -24,7 +24,7 @@ def test_a_formula_is_what_numpy_makes_of_numbers_and_has_its_derivatives(seed, 
     y = np.random.default_rng(seed + 1).uniform(-1, 1, (3, N + M))
     numbers = random_formula(np.random.default_rng(seed), size, list(y.T))
     found = jets([formula], y)
-    again = formula_from_text("f", written(formula, EXACT), (N, M))
+    again = formula_from_text("f", exact_text(formula), (N, M))
     np.testing.assert_array_equal(values_of([again], y), values_of([formula], y))
     np.testing.assert_allclose(found.values[:, 0], numbers, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(values_of([formula], y), found.values, rtol=1e-14, atol=1e-16)
@@ -112,7 +112,7 @@ def test_texts_are_formulas(text, value):
     formula = formula_from_text("f", text, (N, M))
     if value is not None:
         assert values_of([formula], np.array([[3.0, 4.0, 0.5]]))[0, 0] == pytest.approx(value)
-    assert written(formula_from_text("f", written(formula, EXACT), (N, M)), EXACT) == written(formula, EXACT)
+    assert exact_text(formula_from_text("f", exact_text(formula), (N, M))) == exact_text(formula)
 
 
 @pytest.mark.parametrize(

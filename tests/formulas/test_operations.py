@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.formulas import exact_text
 from lin_freq_ocp.formulas.intervals import add, exponential, inverse, multiply, outward, scale
 from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, written
+from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.formulas.operations import OPERATIONS, ScalarFunction
-from lin_freq_ocp.formulas.text import EXACT, defined, formula_from_text, text_of
+from lin_freq_ocp.formulas.text import defined, formula_from_text
 
 X, U = lfo.signals(1, 1)
 
@@ -38,10 +39,10 @@ def softplus(monkeypatch):
 
 
 def test_an_added_function_is_text(softplus):
-    assert written(softplus, EXACT) == "2.0 * x_0 + softplus(x_0) * (u_0)"
+    assert exact_text(softplus) == "2.0 * x_0 + softplus(x_0) * (u_0)"
     assert text_of(softplus) == "2 * x_0 + softplus(x_0) * (u_0)"
     y = np.random.default_rng(0).normal(size=(5, 2))
-    again = formula_from_text("f", written(softplus, EXACT), (1, 1))
+    again = formula_from_text("f", exact_text(softplus), (1, 1))
     np.testing.assert_array_equal(values_of([again], y), values_of([softplus], y))
     assert formula_from_text("f", "softplus(0)", (1, 1)).constant == np.log(2)
     with pytest.raises(lfo.errors.ProblemError, match="a signal or a function"):
@@ -74,7 +75,7 @@ def test_a_problem_with_an_added_function_is_solved_and_saved(softplus, tmp_path
     lfo.write_problem(problem, tmp_path / "problem.toml")
     assert "softplus(x_0)" in (tmp_path / "problem.toml").read_text()
     (mode,) = lfo.read_problem(tmp_path / "problem.toml").dynamics.modes
-    assert written(mode.f[0], EXACT) == written(dynamics.modes[0].f[0], EXACT)
+    assert exact_text(mode.f[0]) == exact_text(dynamics.modes[0].f[0])
 
 
 def test_functions_that_are_not_in_the_table_are_refused():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.formulas.nodes import Formula, text_of
 
 UNARY = [
     lambda a: a**2,
@@ -33,3 +34,8 @@ def random_formula(rng: np.random.Generator, size: int, leaves: list) -> object:
         else:
             stack.append(BINARY[rng.integers(len(BINARY))](a, stack[rng.integers(len(stack))]))
     return stack[-1]
+
+
+def exact_text(formula: Formula) -> str:
+    """Return the text of a formula in full, with numbers to the last bit."""
+    return text_of(formula, number=repr, longest=float("inf"))

@@ -9,7 +9,6 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.terms.maps import EndsMap
 from lin_freq_ocp.problem.terms.penalties import Within
 
 LinkedEnds = lfo.sets.LinkedEnds
@@ -68,7 +67,7 @@ def test_spectra_of_states_with_periodic_ends_have_t_samples(horizon):
 
 def test_the_adjoint_and_the_rows_are_those_of_the_values():
     rng = np.random.default_rng(0)
-    given = EndsMap(*rng.normal(size=(2, 3, 2)), rng.normal(size=3), 8)
+    given = LinkedEnds(*rng.normal(size=(2, 3, 2)), rng.normal(size=3)).links(2, 8)[0].values
     x, u, weights = rng.normal(size=(9, 2)), rng.normal(size=(8, 1)), rng.normal(size=(1, 3))
     zero = given.values(0 * x, 0 * u)
     of_x, of_u = given.pull_back(weights, (x.shape, u.shape))
@@ -76,7 +75,7 @@ def test_the_adjoint_and_the_rows_are_those_of_the_values():
     rows, constant = given.rows(8, 2, 1)
     assert rows @ np.append(x, u) + constant == pytest.approx(given.values(x, u)[0])
     assert (given.sizes(x, u) >= np.abs(given.values(x, u))).all()
-    assert not EndsMap(*np.eye(2)[None].repeat(2, 0), np.zeros(2), 1).rows(1, 2, 0)[0].data.max() > 1
+    assert not LinkedEnds(np.eye(2), np.eye(2)).links(2, 1)[0].values.rows(1, 2, 0)[0].data.max() > 1
 
 
 def test_within_is_an_interval_around_zero():

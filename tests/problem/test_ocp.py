@@ -191,7 +191,7 @@ def test_multipliers_of_another_shape_are_refused(field, value):
     Multipliers(**right)  # or the test would say nothing
     with pytest.raises(ProblemError) as caught:
         Multipliers(**(right | {field: value}))
-    assert caught.value.field == f"multipliers.{field}"
+    assert caught.value.field.startswith(f"multipliers.{field}")
 
 
 def test_other_ends_make_the_problem_that_a_new_one_would_be():

@@ -52,7 +52,12 @@ def together(rng: np.random.Generator, T: int) -> SpectrumMap:
 
 def sum_map(rng: np.random.Generator, T: int) -> SumMap:
     Phi, Psi = some(rng, rng.standard_normal((T + 1, DIM, N)), rng.standard_normal((T, DIM, M)))
-    return SumMap(Phi, Psi, rng.standard_normal(DIM))
+    parts = [
+        StageMap(np.arange(len(one)), *pair, np.zeros(DIM))
+        for one, pair in ((Phi, (Phi, None)), (Psi, (None, Psi)))
+        if one is not None
+    ]
+    return SumMap(tuple(parts), rng.standard_normal(DIM))
 
 
 def spectrogram_map(rng: np.random.Generator, T: int, together: bool = False) -> SpectrogramMap:
@@ -90,11 +95,7 @@ MAPS += (frequency_map, held_map, vibration_map)
 def plain_values(one: AffineMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Return the values by the definition, one sum after the other."""
     if isinstance(one, SumMap):
-        v = one.constant.copy()
-        for matrices, signal in ((one.Phi, x), (one.Psi, u)):
-            for t in range(len(signal) if matrices is not None else 0):
-                v += matrices[t] @ signal[t]
-        return v[None]
+        return one.constant + sum(plain_values(stage, x, u).sum(0) for stage in one.stages)[None]
     if isinstance(one, StageMap):
         v = np.array(np.broadcast_to(one.constant, one.shape))
         for matrix, signal in ((one.C, x), (one.D, u)):

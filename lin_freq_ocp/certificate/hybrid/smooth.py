@@ -27,8 +27,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
 from lin_freq_ocp.certificate.sizes import floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Judgement
-from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.formulas.text import text_of
+from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory

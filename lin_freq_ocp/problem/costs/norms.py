@@ -77,16 +77,14 @@ class _NormCost(NonsmoothCost):
         return reference, counts
 
     def own_terms(self, n: int, m: int, horizon: int, field: str, name: str) -> list[Term]:
-        T = horizon
-
-        def array(entry: str, size: int, times: int | None) -> Array:
+        T, arrays = horizon, dict[str, Array]()
+        shapes = {"x": (n, T), "u": (m, T), "terminal": (n, None), "x_ref": (n, T + 1), "u_ref": (m, T)}
+        for entry, (size, times) in shapes.items():
             value: Array = getattr(self, entry)
             complete = np.full(size, value) if value.ndim == 0 else value
-            return shaped(f"{field}.{entry}", complete, (size,), times)
-
-        x, u, terminal = array("x", n, T), array("u", m, T), array("terminal", n, None)
-        x_ref = np.broadcast_to(array("x_ref", n, T + 1), (T + 1, n))
-        u_ref = np.broadcast_to(array("u_ref", m, T), (T, m))
+            arrays[entry] = shaped(f"{field}.{entry}", complete, (size,), times)
+        x, u, terminal, x_ref, u_ref = arrays.values()
+        x_ref, u_ref = np.broadcast_to(x_ref, (T + 1, n)), np.broadcast_to(u_ref, (T, m))
         norm, stages = NormBall(self.order, np.zeros(()), np.ones(())), np.arange(T)
         found: list[Term] = []
         for weights, reference, times, kind, of_state, what in (

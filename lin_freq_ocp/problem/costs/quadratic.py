@@ -31,6 +31,9 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum
 from lin_freq_ocp.problem.terms.term import Term
 
+# Of each field, the axes of one time: n states, m controls
+AXES = {"Q": "nn", "R": "mm", "S": "nm", "q": "n", "r": "m", "P": "nn", "p": "n", "x_ref": "n", "u_ref": "m"}
+WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")
 SYMMETRY_TOLERANCE = 1e-12  # relative asymmetry of Q, R or P that is rounding and not a mistake
 CONVEXITY_TOLERANCE = 1e-12  # negative eigenvalue, relative to the largest, that is rounding of a semidefinite matrix
 
@@ -193,7 +196,7 @@ class QuadraticCost(Cost):
     @cached_property
     def _nonzero(self) -> frozenset[str]:
         """The names of the matrices and vectors that are not zero."""
-        return frozenset(name for name in ("Q", "R", "S", "q", "r", "P", "p") if getattr(self, name).any())
+        return frozenset(name for name in WEIGHTS if getattr(self, name).any())
 
     def describe(self) -> str:
         """Return the nonzero terms as a formula; empty if all are zero."""
@@ -215,51 +218,31 @@ class QuadraticCost(Cost):
     def describe_data(self) -> list[str]:
         """Return the value of every letter of the formula."""
         used = {"x_ref": self.Q.any() or self.P.any() or self.S.any(), "u_ref": self.R.any() or self.S.any()}
-        dimensions = {"Q": 2, "R": 2, "S": 2, "P": 2, "q": 1, "r": 1, "p": 1, "x_ref": 1, "u_ref": 1}
         return [
-            datum(field, getattr(self, field), count)
-            for field, count in dimensions.items()
+            datum(field, getattr(self, field), len(AXES[field]))
+            for field in ("Q", "R", "S", "P", "q", "r", "p", "x_ref", "u_ref")
             if getattr(self, field).any() and used.get(field, True)
         ]
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
-        T = horizon
-
-        def square(field: str, size: int, times: int | None) -> Array:
-            value: Array = getattr(self, field)
-            value = shaped(f"cost.{field}", value * np.eye(size) if value.ndim == 0 else value, (size, size), times)
-            asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max()
-            if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():
-                raise ProblemError(
-                    f"cost.{field}",
-                    f"a matrix that differs from its transpose by {asymmetry:g}",
-                    "a symmetric matrix",
-                    f"Only the symmetric part counts: pass ({field} + {field}')/2.",
-                )
-            return value
-
-        def vector(field: str, shape: tuple[int, ...], times: int | None) -> Array:
-            value: Array = getattr(self, field)
-            if value.ndim == 0 and value == 0:
+        sizes, complete = {"n": n, "m": m}, dict[str, Array]()
+        for field, axes in AXES.items():
+            shape, value = tuple(sizes[axis] for axis in axes), np.asarray(getattr(self, field))
+            times = {"P": None, "p": None, "x_ref": horizon + 1}.get(field, horizon)
+            square, reference = len(set(axes)) < len(axes), field.endswith("_ref")
+            if square and value.ndim == 0:
+                value = value * np.eye(shape[0])
+            elif value.ndim == 0 and value == 0:
                 value = np.zeros(shape)
-            return shaped(f"cost.{field}", value, shape, times)
-
-        def reference(field: str, size: int, times: int) -> Array:
-            value: Array = getattr(self, field)
-            value = np.zeros(size) if value.ndim == 0 and value == 0 else one_component(value, size)
-            return shaped(f"cost.{field}", value, (size,), times)
-
-        return QuadraticCost(
-            Q=square("Q", n, T),
-            R=square("R", m, T),
-            S=vector("S", (n, m), T),
-            q=vector("q", (n,), T),
-            r=vector("r", (m,), T),
-            P=square("P", n, None),
-            p=vector("p", (n,), None),
-            x_ref=reference("x_ref", n, T + 1),
-            u_ref=reference("u_ref", m, T),
-        )
+            elif reference:
+                value = one_component(value, shape[0])
+            complete[field] = value = shaped(f"cost.{field}", value, shape, times)
+            asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max() if square else 0.0
+            if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():
+                got = f"a matrix that differs from its transpose by {asymmetry:g}"
+                advice = f"Only the symmetric part counts: pass ({field} + {field}')/2."
+                raise ProblemError(f"cost.{field}", got, "a symmetric matrix", advice)
+        return QuadraticCost(**complete)
 
     @cached_property
     def weighs(self) -> Mask:
@@ -321,7 +304,7 @@ class QuadraticCost(Cost):
     @cached_property
     def _magnitudes(self) -> QuadraticCost:
         other = object.__new__(QuadraticCost)
-        assign(other, **{field: np.abs(getattr(self, field)) for field in ("Q", "R", "S", "q", "r", "P", "p")})
+        assign(other, **{field: np.abs(getattr(self, field)) for field in WEIGHTS})
         assign(other, x_ref=np.zeros(()), u_ref=np.zeros(()))
         return other
 

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, names, positive_number
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, names, positive_number, printable
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.kinds import register_all
 from lin_freq_ocp.base.phrases import first_few, plural
@@ -226,6 +226,10 @@ class StandardDynamics(Dynamics):
 class StateEquations(StandardDynamics):
     """x_{t+1} = f_t, affine in all states and controls of the trajectory: what the judge needs of linear dynamics."""
 
+    def linear_at(self, x: Array, u: Array) -> Dynamics:
+        """Return these dynamics."""
+        return self
+
     @abstractmethod
     def successors(self, x: Array, u: Array) -> Array:
         """Return f_t for all t < T, (T, n); x is (T+1, n) or (T, n), u is (T, m)."""
@@ -283,13 +287,6 @@ def signal_labels(
 def counted(states: int, controls: int) -> str:
     """Return "1 state and 2 controls"."""
     return f"{plural(states, 'state')} and {plural(controls, 'control')}"
-
-
-def printable(field: str, name: object) -> str:
-    """Return a name, or "" for none."""
-    if not isinstance(name, str) or not name.isprintable():
-        raise ProblemError(field, brief(name), "a name of printable characters")
-    return name
 
 
 def mode_labels(given: Iterable[str]) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """Plants known by their frequency response: y_k = G_k u_k + g_k at every bin of the DFT.
 
 The states of such a problem are the outputs: x_t = y_t for t = 0 .. T, with eta_t the multiplier of x_{t+1} = y_{t+1}.
-Of a periodic record, x_T = x_0; else the first output is an equation of its own (``FirstOutput``). Measured responses
-are tables of frequency, real and imaginary part, interpolated at the bins of a record.
+Of a periodic record, x_T = x_0; else the first output is an equation of its own. Measured responses are tables of
+frequency, real and imaginary part, interpolated at the bins of a record.
 """
 
 from __future__ import annotations
@@ -17,12 +17,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, positive_integer, positive_number, real_array
+from lin_freq_ocp.base.arrays import (
+    Array,
+    ComplexArray,
+    assign,
+    brief,
+    complex_array,
+    positive_integer,
+    positive_number,
+    real_array,
+    with_columns,
+)
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
-from lin_freq_ocp.problem.dynamics.response import FirstOutput, Response
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
+from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import Within
 from lin_freq_ocp.problem.terms.term import Link
 
@@ -254,7 +265,10 @@ class FrequencyResponse(StateEquations):
         """Return x_T = x_0 for a period; else that x_0 is the first output."""
         if not self.padded:
             return Periodic().links(self.state_dim, horizon)
-        first = FirstOutput(self.response(horizon))
+        response, p = self.response(horizon), self.state_dim
+        of_u = response.matrix[:p].reshape(p, horizon, -1).swapaxes(0, 1)
+        x_0 = StageMap(np.array([0]), np.eye(p), None, np.zeros(p))
+        first = SumMap((x_0, StageMap(np.arange(horizon), None, -of_u, np.zeros(p))), -response.base[0])
         return (Link("first output", first, Within(0.0), periodic=False, repeats=False),)
 
     def successors(self, x: Array, u: Array) -> Array:
@@ -287,10 +301,6 @@ class FrequencyResponse(StateEquations):
             known = known + np.abs(self.disturbance).max(0)
         return np.zeros((self.state_dim, self.state_dim)), np.abs(self.G).max(0), known
 
-    def linear_at(self, x: Array, u: Array) -> FrequencyResponse:
-        """Return these dynamics."""
-        return self
-
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> FrequencyResponse:
         """Return the response with the outputs w_{t+1} = B u_t; a recursion A that is not zero is refused."""
         if A.any():
@@ -298,17 +308,12 @@ class FrequencyResponse(StateEquations):
         delay = np.exp(-2j * np.pi * np.arange(len(self.G)) / self.record(horizon))
         if self.record(horizon) % 2 == 0:
             delay[-1] = -1.0
-        return self.with_outputs(np.asarray(delay[:, None, None] * B, dtype=complex), names)
-
-    def with_outputs(self, G: ComplexArray, names: Sequence[str]) -> FrequencyResponse:
-        """Return the response with further outputs, G (N//2 + 1, k, m), that are zero without controls."""
-        k = G.shape[1]
-        signal = self.disturbance
+        k, signal = len(B), self.disturbance
         return FrequencyResponse(
-            np.concatenate([self.G, G], axis=1),
+            np.concatenate([self.G, delay[:, None, None] * B], axis=1),
             self.sampling_time,
-            np.hstack([self.offset, np.zeros((len(G), k))]),
-            None if signal is None else np.hstack([signal, np.zeros((len(signal), k))]),
+            np.hstack([self.offset, np.zeros((len(self.offset), k))]),
+            None if signal is None else with_columns(signal, k),
             self.mode,
             [*self.state_names, *names],
             self.control_names,
@@ -320,20 +325,6 @@ class FrequencyResponse(StateEquations):
         size = f"{plural(self.state_dim, 'output')}, {plural(self.control_dim, 'control')}"
         text = f"frequency response: y = G u{known} at {len(self.G)} bins, {self.mode}, {size}"
         return [("dynamics", text + ("; disturbance given in time" if self.disturbance is not None else ""))]
-
-
-def complex_array(field: str, value: ArrayLike) -> ComplexArray:
-    """Convert to a read-only complex array of finite entries."""
-    try:
-        found = np.array(value, dtype=np.complex128)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(field, brief(value), "complex numbers in a rectangular array", f"({error})") from None
-    bad = ~np.isfinite(found)
-    if bad.any():
-        where = "".join(f"[{i}]" for i in np.argwhere(bad)[0])
-        raise ProblemError(f"{field}{where}", f"{found[bad].flat[0]}", "a finite number")
-    found.flags.writeable = False
-    return found
 
 
 def _require_real(field: str, spectrum: ComplexArray, k: int) -> None:

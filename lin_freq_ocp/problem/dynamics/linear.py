@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,6 +18,7 @@ from lin_freq_ocp.base.arrays import (
     real_array,
     times_vectors,
     with_columns,
+    with_fields,
     with_products,
     with_rows,
 )
@@ -283,10 +283,6 @@ class LinearDynamics(StateEquations):
         A, B = (matrix if matrix.ndim == 2 else matrix.max(0) for matrix in (plain.A, plain.B))
         return A, B, plain.offset if plain.offset.ndim == 1 else plain.offset.max(0)
 
-    def linear_at(self, x: Array, u: Array) -> LinearDynamics:
-        """Return these dynamics."""
-        return self
-
     def translated(self, origin: Array) -> LinearDynamics:
         """Return the dynamics of x - origin, whose offset is d + (A - I) origin."""
         growth = extended(self.A) - np.eye(self.state_dim)
@@ -305,6 +301,4 @@ class LinearDynamics(StateEquations):
 
     @cached_property
     def _magnitudes(self) -> LinearDynamics:
-        other = copy(self)
-        assign(other, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset))
-        return other
+        return with_fields(self, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset))

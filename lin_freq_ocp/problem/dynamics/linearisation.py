@@ -114,13 +114,13 @@ def sampled_map(
 
 
 def _defined_model(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
-    def called(x: Array, u: Array) -> Array:
+    def call(x: Array, u: Array) -> Array:
         try:
             return function(x, u)
         except ProblemError as error:
             raise ArithmeticError(str(error)) from error
 
-    return called
+    return call
 
 
 def _solve_span(

@@ -1,4 +1,3 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``AffineMap``)
 """x = base + irfft(G rfft(u)): all outputs of a record as a linear function of all controls.
 
 A record has N samples: N = T, and x_0 .. x_T is one period and the first sample of the next; or N = 2T, the controls
@@ -11,11 +10,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
-from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, joined_rows
+from lin_freq_ocp.base.arrays import Array, ComplexArray, extended
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,47 +74,3 @@ class Response:
 def _apply_response(G: ComplexArray, spectrum: ComplexArray) -> ComplexArray:
     """Return G_k v_k, for G (bins, p, m) and v (bins, m)."""
     return (G * spectrum[:, None, :]).sum(axis=2)
-
-
-@dataclass(frozen=True, eq=False)
-class FirstOutput(AffineMap):
-    """v = x_0 - y_0(u), a single group: the first state is the first output, which all controls may act on."""
-
-    response: Response
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return 1, self.response.base.shape[1]
-
-    @property
-    def positions(self) -> Indices:
-        return np.array([0])
-
-    @property
-    def additions(self) -> float:
-        return float(5 * np.log2(self.response.record) + 10)
-
-    @property
-    def dense_size(self) -> tuple[int, int]:
-        rows, m = self.shape[1], self.response.G.shape[2]
-        return rows, rows * m * self.response.horizon
-
-    def values(self, x: Array, u: Array) -> Array:
-        return x[:1] - self.response.states(u)[:1]
-
-    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        of_x = np.zeros(shapes[0], dtype=weights.dtype)
-        of_x[0] = weights[0]
-        return of_x, -self.response.pull_back(of_x)
-
-    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        first = self.response.matrix[:n]
-        of_x = sp.csr_array(sp.hstack([sp.eye_array(n), sp.csr_array((n, horizon * n))]))
-        return joined_rows(of_x, sp.csr_array(-first)), -self.response.base[0]
-
-    def sizes(self, x: Array, u: Array) -> Array:
-        return np.abs(x[:1]) + np.abs(self.response.states(u)[:1])
-
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        of_x, of_u = self.pull_back(weights, shapes)
-        return np.abs(of_x), np.abs(of_u)

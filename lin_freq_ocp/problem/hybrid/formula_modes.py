@@ -23,9 +23,9 @@ from lin_freq_ocp.base.polyhedra import (
     natural_sizes,
 )
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, rebuilt
+from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, rebuilt, text_of
 from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS
-from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
+from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import unique_names
 from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 

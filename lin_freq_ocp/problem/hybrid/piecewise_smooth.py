@@ -13,9 +13,9 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, positi
 from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import first_few, split_unit
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, translated
+from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, text_of, translated
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
-from lin_freq_ocp.formulas.text import Formulas, listed_formulas, text_of
+from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, sampled_map

@@ -10,7 +10,18 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import NO_BOUND, Array, assign, brief, frozen, positive_number, real_array, with_columns
+from lin_freq_ocp.base.arrays import (
+    Array,
+    assign,
+    brief,
+    positive_number,
+    real_array,
+    require_rows_hold,
+    row_matrix,
+    shaped,
+    upper_limits,
+    with_columns,
+)
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST, MOST_ROWS, combination, datum, inequalities, number, price, vector
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection, Part
@@ -46,20 +57,12 @@ class Polyhedron(ConvexSet):
     g: Array
 
     def __init__(self, F: ArrayLike, g: ArrayLike):
-        matrix, limits = real_array("Polyhedron.F", F), real_array("Polyhedron.g", g, allow_infinite=True)
-        if matrix.ndim != 2 or 0 in matrix.shape:
-            advice = "One set per time is a list of sets."
-            raise ProblemError("Polyhedron.F", f"shape {matrix.shape}", "a matrix (rows, n)", advice)
+        matrix = row_matrix("Polyhedron.F", F, "One set per time is a list of sets.")
+        limits = upper_limits("Polyhedron.g", g)
         if limits.shape != matrix.shape[:1]:
             expected = f"one limit for each of the {len(matrix)} rows of F"
             raise ProblemError("Polyhedron.g", f"shape {limits.shape}", expected)
-        if (limits == -np.inf).any():
-            raise ProblemError("Polyhedron.g", "-inf", "a number, or inf for no limit")
-        limits = frozen(np.where(limits >= NO_BOUND, np.inf, limits))
-        impossible = ~matrix.any(axis=1) & (limits < 0)
-        if impossible.any():
-            row = int(np.argmax(impossible))
-            raise ProblemError("Polyhedron.g", f"a limit below 0 for row {row} of zeros", "a row that can hold")
+        require_rows_hold("Polyhedron.g", ~matrix.any(axis=1) & (limits < 0), limits)
         assign(self, F=matrix, g=limits)
 
     @property
@@ -104,9 +107,7 @@ class Ellipsoid(ConvexSet):
     centre: Array
 
     def __init__(self, W: ArrayLike, radius: float = 1.0, centre: ArrayLike = 0.0):
-        matrix = real_array("Ellipsoid.W", W)
-        if matrix.ndim != 2 or 0 in matrix.shape:
-            raise ProblemError("Ellipsoid.W", f"shape {matrix.shape}", "a matrix (rows, n)")
+        matrix = row_matrix("Ellipsoid.W", W)
         middle = _centre("Ellipsoid.centre", centre, matrix.shape[1])
         assign(self, W=matrix, radius=positive_number("Ellipsoid.radius", radius), centre=middle)
 
@@ -196,15 +197,11 @@ class SecondOrderCone(ConvexSet):
     may_be_soft: ClassVar[bool] = False
 
     def __init__(self, F: ArrayLike, g: ArrayLike, h: ArrayLike, d: float = 0.0):
-        matrix, inner, slope = (
-            real_array(f"SecondOrderCone.{name}", value) for name, value in (("F", F), ("g", g), ("h", h))
+        matrix = row_matrix("SecondOrderCone.F", F)
+        inner, slope = (
+            shaped(f"SecondOrderCone.{name}", value, (size,))
+            for name, value, size in zip("gh", (g, h), matrix.shape, strict=True)
         )
-        if matrix.ndim != 2 or 0 in matrix.shape:
-            raise ProblemError("SecondOrderCone.F", f"shape {matrix.shape}", "a matrix (rows, n)")
-        rows, n = matrix.shape
-        for name, value, shape in (("g", inner, (rows,)), ("h", slope, (n,))):
-            if value.shape != shape:
-                raise ProblemError(f"SecondOrderCone.{name}", f"shape {value.shape}", f"shape {shape}")
         constant = real_array("SecondOrderCone.d", d)
         if constant.ndim:
             raise ProblemError("SecondOrderCone.d", brief(d), "one number")

@@ -10,11 +10,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, real_array, with_columns, with_products
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, assign, require_rows_hold, row_matrix, shaped, with_columns, with_products
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
-from lin_freq_ocp.problem.terms.maps import EndsMap
+from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import Within
 from lin_freq_ocp.problem.terms.term import Link
 
@@ -60,19 +59,10 @@ class LinkedEnds(ConvexSet):
     periodic: ClassVar[bool] = False
 
     def __init__(self, E_0: ArrayLike, E_T: ArrayLike, e: ArrayLike | None = None):
-        first, last = real_array("LinkedEnds.E_0", E_0), real_array("LinkedEnds.E_T", E_T)
-        if first.ndim != 2 or 0 in first.shape:
-            raise ProblemError("LinkedEnds.E_0", f"shape {first.shape}", "a matrix (rows, n)")
-        if last.shape != first.shape:
-            raise ProblemError("LinkedEnds.E_T", f"shape {last.shape}", f"shape {first.shape}, that of E_0")
-        right = real_array("LinkedEnds.e", np.zeros(len(first)) if e is None else e)
-        if right.shape != first.shape[:1]:
-            expected = f"one number for each of the {len(first)} rows of E_0 and E_T"
-            raise ProblemError("LinkedEnds.e", f"shape {right.shape}", expected)
-        impossible = ~(first.any(axis=1) | last.any(axis=1)) & (right != 0)
-        if impossible.any():
-            row = int(np.argmax(impossible))
-            raise ProblemError("LinkedEnds.e", f"{right[row]:g} for row {row} of zeros", "a row that can hold")
+        first = row_matrix("LinkedEnds.E_0", E_0)
+        last = shaped("LinkedEnds.E_T", E_T, first.shape)
+        right = shaped("LinkedEnds.e", np.zeros(len(first)) if e is None else e, first.shape[:1])
+        require_rows_hold("LinkedEnds.e", ~(first.any(axis=1) | last.any(axis=1)) & (right != 0), right)
         assign(self, E_0=first, E_T=last, e=right, reach=0.0, repeats=False)
 
     @property
@@ -82,28 +72,29 @@ class LinkedEnds(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return ()  # nothing of x_T alone
 
-    def values(self, dimension: int, horizon: int) -> EndsMap:
-        """Return E_0 x_0 + E_T x_T - e as a map."""
-        return EndsMap(self.E_0, self.E_T, self.e, horizon)
+    def matrices(self, dimension: int) -> tuple[Array, Array, Array]:
+        """Return E_0 and E_T, (rows, dimension), and e."""
+        return self.E_0, self.E_T, self.e
 
     def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
-        return (Link(self.name, self.values(dimension, horizon), Within(self.reach), self.periodic, self.repeats),)
+        E_0, E_T, e = self.matrices(dimension)
+        ends = StageMap(np.array([0, horizon]), np.stack([E_0, E_T]), None, np.zeros(len(e)))
+        return (Link(self.name, SumMap((ends,), -e), Within(self.reach), self.periodic, self.repeats),)
 
     def extended(self, n: int, k: int) -> ConvexSet:
-        rows = self.values(n, 1)
-        return self._as(LinkedEnds(with_columns(rows.E_0, k), with_columns(rows.E_T, k), rows.e), self.reach)
+        E_0, E_T, e = self.matrices(n)
+        return self._restate(with_columns(E_0, k), with_columns(E_T, k), e)
 
     def widened(self, amount: float, dimension: int) -> ConvexSet:
-        rows = self.values(dimension, 1)
-        return self._as(LinkedEnds(rows.E_0, rows.E_T, rows.e), self.reach + amount)
+        return self._restate(*self.matrices(dimension), amount)
 
     def translated(self, origin: Array) -> ConvexSet:
-        rows = self.values(len(origin), 1)
-        right = with_products(rows.e, (-rows.E_0, origin), (-rows.E_T, origin))
-        return self._as(LinkedEnds(rows.E_0, rows.E_T, right), self.reach)
+        E_0, E_T, e = self.matrices(len(origin))
+        return self._restate(E_0, E_T, with_products(e, (-E_0, origin), (-E_T, origin)))
 
-    def _as(self, links: LinkedEnds, reach: float) -> LinkedEnds:
-        assign(links, reach=reach, repeats=self.repeats)
+    def _restate(self, E_0: Array, E_T: Array, e: Array, farther: float = 0.0) -> LinkedEnds:
+        links = LinkedEnds(E_0, E_T, e)
+        assign(links, reach=self.reach + farther, repeats=self.repeats)
         return links
 
     def describe(self, names: Sequence[str], signal: str) -> str:
@@ -141,8 +132,8 @@ class Periodic(LinkedEnds):
     def dimension(self) -> None:
         return None
 
-    def values(self, dimension: int, horizon: int) -> EndsMap:
-        return EndsMap(-np.eye(dimension), np.eye(dimension), np.zeros(dimension), horizon)
+    def matrices(self, dimension: int) -> tuple[Array, Array, Array]:
+        return -np.eye(dimension), np.eye(dimension), np.zeros(dimension)
 
     def translated(self, origin: Array) -> Periodic:
         return self

@@ -13,16 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import (
-    NO_BOUND,
     Array,
     Mask,
     assign,
     brief,
-    frozen,
     positive_number,
+    printable,
     real_array,
+    require_rows_hold,
     shaped,
     times_vectors,
+    upper_limits,
     with_products,
 )
 from lin_freq_ocp.base.errors import ProblemError
@@ -87,17 +88,11 @@ class StageRows:
         name: str = "stage rows",
         penalty: float | None = None,
     ):
-        if not isinstance(name, str) or not name.strip() or not name.isprintable():
-            raise ProblemError("stage_rows.name", brief(name), "a name of printable characters")
-        if e is None:
-            raise ProblemError("stage_rows.e", "nothing", "one limit per row, or (T, rows)")
-        limits = real_array("stage_rows.e", e, allow_infinite=True)
+        printable("stage_rows.name", name, empty="")
+        limits = upper_limits("stage_rows.e", () if e is None else e)
         if limits.ndim not in (1, 2) or limits.shape[-1] == 0:
-            raise ProblemError("stage_rows.e", f"shape {limits.shape}", "one limit per row, or (T, rows)")
-        if (limits == -np.inf).any():
-            entry = "".join(f"[{i}]" for i in np.argwhere(limits == -np.inf)[0])
-            raise ProblemError(f"stage_rows.e{entry}", "-inf", "a number, or inf for no bound")
-        limits = frozen(np.where(limits >= NO_BOUND, np.inf, limits))
+            got = "nothing" if e is None else f"shape {limits.shape}"
+            raise ProblemError("stage_rows.e", got, "one limit per row, or (T, rows)")
         rows = limits.shape[-1]
         soft = None if penalty is None else positive_number("stage_rows.penalty", penalty)
         assign(self, C=_matrix("C", C, rows), D=_matrix("D", D, rows), e=limits, name=name, penalty=soft)
@@ -113,12 +108,7 @@ class StageRows:
         C = shaped(f"{field}.C", self.C if self.C.shape[-1] else np.zeros((rows, n)), (rows, n), horizon)
         D = shaped(f"{field}.D", self.D if self.D.shape[-1] else np.zeros((rows, m)), (rows, m), horizon)
         complete = StageRows(C, D, self.e, self.name, self.penalty)
-        impossible = complete._empty & (self.e < 0)
-        if impossible.any():
-            t, row = (int(i) for i in np.argwhere(np.atleast_2d(impossible))[0])
-            when = f" at t = {t}" if impossible.ndim == 2 else ""
-            got = f"a limit below 0 for row {row}{when}, which has no coefficients"
-            raise ProblemError(f"{field}.e", got, "a row that can hold")
+        require_rows_hold(f"{field}.e", complete._empty & (self.e < 0), self.e)
         return complete
 
     def translated(self, origin: Array) -> StageRows:

@@ -15,9 +15,21 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, assign, brief, positive_number, real_array, with_columns
+from lin_freq_ocp.base.arrays import (
+    Array,
+    ComplexArray,
+    Mask,
+    assign,
+    brief,
+    positive_number,
+    real_array,
+    real_signal,
+    require_rows_hold,
+    sealed,
+    shaped,
+    with_columns,
+)
 from lin_freq_ocp.base.errors import BandWarning, ProblemError
 from lin_freq_ocp.base.phrases import datum, first_few, number, price, runs_in_words, runs_of, short_name
 from lin_freq_ocp.problem.numbers import NOTCHES, Axis, Number
@@ -27,9 +39,9 @@ from lin_freq_ocp.problem.spectrum.base import (
     Signal,
     component_indices,
     component_words,
-    entries_of,
+    named_entries,
 )
-from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD, weight_of
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
@@ -119,11 +131,10 @@ class Band(FrequencyConstraint):
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed; warn if none or all."""
         stopped = self.at(length, sampling_time, field)
-        if not stopped.any():
-            warnings.warn(f"{field}: {self} removes no bin of a signal of {length} samples.", BandWarning, stacklevel=2)
-        elif stopped.all():
-            what = f"removes every bin of a signal of {length} samples, which must then be zero"
-            warnings.warn(f"{field}: {self} {what}.", BandWarning, stacklevel=2)
+        if stopped.all() or not stopped.any():
+            count, then = ("every", ", which must then be zero") if stopped.any() else ("no", "")
+            what = f"removes {count} bin of a signal of {length} samples{then}."
+            warnings.warn(f"{field}: {self} {what}", BandWarning, stacklevel=2)
         return stopped
 
     def at(self, length: int, sampling_time: float | None, field: str) -> Mask:
@@ -395,8 +406,7 @@ def stopped_bins(
 ) -> Mask:
     """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united."""
     stopped = np.zeros((length // 2 + 1, len(component_names)), dtype=bool)
-    for i, band in enumerate(entries_of(given)):
-        where = f"{field}[{i}]" if band is not given else field
+    for where, band in named_entries(field, given):
         if not isinstance(band, FrequencyConstraint):
             expected = "a band, MagnitudeBound, EnergyBound or LinearConstraint"
             advice = "Make a band with low_pass, high_pass, band_pass, notch or stop_band."
@@ -409,8 +419,7 @@ def stopped_bins(
         if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
             what = f"removes every bin of a signal of {length} samples that the bands before it leave"
             warnings.warn(f"{where}: {band} {what}; it must then be zero.", BandWarning, stacklevel=2)
-    stopped.flags.writeable = False
-    return stopped
+    return sealed(stopped)
 
 
 def bands_of(stop: Mask) -> list[Band]:
@@ -433,9 +442,7 @@ def time_signal(rho: ComplexArray, length: int) -> Array:
     """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (N//2 + 1, components)."""
     if not rho.any():
         return np.zeros((length, rho.shape[1]), dtype=rho.real.dtype)
-    k = np.arange(length // 2 + 1)
-    weight = np.where((k == 0) | (2 * k == length), 1.0, 0.5)
-    return fft.irfft(length * weight[:, None] * rho, n=length, axis=0)
+    return real_signal(rho.T, length).T
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -474,15 +481,10 @@ class LinearConstraint(FrequencyConstraint):
             expected = "one matrix (rows, components) per time"
             raise ProblemError("LinearConstraint.coefficients", f"shape {matrices.shape}", expected)
         rows = matrices.shape[1]
-        right = np.zeros(rows) if constant is None else real_array("LinearConstraint.constant", constant)
-        if right.shape != (rows,):
-            raise ProblemError("LinearConstraint.constant", f"shape {right.shape}", f"shape ({rows},)")
+        right = shaped("LinearConstraint.constant", np.zeros(rows) if constant is None else constant, (rows,))
         soft = None if penalty is None else positive_number("LinearConstraint.penalty", penalty)
-        impossible = ~matrices.any(axis=(0, 2)) & (right != 0)
-        if impossible.any() and soft is None:
-            row = int(np.argmax(impossible))
-            got = f"{right[row]:g} for row {row}, which has no coefficients"
-            raise ProblemError("LinearConstraint.constant", got, "a row that can hold")
+        if soft is None:
+            require_rows_hold("LinearConstraint.constant", ~matrices.any(axis=(0, 2)) & (right != 0), right)
         assign(self, coefficients=matrices, constant=right, penalty=soft)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
@@ -490,8 +492,9 @@ class LinearConstraint(FrequencyConstraint):
         if self.coefficients.shape != expected:
             raise ProblemError(f"{field}.coefficients", f"shape {self.coefficients.shape}", f"shape {expected}")
         parts = (self.coefficients, None) if signal.D is None else (None, self.coefficients)
+        stages = StageMap(np.arange(signal.length), *parts, np.zeros(len(self.constant)))
         ball = NormBall(2, np.zeros(()), weight_of(self.penalty))
-        yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap(*parts, self.constant), ball, source)
+        yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap((stages,), self.constant), ball, source)
 
     def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]

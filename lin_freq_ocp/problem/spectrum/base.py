@@ -8,20 +8,21 @@ and ``extended``. To be written to problem files it is listed in ``files/problem
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from copy import copy
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, names, real_array, with_columns
+from lin_freq_ocp.base.arrays import Array, assign, brief, names, real_array, with_columns, with_fields
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name, split_unit
+from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name
 from lin_freq_ocp.problem.numbers import Axis, Number
+from lin_freq_ocp.problem.terms.semi_infinite import Continuum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
+Entry = TypeVar("Entry")
 LEVELS = -40.0, 20.0, 0.5  # dB: lowest, highest, and a step
 
 
@@ -53,9 +54,7 @@ class FrequencyConstraint(ABC):
 
     def changed(self, **fields: object) -> Self:
         """Return a copy with other fields."""
-        copied = copy(self)
-        assign(copied, **fields)
-        return copied
+        return with_fields(self, **fields)
 
     @property
     def title(self) -> str:
@@ -108,10 +107,22 @@ class FrequencyConstraint(ABC):
         return self
 
     every_frequency: bool = False  # whether it is infinitely many constraints, of which terms have finitely many
+    points: Sequence[Array] | None = None  # of these, one array for each component; None: those to begin with
+    relaxed: bool = False  # whether it holds at these only
 
-    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> Self:
+    def at_frequencies(self, points: Sequence[Array], relaxed: bool) -> Self:
         """Return it with other points in its terms, one array for each component; ``relaxed``: at these only."""
-        return self
+        return self.changed(points=tuple(points), relaxed=relaxed)
+
+    def semi_infinite_terms(
+        self, label: str, signal: Signal, required: Iterable[Continuum], source: tuple[str, int]
+    ) -> Iterator[Term]:
+        """Yield the term of each component, with what is required of it at every frequency, at the points so far."""
+        indices = component_indices(label, self.component, signal.names)
+        for k, (i, everywhere) in enumerate(zip(indices, required, strict=True)):
+            values, balls = everywhere.at(everywhere.first_points() if self.points is None else self.points[k])
+            name, beyond = f"{label} {signal.names[i]}", None if self.relaxed else everywhere
+            yield Term(name, signal.kind, values, balls, source, everywhere=beyond)
 
     def softened(self, penalty: float) -> FrequencyConstraint:
         """Return it with a price per unit of excess, unless it has one already, or knows none."""
@@ -243,11 +254,16 @@ def entries_of(given: object) -> Sequence[Any]:
     return given if isinstance(given, (list, tuple)) else () if given is None else (given,)
 
 
+def named_entries(field: str, given: Entry | Sequence[Entry] | None) -> list[tuple[str, Entry]]:
+    """Return the entries of a field, each with its name in messages: the field, or the field and an index."""
+    return [(field if one is given else f"{field}[{i}]", one) for i, one in enumerate(entries_of(given))]
+
+
 def component_words(component: int | str | None, names: Sequence[str]) -> str:
     """Return the name of a component, without its unit, or that all are meant."""
     if component is None and len(names) > 1:
         return "every component"
-    return split_unit(names[component_indices("spectrum", component, names)[0]])[0]
+    return short_name(names[component_indices("spectrum", component, names)[0]])
 
 
 def component_indices(field: str, component: int | str | None, component_names: Sequence[str]) -> list[int]:

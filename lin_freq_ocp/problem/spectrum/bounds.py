@@ -18,7 +18,16 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
+from lin_freq_ocp.base.arrays import (
+    Array,
+    Indices,
+    assign,
+    brief,
+    positive_integer,
+    positive_number,
+    real_array,
+    require_bool,
+)
 from lin_freq_ocp.base.errors import BandWarning, ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import AT_MOST, number, price
 from lin_freq_ocp.problem.numbers import Axis, Number
@@ -224,8 +233,6 @@ class MagnitudeBound(SpectrumBound):
     between: bool
     every_frequency: bool
     hold: bool
-    frequencies: tuple[Array, ...] | None = None  # of the finitely many constraints, one array for each component
-    relaxed: bool = False  # whether it holds at these only
 
     def __init__(
         self,
@@ -252,13 +259,10 @@ class MagnitudeBound(SpectrumBound):
         if (limit_db is None) != (reference is None):
             expected = "a reference with limit_db, and only with it"
             raise ProblemError("MagnitudeBound.reference", brief(reference), expected)
-        for name, given in (("every_frequency", every_frequency), ("hold", hold)):
-            if not isinstance(given, bool):
-                raise ProblemError(f"MagnitudeBound.{name}", brief(given), "True or False")
-        if every_frequency:
-            found = limit_of_frequencies("MagnitudeBound.limit", limit, limit_db, reference, band)
-        else:
-            found = limit_of_bins(limit, limit_db, reference)
+        for name, given in (("every_frequency", every_frequency), ("hold", hold), ("between", between)):
+            require_bool(f"MagnitudeBound.{name}", given)
+        read = partial(limit_of_frequencies, band) if every_frequency else limit_of_bins
+        found = read(limit, limit_db, reference)
         assign(self, limit=found, between=between, every_frequency=every_frequency, hold=hold)
         self._set_domain(bins, band, component, penalty, window, oversampling)
         if every_frequency and (self.band.unit == "bins" or oversampling != 1 or between):
@@ -267,8 +271,6 @@ class MagnitudeBound(SpectrumBound):
         if hold and not (every_frequency and self.band.unit == "Hz"):
             got = "hold=True without every_frequency=True, or with a band that is not in Hz"
             raise ProblemError("MagnitudeBound.hold", got, "every_frequency=True and a band in Hz")
-        if not isinstance(between, bool):
-            raise ProblemError("MagnitudeBound.between", brief(between), "True or False")
         if between and self.oversampling < 2:
             raise ProblemError("MagnitudeBound.oversampling", "1", "at least 2 (better 4) for between=True")
 
@@ -276,18 +278,12 @@ class MagnitudeBound(SpectrumBound):
         if not self.every_frequency:
             yield from super().terms(signal, field, source)
             return
-        limits = (held_limits_of if self.hold else limits_of)(field, self.limit, self.band, signal.sampling_time)
-        window, label = self.samples(signal.length, field), f"held {self.label}" if self.hold else self.label
+        limits = limits_of(field, self.limit, self.band, signal.sampling_time, self.hold)
+        samples, price_of_excess = (self.samples(signal.length, field), np.zeros(0)), float(weight_of(self.penalty))
         kind, of_signal = (HeldFrequencies, HeldMap) if self.hold else (Frequencies, FrequencyMap)
-        for i, (name, C, D) in enumerate(signal.rows(field, self.component)):
-            everywhere = kind(of_signal(C, D, window, np.zeros(0)), limits, price=float(weight_of(self.penalty)))
-            given = everywhere.first_points() if self.frequencies is None else self.frequencies[i]
-            values, balls = everywhere.at(given)
-            required = None if self.relaxed else everywhere
-            yield Term(f"{label} on {name}", signal.kind, values, balls, source, everywhere=required)
-
-    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> Self:
-        return self.changed(frequencies=tuple(frequencies), relaxed=relaxed)
+        maps = (of_signal(C, D, *samples) for _, C, D in signal.rows(field, self.component))
+        masks = (kind(values, limits, price=price_of_excess) for values in maps)
+        yield from self.semi_infinite_terms(f"{'held ' if self.hold else ''}mask on", signal, masks, source)
 
     def describe(self, names: Sequence[str]) -> str:
         low, high = (number(float(limit)) for limit in (self.levels.min(), self.levels.max()))
@@ -413,44 +409,46 @@ def _named_window(field: str, name: str, length: int) -> Array:
 
 def limit_of_bins(limit: object, limit_db: ArrayLike | None, reference: float | None) -> Array:
     """Return the limit of bins as one number, (), or one for each, (bins,)."""
-    field = "MagnitudeBound.limit"
-    if limit_db is None:
-        bound = real_array(field, limit, allow_infinite=True)
-    else:
-        field, level = "MagnitudeBound.limit_db", positive_number("MagnitudeBound.reference", reference)
+    field, given = ("MagnitudeBound.limit", limit) if limit_db is None else ("MagnitudeBound.limit_db", limit_db)
+    bound = real_array(field, given, allow_infinite=limit_db is None)
+    if limit_db is not None:
         with np.errstate(over="ignore"):  # so high that there is no limit
-            bound = np.asarray(level * 10 ** (real_array(field, limit_db) / 20))
+            bound = np.asarray(from_decibels(bound, reference))
     if bound.ndim > 1 or (bound < 0).any():
-        given = limit if limit_db is None else limit_db
         raise ProblemError(field, brief(given), "one number, zero or above, or one for each bin")
     return bound
 
 
 def limit_of_frequencies(
-    field: str, limit: Limit | None, limit_db: ArrayLike | None, reference: float | None, band: Band | None
+    band: Band | None, limit: Limit | None, limit_db: ArrayLike | None, reference: float | None
 ) -> Array:
     """Return the limit as one number, (), or as points (frequency in the band's unit, limit), (points, 2).
 
     Points in dB are linear over the logarithm of the frequency, and are sampled to points that are linear over it.
     """
+    field = "MagnitudeBound.limit"
     if limit_db is not None:
-        decibels = real_array(f"{field}_db", limit_db)
-        factor = positive_number("MagnitudeBound.reference", reference)
-        if decibels.ndim:
-            w, decibels = _sample_decibels(f"{field}_db", _require_points(f"{field}_db", decibels))
-            found = np.column_stack([w, factor * 10 ** (decibels / 20)])
+        found = real_array(f"{field}_db", limit_db)
+        if found.ndim:
+            w, decibels = _sample_decibels(f"{field}_db", _require_points(f"{field}_db", found))
+            found = np.column_stack([w, from_decibels(decibels, reference)])
         else:
-            found = factor * 10 ** (decibels / 20)
+            found = from_decibels(found, reference)
     elif callable(limit):
         found = _sample_function(field, limit, band)
     else:
         found = real_array(field, limit)
     if found.ndim:
         found = _require_points(field, found)
-    lowest = found[:, 1] if found.ndim else found
-    if (lowest <= 0).any():
-        raise ProblemError(field, f"{float(lowest.min()):g}", "a limit above zero at every frequency", NO_ZERO)
+    lowest = (found[:, 1] if found.ndim else found).min()
+    if lowest <= 0:
+        raise ProblemError(field, f"{lowest:g}", "a limit above zero at every frequency", NO_ZERO)
     return found
+
+
+def from_decibels(decibels: Array, reference: object) -> Array:
+    """Return reference * 10^(decibels / 20)."""
+    return positive_number("MagnitudeBound.reference", reference) * 10 ** (decibels / 20)
 
 
 def _require_points(field: str, given: Array) -> Array:
@@ -486,52 +484,30 @@ def _sample_function(field: str, limit: Callable[[Array], ArrayLike], band: Band
     return np.column_stack([w, np.broadcast_to(real_array(field, limit(w)), w.shape)])
 
 
-def limits_of(field: str, limit: Array, band: Band, sampling_time: float | None) -> Limits:
-    """Return the limit on the closed intervals that a band removes, in rad/sample."""
-    factor = 2 * np.pi * band.bins_per_unit(1, sampling_time, field)
-    expected = "a band that removes frequencies between 0 and Nyquist"
-    intervals = _removed_intervals(field, band, factor, np.pi, expected)
-    if not limit.ndim:
-        return limits_on(intervals, np.zeros(1), limit.reshape(1))
-    points, values = limit[:, 0] * factor, limit[:, 1]
-    first, last = intervals[0][0], intervals[-1][1]
-    slack = 1e-9 * np.pi  # rounding of a change of unit
-    if points[0] > first + slack or points[-1] < last - slack:
-        got = f"points from {limit[0, 0]:g} to {limit[-1, 0]:g} {band.unit}"
-        expected = f"points from {first / factor:g} to {last / factor:g} {band.unit}, which the band removes"
-        raise ProblemError(f"{field}.limit", got, expected)
-    return limits_on(intervals, points, values)
+def limits_of(field: str, limit: Array, band: Band, sampling_time: float | None, hold: bool) -> Limits:
+    """Return the limit on the closed intervals that a band removes, in rad/sample.
 
-
-def held_limits_of(field: str, limit: Array, band: Band, sampling_time: float | None) -> Limits:
-    """Return the limit of a held signal on the intervals in Hz that a band removes, at w = 2 pi f h of any size.
-
-    Beyond the last point the limit is constant; of an interval without end, there is one period of V after it.
+    Of a held signal, at w = 2 pi f h of any size: beyond the last point the limit is constant, and of an interval
+    without end, there is one period of V after it.
     """
-    if sampling_time is None:
+    if hold and sampling_time is None:
         raise ProblemError(field, f"{band}, and no sampling time", "dynamics with a sampling_time in seconds, for hold")
-    intervals = _removed_intervals(field, band, 1.0, np.inf, "a band that removes frequencies")
-    points, values = (limit[:, 0], limit[:, 1]) if limit.ndim else (np.zeros(1), limit.reshape(1))
-    first = intervals[0][0]
-    if limit.ndim and points[0] > first * (1 + 1e-9):
-        got = f"points from {points[0]:g} Hz"
-        raise ProblemError(f"{field}.limit", got, f"points from {first:g} Hz, which the band removes")
-    w = 2 * np.pi * sampling_time
-    ends = [
-        (low, high if np.isfinite(high) else max(low, float(points[-1])) + 1 / sampling_time) for low, high in intervals
-    ]
-    return limits_on([(w * low, w * high) for low, high in ends], w * points, values)
-
-
-def _removed_intervals(
-    field: str, band: Band, factor: float, highest: float, expected: str
-) -> Sequence[tuple[float, float]]:
-    """Return the closed intervals within [0, highest] that a band removes, a factor times those in its unit."""
-    low, high = (min(edge * factor, highest) for edge in band.limits)
+    factor = 2 * np.pi * (sampling_time if hold and sampling_time else band.bins_per_unit(1, sampling_time, field))
+    points, values = (limit[:, 0] * factor, limit[:, 1]) if limit.ndim else (np.zeros(1), limit.reshape(1))
+    low, high = (edge * factor for edge in band.limits)
+    highest = max(high, float(points[-1])) + 2 * np.pi if hold else np.pi
+    low, high = min(low, highest), min(high, highest)
     if band.kind == "notch":
-        found = [(max(low, 0.0), high)]
+        intervals = [(max(low, 0.0), high)]
     else:
-        found = ([(0.0, low)] if low > 0 else []) + ([(high, highest)] if high < highest else [])
-    if not found or found[0][0] >= found[-1][1]:
+        intervals = ([(0.0, low)] if low > 0 else []) + ([(high, highest)] if high < highest else [])
+    if not intervals or intervals[0][0] >= intervals[-1][1]:
+        expected = "a band that removes frequencies" + ("" if hold else " between 0 and Nyquist")
         raise ProblemError(f"{field}.band", str(band), expected)
-    return found
+    first, last = intervals[0][0], float(points[-1]) if hold else intervals[-1][1]
+    slack = 1e-9 * np.pi  # rounding of a change of unit
+    if limit.ndim and (points[0] > first + slack or points[-1] < last - slack):
+        got = f"points from {limit[0, 0]:g} to {limit[-1, 0]:g} {band.unit}"
+        expected = f"points from {first / factor:g}{'' if hold else f' to {last / factor:g}'} {band.unit}"
+        raise ProblemError(f"{field}.limit", got, f"{expected}, which the band removes")
+    return limits_on(intervals, points, values)

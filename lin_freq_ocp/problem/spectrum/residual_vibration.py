@@ -61,8 +61,6 @@ class ResidualVibration(FrequencyConstraint):
     damping: Array
     limit: float
     component: int | str | None
-    points: tuple[Array, ...] | None  # of the finitely many constraints, one array for each component
-    relaxed: bool  # whether it holds at these only
 
     def __init__(self, frequency: ArrayLike, damping: ArrayLike, limit: float, component: int | str | None = None):
         frequencies, ratios = _pair("frequency", frequency), _pair("damping", damping)
@@ -70,8 +68,8 @@ class ResidualVibration(FrequencyConstraint):
             raise ProblemError("ResidualVibration.frequency", brief(frequency), "frequencies above 0 Hz")
         if ratios[0] < 0 or ratios[1] >= 1:
             raise ProblemError("ResidualVibration.damping", brief(damping), "damping ratios from 0 to below 1")
-        assign(self, frequency=frequencies, damping=ratios, limit=positive_number("ResidualVibration.limit", limit))
-        assign(self, component=component, points=None, relaxed=False)
+        level = positive_number("ResidualVibration.limit", limit)
+        assign(self, frequency=frequencies, damping=ratios, limit=level, component=component)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         h = signal.sampling_time
@@ -79,15 +77,10 @@ class ResidualVibration(FrequencyConstraint):
             advice = "Give the dynamics a sampling_time in seconds."
             raise ProblemError(f"{field}.frequency", "Hz, and no sampling time", "dynamics with one", advice)
         low, high = np.stack([self.frequency, self.damping], axis=1)
-        for i, (name, C, D) in enumerate(signal.rows(field, self.component)):
-            plain = VibrationMap(C, D, np.ones(signal.length), np.zeros((0, 2)), h)
-            everywhere = PlantBox(plain, low, high, self.limit, h)
-            values, balls = everywhere.at(everywhere.first_points() if self.points is None else self.points[i])
-            required = None if self.relaxed else everywhere
-            yield Term(f"residual vibration of {name}", signal.kind, values, balls, source, everywhere=required)
-
-    def at_frequencies(self, frequencies: Sequence[Array], relaxed: bool) -> Self:
-        return self.changed(points=tuple(frequencies), relaxed=relaxed)
+        samples = np.ones(signal.length), np.zeros((0, 2))
+        maps = (VibrationMap(C, D, *samples, h) for _, C, D in signal.rows(field, self.component))
+        boxes = (PlantBox(values, low, high, self.limit, h) for values in maps)
+        yield from self.semi_infinite_terms("residual vibration of", signal, boxes, source)
 
     def extended(self, n: int, k: int) -> Sequence[ResidualVibration]:
         return self.on_components(n)

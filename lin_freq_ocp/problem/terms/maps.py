@@ -199,7 +199,7 @@ class StageMap(MatrixMap):
         matrix = np.concatenate([np.broadcast_to(part, (groups, *part.shape[1:])) for part in parts], axis=-1)
         return matrix, np.broadcast_to(self.constant, self.shape)
 
-    def magnitudes(self) -> AffineMap:
+    def magnitudes(self) -> StageMap:
         C, D = (None if part is None else np.abs(part) for part in (self.C, self.D))
         return StageMap(self.times, C, D, np.abs(self.constant))
 
@@ -213,10 +213,12 @@ class StageMap(MatrixMap):
 
 @dataclass(frozen=True, eq=False)
 class SumMap(MatrixMap):
-    """v = constant + sum_t (Phi_t x_t + Psi_t u_t), a single group (paper, (SFC) and (CFC))."""
+    """v = constant + sum_t (C_t x_t + D_t u_t), a single group, of stages without constants (paper, (SFC) and (CFC)).
 
-    Phi: Array | None  # (times, dim, n), from t = 0 on
-    Psi: Array | None  # (times, dim, m)
+    Equations on both ends are the sum of two stages, 0 and T.
+    """
+
+    stages: tuple[StageMap, ...]
     constant: Array  # (dim,)
 
     @property
@@ -225,77 +227,29 @@ class SumMap(MatrixMap):
 
     @property
     def positions(self) -> Indices:
-        return np.arange(len(next(part for part in (self.Phi, self.Psi) if part is not None)))
+        return self.stages[0].times
 
     @property
     def additions(self) -> float:
-        return float(sum(part.shape[0] + part.shape[2] for part in (self.Phi, self.Psi) if part is not None))
+        return float(sum(len(stage.times) + stage.additions for stage in self.stages))
 
     def values(self, x: Array, u: Array) -> Array:
-        v = self.constant.astype(np.result_type(x, u))
-        for matrix, signal in ((self.Phi, x), (self.Psi, u)):
-            if matrix is not None:
-                v = v + np.einsum("tij,tj->i", matrix, signal[: len(matrix)])
-        return v[None]
+        return self.constant + np.sum([stage.values(x, u).sum(axis=0, keepdims=True) for stage in self.stages], axis=0)
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        of_x, of_u = (np.zeros(shape, dtype=weights.dtype) for shape in shapes)
-        for matrix, part in ((self.Phi, of_x), (self.Psi, of_u)):
-            if matrix is not None:
-                part[: len(matrix)] = np.einsum("tij,i->tj", matrix, weights[0])
-        return of_x, of_u
+        pulled = [stage.pull_back(np.broadcast_to(weights, stage.shape), shapes) for stage in self.stages]
+        of_x, of_u = zip(*pulled, strict=True)
+        return np.sum(of_x, axis=0), np.sum(of_u, axis=0)
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        dim = len(self.constant)
-        parts = (
-            np.zeros((dim, 0)) if part is None else np.swapaxes(part, 0, 1).reshape(dim, -1)
-            for part in (self.Phi, self.Psi)
-        )
-        totals = (horizon + 1) * n, horizon * m
-        of_x, of_u = (pad_columns(sp.csr_array(part), total) for part, total in zip(parts, totals, strict=True))
-        return joined_rows(of_x, of_u), self.constant
+        total, dim = sp.csr_array((len(self.constant), (horizon + 1) * n + horizon * m)), len(self.constant)
+        for stage in self.stages:
+            over_times = sp.kron(np.ones((1, len(stage.times))), sp.eye_array(dim))
+            total = total + over_times @ stage.rows(horizon, n, m)[0]
+        return sp.csr_array(total), self.constant
 
     def magnitudes(self) -> AffineMap:
-        Phi, Psi = (None if part is None else np.abs(part) for part in (self.Phi, self.Psi))
-        return SumMap(Phi, Psi, np.abs(self.constant))
-
-
-@dataclass(frozen=True, eq=False)
-class EndsMap(MatrixMap):
-    """v = E_0 x_0 + E_T x_T - e, a single group."""
-
-    E_0: Array  # (rows, n)
-    E_T: Array  # (rows, n)
-    e: Array  # (rows,)
-    horizon: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return 1, len(self.e)
-
-    @property
-    def positions(self) -> Indices:
-        return np.array([0, self.horizon])
-
-    @property
-    def additions(self) -> float:
-        return float(2 * self.E_0.shape[1] + 1)
-
-    def values(self, x: Array, u: Array) -> Array:
-        return (self.E_0 @ x[0] + self.E_T @ x[-1] - self.e)[None]
-
-    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        of_x, of_u = (np.zeros(shape, dtype=weights.dtype) for shape in shapes)
-        of_x[0], of_x[-1] = weights[0] @ self.E_0, weights[0] @ self.E_T
-        return of_x, of_u
-
-    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        between = sp.csr_array((len(self.e), (horizon - 1) * n))
-        of_x = sp.csr_array(sp.hstack([sp.csr_array(self.E_0), between, sp.csr_array(self.E_T)]))
-        return joined_rows(of_x, sp.csr_array((len(self.e), horizon * m))), -self.e
-
-    def magnitudes(self) -> AffineMap:
-        return EndsMap(np.abs(self.E_0), np.abs(self.E_T), -np.abs(self.e), self.horizon)
+        return SumMap(tuple(stage.magnitudes() for stage in self.stages), np.abs(self.constant))
 
 
 def pad_columns(rows: sp.csr_array, columns: int) -> sp.csr_array:

@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
-from lin_freq_ocp.problem.terms.penalty import HARD, ConicForm, Penalty, selected_rows
+from lin_freq_ocp.problem.terms.penalty import HARD, Block, ConicForm, Penalty, block_rows, selected_rows
 
 DUAL_ORDER = {1: np.inf, 2: 2, np.inf: 1}  # of a norm, the order of its dual norm
 
@@ -80,17 +80,11 @@ class HalfSpaces(Penalty):
 
     def conic(self, groups: int, dim: int) -> ConicForm:
         entries = self._limited_entries((groups, dim))
-        upper, none = self.bounds((groups, dim))[1].ravel()[entries], np.full(len(entries), -np.inf)
+        upper, identity = self.bounds((groups, dim))[1].ravel()[entries], sp.csr_array(sp.eye_array(len(entries)))
         if self.hard:
-            return selected_rows(entries, none, upper)
-        return ConicForm(
-            np.concatenate([entries, np.full(len(entries), -1)]),
-            np.concatenate([none, np.zeros(len(entries))]),
-            np.concatenate([upper, -none]),
-            sp.csr_array(sp.vstack([-sp.eye_array(len(entries)), sp.eye_array(len(entries))])),
-            np.broadcast_to(self.weight, (groups, dim)).ravel()[entries],
-            entries[:, None],
-        )
+            return selected_rows(entries, np.full(len(entries), -np.inf), upper)
+        blocks: list[Block] = [(entries, -np.inf, upper, -identity), (-1, 0.0, np.inf, identity)]
+        return block_rows(blocks, np.broadcast_to(self.weight, (groups, dim)).ravel()[entries], entries[:, None])
 
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
@@ -209,11 +203,19 @@ class NormBall(Penalty):
         limited = np.flatnonzero(np.isfinite(radius))
         weight = np.broadcast_to(self.weight, (groups,))[limited]
         entries = limited[:, None] * dim + np.arange(dim)
+        flat, reach = entries.ravel(), np.repeat(radius[limited], dim)
         if self.order == 1:
-            return self._absolute_values(entries, np.repeat(weight, dim))
+            each = sp.csr_array(sp.eye_array(len(flat)))
+            sides: list[Block] = [(flat, -np.inf, 0.0, -each), (flat, 0.0, np.inf, each)]
+            return block_rows(sides, np.repeat(weight, dim), flat[:, None])
         if self.order == 2 and dim > 1:
             return self._cones(entries, radius[limited], weight)
-        return self._largest_values(entries, np.repeat(radius[limited], dim), weight)
+        if self.hard:
+            return selected_rows(flat, -reach, reach)
+        identity = sp.csr_array(sp.eye_array(len(limited)))
+        spread = sp.csr_array(sp.kron(identity, np.ones((dim, 1))))
+        blocks: list[Block] = [(flat, -np.inf, reach, -spread), (flat, -reach, np.inf, spread)]
+        return block_rows([*blocks, (-1, 0.0, np.inf, identity)], weight, entries)
 
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
@@ -225,51 +227,17 @@ class NormBall(Penalty):
         weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
         return NormBall(self.order, np.array([one.radius for one in others]), weights)
 
-    def _absolute_values(self, entries: Indices, weight: Array) -> ConicForm:
-        zero, unlimited, identity = np.zeros(entries.size), np.full(entries.size, np.inf), sp.eye_array(entries.size)
-        return ConicForm(
-            np.tile(entries.ravel(), 2),
-            np.concatenate([-unlimited, zero]),
-            np.concatenate([zero, unlimited]),
-            sp.csr_array(sp.vstack([-identity, identity])),
-            weight,
-            entries.reshape(-1, 1),
-        )
-
-    def _largest_values(self, entries: Indices, reach: Array, weight: Array) -> ConicForm:
-        if self.hard:
-            return selected_rows(entries.ravel(), -reach, reach)
-        (count, dim), unlimited = entries.shape, np.full(entries.size, np.inf)
-        spread = sp.csr_array(sp.kron(sp.eye_array(count), np.ones((dim, 1))))
-        return ConicForm(
-            np.concatenate([entries.ravel(), entries.ravel(), np.full(count, -1)]),
-            np.concatenate([-unlimited, -reach, np.zeros(count)]),
-            np.concatenate([reach, unlimited, np.full(count, np.inf)]),
-            sp.csr_array(sp.vstack([-spread, spread, sp.eye_array(count)])),
-            weight,
-            entries,
-        )
-
     def _cones(self, entries: Indices, radius: Array, weight: Array) -> ConicForm:
         """Return (radius + s, v) of every group in turn; the groups of radius 0 are equations if they are hard."""
         round_, count = (radius > 0) | (not self.hard), 0 if self.hard else len(entries)
         zero, inside = entries[~round_].ravel(), entries[round_]
-        cones, size = len(inside), entries.shape[1] + 1
-        rows = np.column_stack([np.full(cones, -1), inside]).ravel()
-        lower = np.column_stack([-radius[round_], np.zeros(inside.shape)]).ravel()
-        first = np.arange(cones) * size
-        of_cones = sp.csr_array((np.ones(count), (first[:count], np.arange(count))), shape=(len(rows), count))
+        rows, lower, slices = cone_rows(inside, radius[round_])
+        first = np.arange(count) * (entries.shape[1] + 1)
+        of_cones = sp.csr_array((np.ones(count), (first, np.arange(count))), shape=(len(rows), count))
         positive = sp.csr_array(sp.eye_array(count, format="csr")[radius[:count] > 0])  # else |v| <= s implies it
-        signs = positive.shape[0]
-        return ConicForm(
-            np.concatenate([rows, np.full(signs, -1), zero]),
-            np.concatenate([lower, np.zeros(signs + len(zero))]),
-            np.concatenate([np.full(len(rows) + signs, np.inf), np.zeros(len(zero))]),
-            sp.csr_array(sp.vstack([of_cones, positive, sp.csr_array((len(zero), count))])),
-            weight[:count],
-            entries[:count],
-            tuple(slice(int(row), int(row) + size) for row in first),
-        )
+        blocks: list[Block] = [(rows, lower, np.inf, of_cones), (-1, 0.0, np.inf, positive)]
+        equations = zero, 0.0, 0.0, sp.csr_array((len(zero), count))
+        return block_rows([*blocks, equations], weight[:count], entries[:count], slices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,8 +273,7 @@ class StandardCone(Penalty):
 
     def conic(self, groups: int, dim: int) -> ConicForm:
         count = groups * dim
-        cones = tuple(slice(g * dim, (g + 1) * dim) for g in range(groups))
-        return selected_rows(np.arange(count), np.zeros(count), np.full(count, np.inf), cones)
+        return selected_rows(np.arange(count), np.zeros(count), np.full(count, np.inf), cone_slices(groups, dim))
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,14 +350,11 @@ class LargestExcess(Penalty):
     def conic(self, groups: int, dim: int) -> ConicForm:
         limited = np.flatnonzero(np.isfinite(self.limit))
         limit, entries = self.limit[limited], limited[:, None] * dim + np.arange(dim)
-        rows = np.append(np.column_stack([np.full(len(limited), -1), entries]).ravel(), -1)
-        lower = np.append(np.column_stack([-limit, np.zeros(entries.shape)]).ravel(), 0.0)
-        first = np.arange(len(limited)) * (dim + 1)
-        slacks = np.zeros((len(rows), 1))
-        slacks[first, 0], slacks[-1, 0] = limit / self._unit, 1.0
+        rows, lower, cones = cone_rows(entries, limit)
+        radii = sp.csr_array(np.column_stack([limit / self._unit, np.zeros(entries.shape)]).reshape(-1, 1))
         price, paid = np.array([float(self.weight) / self._unit]), entries.reshape(1, -1)
-        cones = tuple(slice(int(row), int(row) + dim + 1) for row in first)
-        return ConicForm(rows, lower, np.full(len(rows), np.inf), sp.csr_array(slacks), price, paid, cones)
+        blocks: list[Block] = [(rows, lower, np.inf, radii), (-1, 0.0, np.inf, sp.csr_array([[1.0]]))]
+        return block_rows(blocks, price, paid, cones)
 
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
@@ -411,6 +375,18 @@ class LargestExcess(Penalty):
         """Return l |lambda|, (groups,)."""
         size = norm_of(multipliers, 2)
         return np.where(size > 0, self.limit, 0.0) * size
+
+
+def cone_rows(entries: Indices, radius: Array) -> tuple[Indices, Array, tuple[slice, ...]]:
+    """Return entries, lower limits and cones of rows (radius, v), for values v of these entries (cones, dim)."""
+    rows = np.column_stack([np.full(len(entries), -1), entries])
+    lower = np.column_stack([-radius, np.zeros(entries.shape)])
+    return rows.ravel(), lower.ravel(), cone_slices(*rows.shape)
+
+
+def cone_slices(count: int, size: int) -> tuple[slice, ...]:
+    """Return the rows of each of so many cones, one after the other."""
+    return tuple(slice(g * size, (g + 1) * size) for g in range(count))
 
 
 def norm_of(v: Array, order: float) -> Array:

@@ -18,6 +18,7 @@ methods and tell penalties apart by nothing else. ``tests/problem/test_new_term.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -180,6 +181,19 @@ class Penalty(ABC):
 def weight_of(penalty: float | None) -> Array:
     """Return the weight of a penalty as users give it: a price per unit of excess, or None for what must hold."""
     return HARD if penalty is None else np.asarray(penalty)
+
+
+Block = tuple[Indices | int, Array | float, Array | float, sp.csr_array]  # entries, lower, upper and slacks of rows
+
+
+def block_rows(blocks: Sequence[Block], prices: Array, paid: Indices, cones: tuple[slice, ...] = ()) -> ConicForm:
+    """Return the rows of blocks, one after the other; a number stands for all rows of its block."""
+    entries, lower, upper = (
+        np.concatenate([np.broadcast_to(np.asarray(block[i]), block[3].shape[:1]) for block in blocks])
+        for i in range(3)
+    )
+    slacks = sp.csr_array(sp.vstack([block[3] for block in blocks]))
+    return ConicForm(entries, lower, upper, slacks, prices, paid, cones)
 
 
 def selected_rows(entries: Indices, lower: Array, upper: Array, cones: tuple[slice, ...] = ()) -> ConicForm:

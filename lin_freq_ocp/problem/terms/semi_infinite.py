@@ -4,16 +4,16 @@
 A term of a problem has finitely many of them, at its points; what must hold at all others stands in its ``everywhere``.
 By Caratheodory's theorem, an optimum has multipliers at finitely many points only. The sets are the frequencies of a
 spectrum, those of a signal that is held between its samples, and the modes of a plant that is known up to a box. Each
-finds the local maxima of |V|/l. A new set is a subclass of ``Continuum`` with a function registered in ``peaks_above``
-and one in ``certificate/peaks/proven``, which proves the maxima.
+has its largest |V|/l on some curves, intervals or edges, on which ``peaks_above`` finds the local maxima. A new set is
+a subclass of ``Continuum`` with a function registered in ``proven_peak`` (certificate/peaks), which proves the maxima.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, singledispatch
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -25,6 +25,9 @@ from lin_freq_ocp.problem.terms.maps import Shapes
 from lin_freq_ocp.problem.terms.penalties import LargestExcess, NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD, Penalty
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap
+
+Curve = tuple[complex, complex]  # its ends: frequencies, or logarithms of eigenvalues
+SMALLEST = float(np.finfo(np.float64).tiny)  # ratio whose logarithm stands for that of zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,18 @@ class Continuum(ABC):
     def distances(self, some: Array, others: Array) -> Array:
         """Return the distances of k points and l others, in DFT bins of the signal, (k, l)."""
 
+    @abstractmethod
+    def points_on(self, curve: Curve, share: Array) -> Array:
+        """Return the points at shares (k,) of the way along a curve."""
+
+    @abstractmethod
+    def samples(self, signal: Array) -> Iterator[tuple[Curve, Array, Array]]:
+        """Yield the curves that hold all maxima, with shares (k,) of the way along each, and |V|/l there, (k,)."""
+
+    def ratios(self, signal: Array, points: Array) -> Array:
+        """Return |V|/l of a windowed signal at points, (k,)."""
+        return np.abs(self.map.placed(points).transform(signal)) / self.limit_at(points)
+
     def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
         """Return the map to the values at points, and their balls."""
         if points.shape[1:] != self.map.at.shape[1:]:
@@ -58,19 +73,33 @@ class Continuum(ABC):
 
 
 FINENESS = 16  # points of a first search for each bin of the signal's DFT
-STEPS = 4  # of Newton's method, from 1/16 of a bin: quadratic from the first on
+STEPS = 4  # of Newton's method, from 1/16 of a bin: it converges quadratically from the first on
+DIFFERENCE = 1e-2  # distance of the points of differences, in that of the samples: they err by 1e-5 of a step
+FARTHEST = 2.0  # distances of the samples that a maximum may be from the sample
 
 
-@singledispatch
 def peaks_above(everywhere: Continuum, x: Array, u: Array, above: float) -> tuple[Array, Array]:
-    """Return the points of the local maxima of |V|/l above a ratio, and these ratios, (peaks,); by kind of set."""
-    raise NotImplementedError(type(everywhere).__name__)
+    """Return the points of the local maxima of |V|/l above a ratio, and these ratios, (peaks,).
 
-
-def _local_maxima(ratio: Array, above: float) -> Mask:
-    """Return which samples of |V|/l are local maxima from which the refinement may rise above a ratio."""
-    padded = np.concatenate([[-np.inf], ratio, [-np.inf]])
-    return (ratio >= padded[:-2]) & (ratio >= padded[2:]) & (ratio > above * (1 - 1 / FINENESS))
+    Those of samples on the curves of the set are refined by Newton's method for ln |V|/l, from differences.
+    """
+    signal, peaks = everywhere.map.signal(x, u), list[Array]()
+    for curve, share, ratio in everywhere.samples(signal):
+        padded, step = np.concatenate([[-np.inf], ratio, [-np.inf]]), float(np.diff(share).max())
+        highest = (ratio >= padded[:-2]) & (ratio >= padded[2:]) & (ratio > above * (1 - 1 / FINENESS))
+        start = share[highest]
+        peak, d = start, DIFFERENCE * step
+        for _ in range(STEPS):
+            inner = np.clip(peak, d, 1 - d)
+            around = everywhere.points_on(curve, np.concatenate([inner - d, inner, inner + d]))
+            left, here, right = np.log(np.maximum(everywhere.ratios(signal, around), SMALLEST)).reshape(3, -1)
+            slope, curvature = (right - left) / (2 * d), (right - 2 * here + left) / d**2
+            move = np.where(curvature < 0, -slope / np.where(curvature < 0, curvature, 1.0), np.sign(slope) * step)
+            peak = np.clip(np.clip(inner + move, start - FARTHEST * step, start + FARTHEST * step), 0.0, 1.0)
+        peaks.append(everywhere.points_on(curve, peak))
+    found = np.unique(np.concatenate(peaks), axis=0)
+    ratios = everywhere.ratios(signal, found)
+    return found[ratios > above], ratios[ratios > above]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +140,9 @@ def limits_on(intervals: Sequence[tuple[float, float]], frequencies: Array, limi
     return Limits(starts, stops, np.interp(starts, frequencies, limits), np.interp(stops, frequencies, limits))
 
 
+ZERO = 1e-6  # of S, below which an end of an interval is none of the first points: its constraint is hardly any
+
+
 @dataclass(frozen=True, eq=False)
 class Frequencies(Continuum):
     """|V(w)| <= l(w) at every frequency w in rad/sample of the intervals of the limits."""
@@ -122,10 +154,17 @@ class Frequencies(Continuum):
         return self.limits.at(points)
 
     def first_points(self) -> Array:
-        """Return the bins of the signal's DFT within the intervals, and their ends."""
-        bins = 2 * np.pi * np.arange(self.map.samples // 2 + 1) / self.map.samples
-        inside = bins[np.isfinite(self.limits.at(bins))]
-        return np.unique(np.concatenate([inside, self.limits.low, self.limits.high]))
+        """Return the bins within the intervals, of those with the same V the one with the least limit, and the ends."""
+        N = self.map.samples
+        k = np.arange(round(N * self.limits.high.max() / (2 * np.pi)) + 1)
+        w = 2 * np.pi * k / N
+        limits, same = self.limits.at(w), np.minimum(k % N, -k % N)
+        of_V = np.full(len(k), np.inf)
+        np.divide(limits, self.factor(w), out=of_V, where=np.isfinite(limits) & (k % N > 0) | (k == 0))
+        tightest = np.lexsort((of_V, same))
+        firsts = tightest[np.unique(same[tightest], return_index=True)[1]]
+        ends = np.concatenate([self.limits.low, self.limits.high])
+        return np.unique(np.concatenate([w[firsts[np.isfinite(of_V[firsts])]], ends[self.factor(ends) > ZERO]]))
 
     def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
         if points.ndim == 1 and (points > self.highest).any():
@@ -136,64 +175,24 @@ class Frequencies(Continuum):
         """Return the modulus of what V is multiplied by, (k,)."""
         return np.ones(len(points))
 
-    def log_slopes(self, points: Array) -> tuple[Array, Array]:
-        """Return the first and second derivative by w of the logarithm of the factor, both (k,)."""
-        return np.zeros(len(points)), np.zeros(len(points))
-
     def distances(self, some: Array, others: Array) -> Array:
         return np.abs(some[:, None] - others) * self.map.samples / (2 * np.pi)
 
+    def points_on(self, curve: Curve, share: Array) -> Array:
+        low, high = (end.real for end in curve)
+        return np.clip(low + (high - low) * share, low, high)
 
-@peaks_above.register
-def _spectral_peaks(everywhere: Frequencies, x: Array, u: Array, above: float) -> tuple[Array, Array]:
-    """Return where |V|/l has local maxima above a ratio, in rad/sample, and these ratios, both (peaks,).
-
-    They are those of a zero-padded FFT, refined by Newton's method. Of a held signal, V is multiplied by a factor S,
-    and the FFT's period is 2 pi.
-    """
-    signal, limits = everywhere.map.signal(x, u), everywhere.limits
-    points = fft.next_fast_len(FINENESS * len(signal), real=True)
-    step, spectrum, places = 2 * np.pi / points, np.abs(fft.rfft(signal, n=points)), list[Array]()
-    for low, high, at_low, at_high in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
-        k = np.arange(int(low / step), int(high / step) + 2)
-        k = k[(step * k > low) & (step * k < high)]
-        w = np.concatenate([[low], step * k, [high]])
-        ends = np.abs(everywhere.map.placed(w[[0, -1]]).transform(signal))
-        inner = spectrum[np.minimum(k % points, -k % points)] * everywhere.factor(w[1:-1])
-        slope = (at_high - at_low) / (high - low) if high > low else 0.0
-        ratio = np.concatenate([ends[:1], inner, ends[1:]]) / (at_low + slope * (w - low))
-        highest = w[_local_maxima(ratio, above)]
-        places.append(_refine_on_interval(everywhere, signal, highest, (low, high), at_low, slope, np.pi / points))
-    found = np.unique(np.concatenate(places))
-    ratios = np.abs(everywhere.map.placed(found).transform(signal)) / limits.at(found)
-    return found[ratios > above], ratios[ratios > above]
-
-
-def _refine_on_interval(
-    everywhere: Frequencies,
-    signal: Array,
-    w: Array,
-    ends: tuple[float, float],
-    level: float,
-    slope: float,
-    reach: float,
-) -> Array:
-    """Return local maxima w of f = ln |V|^2 + ln S^2 - 2 ln l near w, by Newton's method.
-
-    f' = 2 Re(V'/V) - 2 l'/l,  f'' = 2 Re(V''/V - (V'/V)^2) + 2 (l'/l)^2, and the derivatives of ln S^2.
-    """
-    start, t = w, np.arange(len(signal))
-    for _ in range(STEPS):
-        at = everywhere.map.placed(w)
-        V, first, second = (at.transform(part) for part in (signal, t * signal, -(t**2.0) * signal))
-        V = np.where(V == 0, 1.0, V)
-        growth, limit = -1j * first / V, slope / (level + slope * (w - ends[0]))
-        slope_of_factor, bend_of_factor = everywhere.log_slopes(w)
-        steepness = 2 * growth.real - 2 * limit + 2 * slope_of_factor
-        curvature = 2 * (second / V - growth**2).real + 2 * limit**2 + 2 * bend_of_factor
-        step = np.where(curvature < 0, -steepness / np.where(curvature < 0, curvature, 1.0), 0.0)
-        w = np.clip(np.clip(w + step, start - 2 * reach, start + 2 * reach), *ends)
-    return w
+    def samples(self, signal: Array) -> Iterator[tuple[Curve, Array, Array]]:
+        """Yield the intervals, with the ends and the points of a zero-padded FFT within, whose period is 2 pi."""
+        points = fft.next_fast_len(FINENESS * len(signal), real=True)
+        step, spectrum, limits = 2 * np.pi / points, np.abs(fft.rfft(signal, n=points)), self.limits
+        for low, high, *levels in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
+            k = np.arange(int(low / step), int(high / step) + 2)
+            k = k[(step * k > low) & (step * k < high)]
+            ends, w = np.array([low, high]), np.asarray(step * k, dtype=np.float64)
+            inner = spectrum[np.minimum(k % points, -k % points)] * self.factor(w) / np.interp(w, ends, levels)
+            share = np.concatenate([[0.0], (w - low) / (high - low), [1.0]])
+            yield (float(low), float(high)), share, np.insert(self.ratios(signal, ends), 1, inner)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,10 +222,6 @@ class ScaledMap(FrequencyMap, ABC):
         return super().pulled_sizes(weights * np.abs(self.gain.astype(complex))[:, None], shapes)
 
 
-ZERO = 1e-6  # of S, below which an end of an interval is none of the first points: its constraint is hardly any
-SERIES = 1e-2  # below it, the logarithm of S is -w^2/24, to w^4/2880
-
-
 @dataclass(frozen=True, eq=False)
 class HeldMap(ScaledMap):
     """(Re, Im) of S(w) V(w)."""
@@ -241,7 +236,7 @@ class HeldMap(ScaledMap):
 
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
-        first, second = self.plain_factors
+        first, second = super()._factors
         return self.gain[:, None] * first, second
 
 
@@ -257,28 +252,8 @@ class HeldFrequencies(Frequencies):
 
     highest: ClassVar[float] = np.inf
 
-    def first_points(self) -> Array:
-        """Return the bins within the intervals, of those with the same V the one with the least limit, and the ends."""
-        N = self.map.samples
-        k = np.arange(int(N * self.limits.high.max() / (2 * np.pi)) + 1)
-        w = 2 * np.pi * k / N
-        limits = self.limits.at(w)
-        of_V = np.full(len(k), np.inf)
-        np.divide(limits, np.abs(sinc(w)), out=of_V, where=np.isfinite(limits) & (k % N > 0) | (k == 0))
-        tightest = np.lexsort((of_V, np.minimum(k % N, -k % N)))
-        firsts = tightest[np.unique(np.minimum(k % N, -k % N)[tightest], return_index=True)[1]]
-        ends = np.concatenate([self.limits.low, self.limits.high])
-        return np.unique(np.concatenate([w[firsts[np.isfinite(of_V[firsts])]], ends[self.factor(ends) > ZERO]]))
-
     def factor(self, points: Array) -> Array:
         return np.abs(sinc(points))
-
-    def log_slopes(self, points: Array) -> tuple[Array, Array]:
-        w = np.where(points < SERIES, SERIES, points)
-        half = np.where(np.sin(w / 2) == 0, SERIES, w / 2)
-        near = points < SERIES
-        first = np.where(near, -points / 12, np.cos(half) / (2 * np.sin(half)) - 1 / w)
-        return first, np.where(near, -1 / 12, 1 / w**2 - 1 / (4 * np.sin(half) ** 2))
 
 
 def sinc(w: Array) -> Array:
@@ -345,7 +320,7 @@ class PlantBox(Continuum):
     def first_points(self) -> Array:
         """Return points on the edges, a bin of the signal's DFT apart at most."""
         per_edge = [np.linspace(0.0, 1.0, int(np.ceil(self.bins(edge))) + 1) for edge in self.edges]
-        found = [self.modes_on(edge, share) for edge, share in zip(self.edges, per_edge, strict=True)]
+        found = [self.points_on(edge, share) for edge, share in zip(self.edges, per_edge, strict=True)]
         return np.unique(np.concatenate(found), axis=0)
 
     def distances(self, some: Array, others: Array) -> Array:
@@ -374,45 +349,12 @@ class PlantBox(Continuum):
         """Return y of modes (k, 2), (k,)."""
         return np.log(2 * np.pi * points[:, 0]) + 1j * np.arccos(-points[:, 1])
 
-    def modes_on(self, edge: tuple[complex, complex], share: Array) -> Array:
+    def points_on(self, curve: Curve, share: Array) -> Array:
         """Return the modes at shares (k,) of the way along an edge, (k, 2)."""
-        y = edge[0] + (edge[1] - edge[0]) * share
+        y = curve[0] + (curve[1] - curve[0]) * share
         return np.clip(np.column_stack([np.exp(y.real) / (2 * np.pi), -np.cos(y.imag)]), self.low, self.high)
 
-
-DIFFERENCE = 1e-2  # distance of the points of differences, in that of the samples: they err by 1e-5 of a step
-FARTHEST = 2.0  # distances of the samples that a maximum may be from the sample
-
-
-@peaks_above.register
-def _vibration_peaks(box: PlantBox, x: Array, u: Array, above: float) -> tuple[Array, Array]:
-    """Return the modes of local maxima of |V|/limit above a ratio, (peaks, 2), and these ratios, (peaks,).
-
-    They are on the edges: those of samples, refined by Newton's method.
-    """
-    signal, places = box.map.signal(x, u), list[Array]()
-    for edge in box.edges:
-        samples = int(np.ceil(FINENESS * box.bins(edge)))
-        share, step = np.linspace(0.0, 1.0, samples + 1), 1.0 / max(samples, 1)
-        ratio = _ratios(box, signal, box.modes_on(edge, share))
-        highest = share[_local_maxima(ratio, above)]
-        places.append(box.modes_on(edge, _refine_on_edge(box, signal, edge, highest, step)))
-    found = np.unique(np.concatenate(places), axis=0)
-    ratios = _ratios(box, signal, found)
-    return found[ratios > above], ratios[ratios > above]
-
-
-def _refine_on_edge(box: PlantBox, signal: Array, edge: tuple[complex, complex], start: Array, step: float) -> Array:
-    """Return the shares of the way along an edge at which ln |V| has its maxima near ``start``, from differences."""
-    share, d = start, DIFFERENCE * step
-    for _ in range(STEPS):
-        inner = np.clip(share, d, 1 - d)
-        left, here, right = (np.log(_ratios(box, signal, box.modes_on(edge, inner + move))) for move in (-d, 0.0, d))
-        slope, curvature = (right - left) / (2 * d), (right - 2 * here + left) / d**2
-        move = np.where(curvature < 0, -slope / np.where(curvature < 0, curvature, 1.0), np.sign(slope) * step)
-        share = np.clip(np.clip(inner + move, start - FARTHEST * step, start + FARTHEST * step), 0.0, 1.0)
-    return share
-
-
-def _ratios(box: PlantBox, signal: Array, modes: Array) -> Array:
-    return np.abs(box.map.placed(modes).transform(signal)) / box.limit
+    def samples(self, signal: Array) -> Iterator[tuple[Curve, Array, Array]]:
+        for edge in self.edges:
+            share = np.linspace(0.0, 1.0, max(int(np.ceil(FINENESS * self.bins(edge))), 1) + 1)
+            yield edge, share, self.ratios(signal, self.points_on(edge, share))

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, real_signal
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, joined_rows
 
 
@@ -64,9 +64,12 @@ class OutputMap(AffineMap):
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         waves = self.waves()
-        of_y = sp.csr_array(waves)
-        of_x, of_u = signal_rows(of_y, self.C, horizon + 1, n), signal_rows(of_y, self.D, horizon, m)
-        return joined_rows(of_x, of_u), np.zeros(len(waves))
+        return self.signal_rows(sp.csr_array(waves), horizon, n, m), np.zeros(len(waves))
+
+    def signal_rows(self, of_y: sp.csr_array, horizon: int, n: int, m: int) -> sp.csr_array:
+        """Return rows on y, (rows, some samples), as rows on (x, u)."""
+        of_x = _rows_of_output(of_y, self.C, horizon + 1, n)
+        return joined_rows(of_x, _rows_of_output(of_y, self.D, horizon, m))
 
     def sizes(self, x: Array, u: Array) -> Array:
         """Return the Euclidean norm of w y, the typical size of a bin, for every entry, (groups, dim)."""
@@ -142,20 +145,25 @@ class SpectrumMap(OutputMap):
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         pairs = self.pairs(weights)
-        k = np.arange(self.points // 2 + 1)
-        spectrum = np.zeros(len(k), dtype=np.result_type(pairs, np.complex64))
-        spectrum[self.bins] = pairs[:, 0] + 1j * pairs[:, 1]
-        factor = np.where((k == 0) | (2 * k == self.points), 1.0, 0.5)
-        signal = fft.irfft(self.points * factor * spectrum, n=self.points)[: len(self.window)] * self.window
+        signal = self.signal_of(pairs[:, 0] + 1j * pairs[:, 1])
         return self.spread(signal, shapes)
 
+    def signal_of(self, weights: ComplexArray) -> Array:
+        """Return the adjoint of the windowed DFT, (..., samples), from complex weights of the bins, (..., bins)."""
+        spectra = np.zeros((*weights.shape[:-1], self.points // 2 + 1), dtype=np.result_type(weights, np.complex64))
+        spectra[..., self.bins] = weights
+        return real_signal(spectra, self.points)[..., : self.samples] * self.window
+
     def waves(self) -> Array:
-        t = np.arange(len(self.window))
-        angle = 2 * np.pi * (np.outer(self.bins, t) % self.points) / self.points
-        waves = np.stack([np.cos(angle), -np.sin(angle)], axis=1) * self.window
-        waves[self.real, 1] = 0.0  # and not the rounding error of sin(pi t)
-        waves = waves.reshape(-1, len(t))
-        return waves[self.kept] if self.together else waves
+        return self.waves_at(np.arange(self.samples))
+
+    def waves_at(self, times: Array | Indices) -> Array:
+        """Return the coefficients of the samples of windows at these times, (..., samples), (..., rows, samples)."""
+        angle = 2 * np.pi * (self.bins[:, None] * times[..., None, :] % self.points) / self.points
+        waves = np.stack([np.cos(angle), -np.sin(angle)], axis=-2) * self.window
+        waves[..., self.real, 1, :] = 0.0  # and not the rounding error of sin(pi t)
+        waves = waves.reshape(*times.shape[:-1], -1, self.samples)
+        return waves[..., self.kept, :] if self.together else waves
 
     def grouped(self, pairs: Array) -> Array:
         """Return values, (groups, dim), from (Re, Im) of every bin, (bins, 2); of several spectra, one by one."""
@@ -241,10 +249,6 @@ class FrequencyMap(OutputMap):
 
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
-        return self.plain_factors
-
-    @property
-    def plain_factors(self) -> tuple[ComplexArray, ComplexArray]:
         """Return the factors in extended precision."""
         B = int(np.ceil(np.sqrt(self.samples)))
         w, A = self.at.astype(np.longdouble)[:, None], -(-self.samples // B)
@@ -303,28 +307,21 @@ class SpectrogramMap(AffineMap):
         return self.spectrum.grouped(pairs.reshape(-1, 2))
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        base, pairs = self.spectrum, self._window_pairs(weights)
-        k = np.arange(base.points // 2 + 1)
-        factor = np.where((k == 0) | (2 * k == base.points), 1.0, 0.5)
-        spectra = np.zeros((len(self.starts), len(k)), dtype=np.result_type(pairs, np.complex64))
-        spectra[:, base.bins] = (pairs[..., 0] + 1j * pairs[..., 1]) * np.conj(self._turns.astype(spectra.dtype))
-        frames = fft.irfft(base.points * factor * spectra, n=base.points, axis=1)
-        return base.spread(self._add_windows(frames[:, : base.samples] * base.window, shapes), shapes)
+        pairs = self._window_pairs(weights)
+        turned = pairs[..., 0] + 1j * pairs[..., 1]
+        frames = self.spectrum.signal_of(turned * np.conj(self._turns.astype(turned.dtype)))
+        return self.spectrum.spread(self._add_windows(frames, shapes), shapes)
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        base, L = self.spectrum, self.spectrum.samples
-        times = self.starts[:, None] + np.arange(L)
-        angle = 2 * np.pi * (times[:, None, :] * base.bins[:, None] % base.points) / base.points
-        waves = np.stack([np.cos(angle), -np.sin(angle)], axis=2) * base.window
-        waves[:, base.real, 1] = 0.0
-        waves = waves.reshape(len(self.starts), -1, L)
-        waves = waves[:, base.kept] if base.together else waves
-        here = np.broadcast_to(times[:, None] >= 0, waves.shape)
-        row = np.broadcast_to(np.arange(waves.size // L).reshape(*waves.shape[:2], 1), waves.shape)[here]
-        column = np.broadcast_to(times[:, None], waves.shape)[here]
-        of_y = sp.csr_array((waves[here], (row, column)), shape=(waves.size // L, base.length(horizon)))
-        of_x, of_u = signal_rows(of_y, base.C, horizon + 1, n), signal_rows(of_y, base.D, horizon, m)
-        return joined_rows(of_x, of_u), self.values(np.zeros((horizon + 1, n)), np.zeros((horizon, m))).ravel()
+        base = self.spectrum
+        times = self.starts[:, None] + np.arange(base.samples)
+        waves = base.waves_at(times)
+        rows = np.arange(waves.size // base.samples).reshape(*waves.shape[:2], 1)
+        row, column = np.broadcast_arrays(rows, times[:, None])
+        here = column >= 0
+        of_y = sp.csr_array((waves[here], (row[here], column[here])), shape=(rows.size, base.length(horizon)))
+        constant = self.values(np.zeros((horizon + 1, n)), np.zeros((horizon, m))).ravel()
+        return base.signal_rows(of_y, horizon, n, m), constant
 
     def sizes(self, x: Array, u: Array) -> Array:
         y = self.spectrum.magnitudes().output(np.abs(x), np.abs(u))
@@ -370,7 +367,7 @@ class SpectrogramMap(AffineMap):
         return signal[P:]
 
 
-def signal_rows(of_y: sp.csr_array, row: Array | None, samples: int, columns: int) -> sp.csr_array:
+def _rows_of_output(of_y: sp.csr_array, row: Array | None, samples: int, columns: int) -> sp.csr_array:
     """Return rows on y_t = row'v_t, (rows, some samples), as rows on v, (rows, samples * columns)."""
     if row is None:
         return sp.csr_array((of_y.shape[0], samples * columns))
