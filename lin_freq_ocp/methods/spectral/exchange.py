@@ -42,6 +42,7 @@ from lin_freq_ocp.methods.spectral.structure import (
     regularised_ray,
     row_ray,
     signals,
+    unconstrained_point,
 )
 
 MODEL_ROUNDS = 12  # after which the true signals are evaluated
@@ -116,6 +117,8 @@ class Exchange:
         self.working = WorkingSet(self.kkt)
         self.violations = violations or Violations(data.lti)
         self.whole = structure.whole_horizon(self.violations.rows)
+        if self.whole is not None:
+            first_point = first_point or unconstrained_point(structure, data, self.violations, self.whole)
         self.first_point = None if self.whole is None else first_point
         self.first = None if first is None else bounded_rows(first, data.lti)
         if self.first is not None and self.whole is None:
@@ -176,7 +179,7 @@ class Exchange:
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
         """Return the bordering step and weights from rounds on all values; None if a small QP was inaccurate."""
         working, known = self.working, self.first_point is not None
-        (step, base), self.first_point = self.first_point or self._without_rows(whole), None
+        (step, base), self.first_point = self.first_point or self._unconstrained_point(whole), None
         start, self.first = whole.duals(self.first or working.rows()), None
         found = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
         rows = Rows(whole.t[found.indices], whole.f[found.indices], found.sign, found.weights)
@@ -190,15 +193,12 @@ class Exchange:
         working.replace(rows, whole.coupling[:, found.indices] * found.sign)
         return step - whole.through[:, found.indices] @ (found.sign * found.weights), found.weights, None
 
-    def _without_rows(self, whole: WholeHorizon) -> UnconstrainedPoint:
-        """Return the step to the point without working rows, and its values."""
+    def _unconstrained_point(self, whole: WholeHorizon) -> UnconstrainedPoint:
+        """Return the point without working rows, from the present one."""
         working, step = self.working, self.kkt.inverse @ self._defects()
-        base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
-        if len(working):
-            indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
-            base += whole.response(indices, mu)
-            step += whole.through[:, indices] @ mu
-        return UnconstrainedPoint(step, base)
+        indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
+        values = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
+        return UnconstrainedPoint(step + whole.through[:, indices] @ mu, values + whole.response(indices, mu))
 
     def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
         """Return the bordering step, weights and perhaps a ray, with the bordering unknowns eliminated.
@@ -374,34 +374,31 @@ def exchange_values(
     ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
     """
     index, sign, weights = start.indices, start.sign, start.weights
-    found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
-    none = np.zeros(0, dtype=np.intp)
-    (lower, upper), prices = violations.flat_bounds(), violations.flat_prices()
+    lti, found, entered = violations.lti, start, np.zeros(len(base), dtype=bool)
+    n, prices = lti.state_dim, lti.prices
     for count in range(1, MODEL_ROUNDS + 1):
-        values = base
-        violations.set_saturated(none, none)
+        values, saturated = base, index[:0]
         if len(index):
-            d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
-            free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
-            most = None if prices is None else np.where(sign > 0, prices[1][index], prices[0][index])
-            response = None if prices is None else whole.free_response(index)
-            gram = whole.gram(index) * sign * sign[:, None]
-            weights, accurate = bounded_qp(gram, d, weights, free, stop, most, response)
+            t, f = whole.t[index], whole.f[index]
+            d = sign * (lti.bounds.at(t, f, sign) - base[index])
+            free = None if unconstrained is None else unconstrained[f] * (t < lti.horizon)
+            most, response = (None, None) if prices is None else (prices.at(t, f, sign), whole.free_response(index))
+            S = whole.gram(index) * sign * sign[:, None]
+            weights, accurate = bounded_qp(S, d, weights, free, stop, most, response)
             found = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break
             values = base - whole.response(index, sign * weights)
-            if most is not None:
-                saturated = index[weights >= most]
-                violations.set_saturated(whole.t[saturated], whole.f[saturated])
+            saturated = saturated if most is None else index[weights >= most]
+        violations.set_saturated(whole.t[saturated], whole.f[saturated])
         if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
             break
         kept = weights > 0
         index, sign, weights = index[kept], sign[kept], weights[kept]
-        inside[:] = False
-        inside[index] = True
-        entering, side = violations.chosen(tolerance)
-        new = ~inside[entering]
+        entered[:] = False
+        entered[index] = True
+        entering, side = violations.entering_values(tolerance)
+        new = ~entered[entering]
         added = np.count_nonzero(new)
         if not added or len(index) + added > LOCAL_ROWS:
             break
@@ -472,24 +469,25 @@ def _hold_samples(lti: Lti) -> Lti:
             offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
     coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
     linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
-    prices = None if coarse.prices is None else coarse.prices.times(HOLD_FACTOR)
+    prices = None if coarse.prices is None else coarse.prices.map(lambda price: HOLD_FACTOR * price)
     return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
 
 
 def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array], Array]) -> Lti:
     """Return the problem at another horizon, without state bands and without values that bounds fix."""
-    lower, upper = sample(lti.lower), sample(lti.upper)
-    fixed = lower == upper
+    bounds = lti.bounds.map(sample)
+    fixed = bounds.lower == bounds.upper
     return replace(
         lti,
         horizon=T,
         passed=passed,
         state_stop=np.zeros(((T + 1) // 2 + 1, lti.state_dim), dtype=bool),
-        lower=np.where(fixed, -np.inf, lower),
-        upper=np.where(fixed, np.inf, upper),
+        bounds=replace(
+            bounds, lower=np.where(fixed, -np.inf, bounds.lower), upper=np.where(fixed, np.inf, bounds.upper)
+        ),
         linear=None if lti.linear is None else sample(lti.linear),
         offset=None if lti.offset is None else sample(lti.offset),
-        prices=None if lti.prices is None else lti.prices.at(sample),
+        prices=None if lti.prices is None else lti.prices.map(sample),
     )
 
 

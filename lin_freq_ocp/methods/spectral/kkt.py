@@ -214,7 +214,7 @@ class BorderedSystem:
         """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
         spaces, n = self.spaces, lti.start_points
         start = np.where(np.isnan(lti.start), 0.0, lti.start)
-        points = start[:n], lti.lower[self.point_f[n:], self.point_t[n:]]
+        points = start[:n], lti.bounds.lower[self.point_f[n:], self.point_t[n:]]
         singular = [
             scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
             for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)

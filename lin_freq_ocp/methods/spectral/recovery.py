@@ -167,7 +167,7 @@ def _missed_values(lti: Lti, y: Array, last: Array) -> float:
     n, size = lti.state_dim, max(-float(y.min()), float(y.max()), tol.LEAST_SIZE)
     t, f = lti.fixed_points
     start = np.where(np.isnan(lti.start), 0.0, lti.start - y[:n, 0])
-    missed = max(float(np.abs(start).max()), float(np.abs(y[f, t] - lti.lower[f, t]).max(initial=0.0))) / size
+    missed = max(float(np.abs(start).max()), float(np.abs(y[f, t] - lti.bounds.lower[f, t]).max(initial=0.0))) / size
     if not lti.state_stop.any():
         return missed
     x = np.hstack([y[:n], last[:, None]])[:, : lti.state_samples]

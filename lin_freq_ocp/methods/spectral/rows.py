@@ -18,7 +18,7 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
-from lin_freq_ocp.methods.spectral.model import Bounds, Lti
+from lin_freq_ocp.methods.spectral.model import Lti
 
 STATE_PEAKS = 40  # violated local maxima of states that enter in one round: samples of a long arc are nearly dependent
 NEARLY_ACTIVE = 0.05  # relative distance inside a control's bound up to which samples enter: arcs grow faster
@@ -44,17 +44,11 @@ class Rows(NamedTuple):
 
 def bounded_rows(rows: Rows, lti: Lti) -> Rows:
     """Return the rows that have a bound and are no equation."""
-    inner = rows.t < lti.horizon
-    lower, upper = np.full(len(rows.t), -np.inf), np.full(len(rows.t), np.inf)
-    t, f = rows.t[inner], rows.f[inner]
-    lower[inner], upper[inner] = lti.lower[f, t], lti.upper[f, t]
-    last = np.flatnonzero(~inner)
-    last = last[np.isnan(lti.end[rows.f[last]])]
-    lower[last], upper[last] = lti.last_lower[rows.f[last]], lti.last_upper[rows.f[last]]
-    kept = np.isfinite(np.where(rows.sign > 0, upper, lower)) & (lower < upper)
-    kept &= (rows.t > 0) | (rows.f >= lti.state_dim) | np.isnan(lti.start[rows.f % lti.state_dim])
-    weights = None if rows.weights is None else rows.weights[kept]
-    return Rows(rows.t[kept], rows.f[kept], rows.sign[kept], weights)
+    t, f, sign, weights = rows
+    i = f % lti.state_dim
+    fixed = (t == 0) & (f < lti.state_dim) & ~np.isnan(lti.start[i]) | (t == lti.horizon) & ~np.isnan(lti.end[i])
+    kept = np.isfinite(lti.bounds.at(t, f, sign)) & (lti.bounds.at(t, f, -1.0) < lti.bounds.at(t, f, 1.0)) & ~fixed
+    return Rows(t[kept], f[kept], sign[kept], None if weights is None else weights[kept])
 
 
 class Violations:
@@ -66,14 +60,14 @@ class Violations:
     """
 
     def __init__(self, lti: Lti):
-        self.lti, n = lti, lti.state_dim
-        self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
-        self.lower, self.upper = _select_bounds(lti.lower, self.rows), _select_bounds(lti.upper, self.rows)
+        self.lti, n, bounds = lti, lti.state_dim, lti.bounds
+        self.rows = np.flatnonzero((np.isfinite(bounds.lower) | np.isfinite(bounds.upper)).any(1))
+        self.lower, self.upper = _select_bounds(bounds.lower, self.rows), _select_bounds(bounds.upper, self.rows)
         self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
         self.free_end = np.isnan(lti.end)
-        ends = np.where(self.free_end, [lti.last_lower, lti.last_upper], 0.0)
+        ends = np.where(self.free_end, [bounds.last_lower, bounds.last_upper], 0.0)
         largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
         self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
         self._row_scale = self.scale[self.rows, None]
@@ -105,7 +99,7 @@ class Violations:
 
     def measure_values(self, values: Array, last: Array) -> float:
         """Measure what ``values`` returned, and last = x_T; return the worst violation."""
-        lti, n = self.lti, self.lti.state_dim
+        bounds, n = self.lti.bounds, self.lti.state_dim
         below = self.lower - values
         self.violation = np.subtract(values, self.upper, out=self.violation if self.violation.size else None)
         self.above = self.violation >= below
@@ -113,23 +107,22 @@ class Violations:
         self.violation /= self._row_scale
         self.violation[self.fixed] = ABSENT
         self.violation[self._saturated] = ABSENT
-        over = np.maximum(last - lti.last_upper, lti.last_lower - last) / self.scale[:n]
+        over = np.maximum(last - bounds.last_upper, bounds.last_lower - last) / self.scale[:n]
         over[self._saturated_last] = ABSENT
-        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > lti.last_upper
+        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > bounds.last_upper
         self.worst = max(float(self.violation.max(initial=ABSENT)), float(self.last.max()))
         return self.worst
 
     def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
         """Return (t, f, sign) of the rows to add: peaks of states, every (nearly) active sample of the others."""
-        i, t = self._chosen_entries(tolerance)
-        ends = np.flatnonzero(self.last > tolerance / 2)
-        sign = np.concatenate([np.where(self.above[i, t], 1.0, -1.0), np.where(self.last_above[ends], 1.0, -1.0)])
-        times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
-        return times, np.concatenate([self.rows[i], ends]), sign
+        index, sign = self.entering_values(tolerance)
+        T, inner, f = self.lti.horizon, index < self.violation.size, index - self.violation.size
+        f[inner] = self.rows[index[inner] // T]
+        return np.where(inner, index % T, T), f, sign
 
-    def chosen(self, tolerance: float) -> tuple[Indices, Array]:
+    def entering_values(self, tolerance: float) -> tuple[Indices, Array]:
         """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
-        i, t = self._chosen_entries(tolerance)
+        i, t = self._entering_samples(tolerance)
         index, above = i * self.lti.horizon + t, self.above[i, t]
         if self.free_end.any():
             ends = np.flatnonzero(self.last > tolerance / 2)
@@ -137,7 +130,7 @@ class Violations:
             above = np.concatenate([above, self.last_above[ends]])
         return index, np.where(above, 1.0, -1.0)
 
-    def _chosen_entries(self, tolerance: float) -> tuple[Indices, Indices]:
+    def _entering_samples(self, tolerance: float) -> tuple[Indices, Indices]:
         """Return (i, t) of the entries of ``violation`` that enter; states with saturated samples: not only peaks."""
         threshold = np.where(self.state_rows, tolerance / 2, entering_violation(self.worst, tolerance))
         i, t = np.nonzero(self.violation > threshold[:, None])
@@ -153,19 +146,6 @@ class Violations:
             peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
         kept = peaks | ~states
         return i[kept], t[kept]
-
-    def flat_bounds(self) -> tuple[Array, Array]:
-        """Return lower and upper bounds over the same."""
-        lti = self.lti
-        return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
-
-    def flat_prices(self) -> tuple[Array, Array] | None:
-        """Return the prices of lower and upper bounds over the same; None if all are hard."""
-        prices = self.lti.prices
-        if prices is None:
-            return None
-        lower, upper = prices.lower[self.rows], prices.upper[self.rows]
-        return np.append(lower, prices.last_lower), np.append(upper, prices.last_upper)
 
 
 def entering_violation(worst: float, tolerance: float) -> float:
@@ -296,20 +276,11 @@ class WorkingSet:
 
     def limits(self, lti: Lti) -> Array:
         """Return the right-hand sides of the rows, shape (count,)."""
-        return self.sign * self._of_bounds(Bounds(lti.lower, lti.upper, lti.last_lower, lti.last_upper))
+        return self.sign * lti.bounds.at(self.t, self.f, self.sign)
 
     def prices(self, lti: Lti) -> Array | None:
         """Return the largest multipliers of the rows, (count,), infinite for hard rows; None if all are hard."""
-        return None if lti.prices is None else self._of_bounds(lti.prices)
-
-    def _of_bounds(self, bounds: Bounds) -> Array:
-        """Return the entries of the rows in arrays for all bounds, (count,)."""
-        inner, upper = self.inner, self.sign > 0
-        found, t, f = np.empty(len(self)), self.t[inner], self.f[inner]
-        found[inner] = np.where(upper[inner], bounds.upper[f, t], bounds.lower[f, t])
-        last = self.f[~inner]
-        found[~inner] = np.where(upper[~inner], bounds.last_upper[last], bounds.last_lower[last])
-        return found
+        return None if lti.prices is None else lti.prices.at(self.t, self.f, self.sign)
 
     def saturated(self, lti: Lti) -> Mask:
         """Return which rows have their price as multiplier, (count,)."""
@@ -318,11 +289,10 @@ class WorkingSet:
 
     def values(self, y: Array, last: Array) -> Array:
         """Return sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
-        inner = self.inner
-        result = np.empty(len(self))
-        result[inner] = np.einsum("ri,ir->r", self._kkt.lti.F[self.f[inner]], y[:, self.t[inner]])
-        result[~inner] = last[self.f[~inner]]
-        return self.sign * result
+        lti, at_end = self._kkt.lti, np.flatnonzero(~self.inner)
+        values = lti.row_values(y, np.minimum(self.t, lti.horizon - 1), self.f)
+        values[at_end] = last[self.f[at_end]]
+        return self.sign * values
 
     def free_response(self) -> Array:
         """Return how far a unit force moves each row without equations, (count,); x_T moves by itself."""
@@ -348,11 +318,11 @@ class Neighbourhood:
 
     def __init__(self, kkt: BorderedSystem, violations: Violations, t: Indices, f: Indices):
         lti = violations.lti
-        bounded = np.isfinite(lti.lower[f, t]) | np.isfinite(lti.upper[f, t])
-        free = bounded & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
+        lower, upper = lti.bounds.at(t, f, -1.0), lti.bounds.at(t, f, 1.0)
+        free = (np.isfinite(lower) | np.isfinite(upper)) & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
         t, f = t[free], f[free]
         self._kkt, self.t, self.f = kkt, t, f
-        self._lower, self._upper, self._scale = lti.lower[f, t], lti.upper[f, t], violations.scale[f]
+        self._lower, self._upper, self._scale = lower[free], upper[free], violations.scale[f]
         self._is_state = ~lti.F[f, lti.state_dim :].any(1)
         self._coupling = np.hstack([kkt.values(t, f), -kkt.responses(t, f).T])
 
@@ -361,7 +331,7 @@ class Neighbourhood:
     ) -> tuple[Indices, Indices, Array]:
         """Return (t, f, sign) of the rows to add: those that a bordering step with new weights violates."""
         kkt, inner = self._kkt, working.inner
-        values = np.einsum("ri,ir->r", kkt.lti.F[self.f], y[:, self.t]) + self._coupling @ step
+        values = kkt.lti.row_values(y, self.t, self.f) + self._coupling @ step
         change = working.sign * (weights - working.weights)
         acting = np.flatnonzero(inner & (change != 0))
         values -= kkt.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]

@@ -296,7 +296,7 @@ class SpectralSolver:
     def _model_between(self, lti: Lti) -> EndsModel | None:
         """Return the model of other ends, from the second solve on, if the problem differs in nothing else."""
         self._solves += 1
-        if self._solves == 1 or lti.lower is not self._lti.lower or lti.linear is not self._lti.linear:
+        if self._solves == 1 or lti.bounds.lower is not self._lti.bounds.lower or lti.linear is not self._lti.linear:
             return None
         if self._solves == 2:
             self._ends_model = ends_model(self._structure, self._lti)

@@ -180,6 +180,15 @@ def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Ar
     return c, equation_residual(structure, data, theta, c)
 
 
+def unconstrained_point(
+    structure: Structure, data: Data, violations: Violations, whole: WholeHorizon
+) -> UnconstrainedPoint:
+    """Return the point without working rows, to the accuracy of K_b."""
+    at, residual = _point_without_forces(structure, data)
+    step = structure.kkt.inverse @ np.concatenate([-data.h, residual])
+    return UnconstrainedPoint(step, np.append(violations.values(at.y), at.last) + step @ whole.coupling)
+
+
 @dataclass(frozen=True, eq=False)
 class Ray:
     """A Farkas ray, verified within this method: weights l of the working rows, and multipliers y of the equations.
@@ -296,11 +305,7 @@ class EndsModel:
             ends = np.full(2 * n, np.nan)
             ends[self._fixed] = p
             data.append(data_of(structure, lti.at_points(*np.split(ends, [n]))))
-            # the point without working rows, to the accuracy of K_b
-            at, residual = _point_without_forces(structure, data[-1])
-            step = structure.kkt.inverse @ np.concatenate([-data[-1].h, residual])
-            of_step = np.append(violations.values(at.y), at.last) + step @ whole.coupling
-            values.append(UnconstrainedPoint(step, of_step))
+            values.append(unconstrained_point(structure, data[-1], violations, whole))
         self.linear = data[0].linear
         self._base = _affine([one.base.view(np.float64) for one in data])
         self._h, self._e = _affine([one.h for one in data]), _affine([one.e for one in data])
@@ -308,11 +313,9 @@ class EndsModel:
 
     def at(self, lti: Lti) -> tuple[Data, UnconstrainedPoint] | None:
         """Return the data between other ends, and the unconstrained point; None if x_T has another set."""
-        free = np.isnan(lti.end)
-        if not all(
-            np.array_equal(mine[free], other[free])
-            for mine, other in ((self.lti.last_lower, lti.last_lower), (self.lti.last_upper, lti.last_upper))
-        ):
+        mine, other, free = self.lti.bounds, lti.bounds, np.isnan(lti.end)
+        sides = (mine.last_lower, other.last_lower), (mine.last_upper, other.last_upper)
+        if not all(np.array_equal(one[free], another[free]) for one, another in sides):
             return None
         p = np.append(1.0, np.concatenate([lti.start, lti.end])[self._fixed])
         h, e, step, values = (p @ part for part in (self._h, self._e, self.step, self.values))
