@@ -4,14 +4,14 @@ With the spectrum p_k of M y + h + forces, the adjoint is eta_k = -(zI - A)^{-*}
 part along small singular values is the multiplier of that bin's compatibility equation. A recursion would multiply
 rounding by the growth of the dynamics, 3e46 on the pendulum sampled at 0.1 s.
 
-A batch of initial states has the same formulas, with the problems as the first axis. It is not measured: its callers
+A batch of initial states has the same formulas, with the problems as a further axis. It is not measured: its callers
 certify the answers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -19,7 +19,6 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, sealed
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
-from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import soft_sets
 from lin_freq_ocp.methods.spectral.rows import Rows
@@ -45,7 +44,7 @@ def trajectory(outcome: ExchangeOutcome, units: LtiUnits) -> Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Recovered:
-    """Multipliers in the units of the Lti problem, time or bins last."""
+    """Multipliers in the units of the Lti problem, time or bins last; of a batch, with its problems before these."""
 
     eta_C: float
     eta: Array  # (n, T)
@@ -57,64 +56,71 @@ class Recovered:
 
 def recover(structure: Structure, data: Data, outcome: ExchangeOutcome, spectrum: ComplexArray) -> Recovered:
     """Return the multipliers of an outcome with the spectrum of y; of its ray (eta_C = 0) if it has one."""
-    lti, ray, n = data.lti, outcome.ray, data.lti.state_dim
+    lti, ray, kkt, at = data.lti, outcome.ray, structure.kkt, outcome.signals
+    working, y = (outcome.working, outcome.multipliers) if ray is None else (ray.working, ray.multipliers)
+    gradient, _ = forces(structure, lti, y, working)
     if ray is None:
-        working, y, eta_C = outcome.working, outcome.multipliers, 1.0
-        gradient = lti.M @ spectrum
-        gradient += forces(structure, lti, y, working)[0]
+        gradient += lti.M @ spectrum
         if data.linear is not None:
             gradient += data.linear
-    else:
-        working, y, eta_C = ray.working, ray.multipliers, 0.0
-        gradient, _ = forces(structure, lti, y, working)
-    eta_hat = _adjoint_spectrum(structure, y, gradient)
-    if lti.response is None:
-        through_controls = lti.B.T @ eta_hat
-    else:
-        through_controls = np.einsum("imk,ik->mk", lti.response.conj(), eta_hat)
-    band = through_controls - gradient[n:]
-    stationarity = float(np.abs(band[lti.passed]).max(initial=0.0)) / lti.horizon
-    band[lti.passed] = 0.0
-    eta, kkt = fft.irfft(eta_hat, lti.horizon), structure.kkt
     on_rows, fixed = np.zeros((len(lti.F), lti.horizon + 1)), slice(lti.start_points, len(kkt.point_t))
     np.add.at(on_rows, (working.f, working.t), working.sign * working.weights)
     np.add.at(on_rows, (kkt.point_f[fixed], kkt.point_t[fixed]), y[fixed])
-    on_bands, rho_x = y[len(y) - len(kkt.bands) :], np.zeros(lti.state_stop.shape, dtype=np.complex128)
+    ends, eta_C = (at.y[:, :1], at.last[:, None]), float(ray is None)
+    found = _recover_columns(structure, lti, eta_C, gradient[:, None], y[:, None], on_rows[:, None], *ends)
+    on_bands = y[len(y) - len(kkt.bands) :]
     for i in kkt.band_components:
-        rho_x[:, i] = bin_multipliers(lti.state_samples, lti.state_stop[:, i], on_bands[kkt.band_component == i])
-    found = Recovered(eta_C, eta, on_rows, band, stationarity, rho_x)
-    _set_ends(kkt, lti, outcome, found, on_bands)
-    return found
+        found.rho_x[:, i] = bin_multipliers(lti.state_samples, lti.state_stop[:, i], on_bands[kkt.band_component == i])
+    return replace(found, eta=found.eta[:, 0], on_rows=on_rows, band=found.band[:, 0])
 
 
-def _adjoint_spectrum(structure: Structure, y: Array, gradient: ComplexArray) -> ComplexArray:
-    """Return the spectrum of eta, (n, bins)."""
-    spaces, kkt, n = structure.spaces, structure.kkt, structure.kkt.lti.state_dim
+def _recover_columns(
+    structure: Structure,
+    lti: Lti,
+    eta_C: float,
+    gradient: ComplexArray,
+    y: Array,
+    on_rows: Array,
+    first: Array,
+    last: Array,
+) -> Recovered:
+    """Return the multipliers of N problems from the gradient of their Lagrangian in (x, u), (n+m, N, bins).
+
+    ``y`` (equations, N) and ``on_rows`` (rows, N, T+1) are the multipliers of the exchange; mu_0 and mu_T are added to
+    the latter where ends are fixed. ``first`` (n+m, N) and ``last`` (n, N) are (x_0, u_0) and x_T.
+    """
+    spaces, kkt, n = structure.spaces, structure.kkt, lti.state_dim
     with np.errstate(all="ignore"):
-        eta = -spaces.resolvent.apply_adjoint(spaces.z, gradient[:n])
-    eta[:, spaces.near.k] = -spaces.near.adjoint(gradient[:, spaces.near.k])
+        eta_hat = -spaces.resolvent.apply_adjoint(spaces.z, gradient[:n])
+    eta_hat[:, :, spaces.near.k] = -spaces.near.adjoint(gradient[:, :, spaces.near.k])
     row = len(kkt.point_t)
     for scale, singular in zip(kkt.singular_scale, spaces.singular, strict=True):
-        weight = spaces.weight[singular.k]
+        weight = int(spaces.weight[singular.k])
         value = y[row] if weight == 1 else y[row] + 1j * y[row + 1]
-        eta[:, singular.k] += singular.left * (scale * kkt.lti.horizon / weight * value)
-        row += int(weight)
-    return eta
-
-
-def _set_ends(kkt: BorderedSystem, lti: Lti, outcome: ExchangeOutcome, found: Recovered, on_bands: Array) -> None:
-    """Set mu_0, mu_T where ends are fixed by transversality: any vector is normal there."""
-    n, at, eta, on_rows = lti.state_dim, outcome.signals, found.eta, found.on_rows
-    first, last = np.zeros(n), np.zeros(n)
-    np.add.at(first, kkt.band_component, on_bands * kkt.bands[:, 0])
-    np.add.at(last, kkt.band_component, on_bands * kkt.bands[:, -1])
-    first += lti.F[len(lti.M) :, :n].T @ on_rows[len(lti.M) :, 0]
-    if found.eta_C:
-        first += lti.M[:n] @ at.y[:, 0] + (0.0 if lti.linear is None else lti.linear[:n, 0])
-        last += lti.P @ at.last + lti.p
-    start, end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
-    on_rows[start, 0] = (lti.A.T @ eta[:, 0] - first)[start]
-    on_rows[end, -1] = (-eta[:, -1] - last)[end]
+        eta_hat[:, :, singular.k] += singular.left[:, None] * (scale * lti.horizon / weight * value)
+        row += weight
+    if lti.response is None:
+        through_controls = np.tensordot(lti.B.T, eta_hat, 1)
+    else:
+        through_controls = np.einsum("imk,ijk->mjk", lti.response.conj(), eta_hat)
+    band = through_controls - gradient[n:]
+    passed = np.broadcast_to(lti.passed[:, None], band.shape)
+    stationarity = float(np.abs(band[passed]).max(initial=0.0)) / lti.horizon
+    band[passed] = 0.0
+    eta = fft.irfft(eta_hat, lti.horizon)
+    # mu_0, mu_T where ends are fixed follow from transversality: any vector is normal there
+    joint, on_bands = slice(len(lti.M), None), y[len(y) - len(kkt.bands) :]
+    at_start = lti.F[joint, :n].T @ on_rows[joint, :, 0] - lti.A.T @ eta[:, :, 0]
+    at_end = np.array(eta[:, :, -1])
+    np.add.at(at_start, kkt.band_component, on_bands * kkt.bands[:, :1])
+    np.add.at(at_end, kkt.band_component, on_bands * kkt.bands[:, -1:])
+    if eta_C:
+        at_start += lti.M[:n] @ first + (0.0 if lti.linear is None else lti.linear[:n, :1])
+        at_end += lti.P @ last + lti.p[:, None]
+    fixed_start, fixed_end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
+    on_rows[fixed_start, :, 0] = -at_start[fixed_start]
+    on_rows[fixed_end, :, -1] = -at_end[fixed_end]
+    return Recovered(eta_C, eta, on_rows, band, stationarity, np.zeros(lti.state_stop.shape, dtype=np.complex128))
 
 
 def residuals(lti: Lti, outcome: ExchangeOutcome, found: Recovered) -> Residuals:
@@ -265,78 +271,44 @@ class Together:
     interrupted: bool = False
 
 
-class BatchRecovery:
-    """Signals and multipliers of a batch of initial states, in the units of the method, time or bins last.
+def recover_batch(
+    structure: Structure, units: LtiUnits, model: EndsModel, p: Array, weights: Array, found: Mask, rows: Rows | None
+) -> Together:
+    """Return signals and multipliers of a batch of initial states in the user's units, time before components.
 
-    ``p`` (N, 1 + count) are the parameters of the model, ``step`` (N, size + equations) the bordering unknowns and the
-    multipliers of the equations, ``weights`` (N, values) the multipliers of all bounded values, with signs.
+    ``p`` (N, 1 + count) are the parameters of the model, ``weights`` (N, values) the multipliers of all bounded values,
+    with signs; ``found`` and ``rows`` are those of Together.
     """
+    lti, kkt, spaces, whole = model.lti, structure.kkt, structure.spaces, model.whole
+    n, T, points, N = lti.state_dim, lti.horizon, (kkt.point_f, kkt.point_t), len(p)
+    theta, y = np.split((p @ model.step - weights @ whole.through.T).T, [kkt.size])
+    on_rows = np.zeros((len(lti.F), N, T + 1))
+    on_rows[whole.rows, :, :T] = np.moveaxis(weights[:, :-n].reshape(N, -1, T), 1, 0)
+    on_rows[:n, :, T] = weights[:, -n:].T
+    for f, t, of_point in zip(*points, y, strict=False):
+        on_rows[f, :, t] += of_point
+    force = fft.rfft(on_rows[:, :, :T])
+    spectrum = np.moveaxis(model.spectra(p), 1, 0) - spaces.project(force)
+    kkt.add(theta, spectrum)
+    signals, last = fft.irfft(spectrum, T), np.zeros((n, N))
+    last[~np.isnan(lti.end)] = p[:, 1 + n :].T
+    last[kkt.free_end] = theta[kkt.at_end]
+    gradient = np.tensordot(lti.M, spectrum, 1) + force
+    if model.linear is not None:
+        gradient += model.linear[:, None]
+    of = _recover_columns(structure, lti, 1.0, gradient, y, on_rows, signals[:, :, 0], last)
+    x, u, bins = units.cost / units.x, units.cost / units.u, spaces.weight / T
 
-    def __init__(self, structure: Structure, model: EndsModel, p: Array, step: Array, weights: Array):
-        self._structure, self._lti, kkt = structure, model.lti, structure.kkt
-        lti, (n, T) = self._lti, (self._lti.state_dim, self._lti.horizon)
-        self._theta, self._equations = np.split(step, [kkt.size], axis=1)
-        whole, fixed = model.whole, slice(n, len(kkt.point_t))
-        self._on_rows = np.zeros((len(weights), len(lti.F), T + 1))
-        self._on_rows[:, whole.rows, :-1] = weights[:, :-n].reshape(len(weights), -1, T)
-        self._on_rows[:, :n, -1] = weights[:, -n:]
-        self._on_rows[:, kkt.point_f[fixed], kkt.point_t[fixed]] += self._equations[:, fixed]
-        pulses = self._on_rows[:, :, :T].copy()
-        pulses[:, kkt.point_f[:n], kkt.point_t[:n]] += self._equations[:, :n]
-        force = fft.rfft(pulses)
-        spectrum = self._spectrum(model.spectra(p), force)
-        self._y = fft.irfft(spectrum, T)
-        self._last = np.zeros((len(p), n))
-        self._last[:, ~np.isnan(lti.end)] = p[:, 1 + n :]
-        self._last[:, kkt.free_end] = self._theta[:, kkt.at_end]
-        gradient = lti.M @ spectrum + force
-        if model.linear is not None:
-            gradient += model.linear
-        eta_hat = self._adjoint(gradient)
-        self._band = (np.einsum("ja,Njk->Nak", lti.B, eta_hat) - gradient[:, n:]) * ~lti.passed
-        self._eta = fft.irfft(eta_hat, T)
-        # mu_0, mu_T where ends are fixed by transversality
-        first = self._y[:, :, 0] @ lti.M[:n].T + (0.0 if lti.linear is None else lti.linear[:n, 0])
-        last = self._last @ lti.P + lti.p
-        start, end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
-        self._on_rows[:, start, 0] = (self._eta[:, :, 0] @ lti.A - first)[:, start]
-        self._on_rows[:, end, -1] = (-self._eta[:, :, -1] - last)[:, end]
+    def in_time(part: Array, unit: Array) -> Array:
+        return np.ascontiguousarray(np.moveaxis(part, 0, -1)) * unit
 
-    def _spectrum(self, base: ComplexArray, force: ComplexArray) -> ComplexArray:
-        """Return the spectrum of y, (N, n+m, bins)."""
-        spaces, kkt = self._structure.spaces, self._structure.kkt
-        v = np.einsum("iak,Nik->Nak", spaces.N.conj(), force)
-        spectrum = base - np.einsum("iak,Nak->Nik", spaces.N, v)
-        theta, ends = self._theta, kkt.ends_count
-        spectrum += np.einsum("Na,iak->Nik", theta[:, :ends], kkt.end_responses)
-        for q, k in enumerate(kkt.bins):
-            spectrum[:, :, k] += (kkt.amplitude[q] * theta[:, ends + q])[:, None] * kkt.vectors[:, q]
-        return spectrum
-
-    def _adjoint(self, gradient: ComplexArray) -> ComplexArray:
-        """Return the spectrum of eta, (N, n, bins)."""
-        kkt, spaces = self._structure.kkt, self._structure.spaces
-        eta = np.einsum("ijk,Njk->Nik", spaces.adjoint_map, gradient)
-        row = len(kkt.point_t)
-        for scale, singular in zip(kkt.singular_scale, spaces.singular, strict=True):
-            weight = int(spaces.weight[singular.k])
-            value = self._equations[:, row] + (1j * self._equations[:, row + 1] if weight == 2 else 0.0)
-            eta[:, :, singular.k] += (scale * self._lti.horizon / weight) * value[:, None] * singular.left
-            row += weight
-        return eta
-
-    def in_units(self, units: LtiUnits, found: Mask, rows: Rows | None) -> Together:
-        """Return everything in the user's units, time before components."""
-        n, bins = self._lti.state_dim, self._structure.spaces.weight / self._lti.horizon
-        x, u = units.cost / units.x, units.cost / units.u
-        states = np.concatenate([self._y[:, :n], self._last[:, :, None]], axis=2)
-        return Together(
-            states.swapaxes(1, 2) * units.x,
-            self._y[:, n:].swapaxes(1, 2) * units.u,
-            self._eta.swapaxes(1, 2) * x,
-            self._on_rows[:, :n].swapaxes(1, 2) * x,
-            self._on_rows[:, n:, :-1].swapaxes(1, 2) * u,
-            (self._band * bins).swapaxes(1, 2) * u,
-            found,
-            rows,
-        )
+    return Together(
+        in_time(np.concatenate([signals[:n], last[:, :, None]], axis=2), units.x),
+        in_time(signals[n:], units.u),
+        in_time(of.eta, x),
+        in_time(of.on_rows[:n], x),
+        in_time(of.on_rows[n:, :, :T], u),
+        in_time(of.band * bins, u),
+        found,
+        rows,
+    )

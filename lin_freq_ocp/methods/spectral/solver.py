@@ -27,11 +27,11 @@ from lin_freq_ocp.methods.spectral.exchange import (
 )
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.recovery import (
-    BatchRecovery,
     Recovered,
     Together,
     in_units,
     recover,
+    recover_batch,
     residuals,
     trajectory,
 )
@@ -363,10 +363,7 @@ class SpectralSolver:
                 self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tolerance, stop)
 
             p = model.parameters(starts)
-            step, values = p @ model.step, p @ model.values
-            batch = self._structure, model, values, rows, tolerance, stop, solve_alone
+            batch = self._structure, model, p @ model.values, rows, tolerance, stop, solve_alone
             weights, found, self._last_rows = batch_working_sets(*batch)
-            step -= weights @ model.whole.through.T
-            answer = BatchRecovery(self._structure, model, p, step, weights)
-            batched = answer.in_units(self._units, found, self._last_rows)
+            batched = recover_batch(self._structure, self._units, model, p, weights, found, self._last_rows)
             return replace(batched, interrupted=interrupt.is_set())

@@ -12,7 +12,6 @@ in time.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import fft
@@ -46,14 +45,14 @@ class Resolvent:
         return _times(self.unitary, Y)
 
     def apply_adjoint(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
-        """Return (z_k I - A)^{-*} rhs_k, for rhs (n, bins)."""
-        Y = self._adjoint @ rhs
+        """Return (z_k I - A)^{-*} rhs_k, for rhs (n, columns, bins)."""
+        Y = _times(self._adjoint, rhs)
         for i in range(len(Y)):
             for j in range(i):
                 if self.triangle[j, i]:
                     Y[i] += self.triangle[j, i].conj() * Y[j]
             Y[i] /= (z - self.triangle[i, i]).conj()
-        return self.unitary @ Y
+        return _times(self.unitary, Y)
 
     def size(self, z: ComplexArray) -> Array:
         """Return the sum of the absolute values of the entries of (z_k I - A)^{-1}, shape (bins,)."""
@@ -112,9 +111,9 @@ class NearBins:
         return np.einsum("kij,kjc->ick", self.right, projected)
 
     def adjoint(self, rhs: ComplexArray) -> ComplexArray:
-        """Return L diag(1/sigma) V^* rhs over the good singular values, for rhs (n+m, count), shape (n, count)."""
-        projected = np.einsum("kij,ik->kj", self.right.conj(), rhs) * self._inverse
-        return np.einsum("kij,kj->ik", self.left, projected)
+        """Return L diag(1/sigma) V^* rhs over the good singular values, for rhs (n+m, columns, count)."""
+        projected = np.einsum("kij,ick->kjc", self.right.conj(), rhs) * self._inverse[:, :, None]
+        return np.einsum("kij,kjc->ick", self.left, projected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,19 +204,6 @@ class BinSpaces:
         at = self.N[:, :, self.border_bin]
         seen = np.einsum("iak,ik->ak", at.conj(), self.lti.M @ border)
         self.border_vector: ComplexArray = border - np.einsum("iak,ak->ik", at, seen)
-
-    @cached_property
-    def adjoint_map(self) -> ComplexArray:
-        """The map from spectra of gradients to those of eta without singular directions, (n, n+m, bins)."""
-        n, total, bins = self.lti.state_dim, len(self.lti.M), len(self.z)
-        matrix = np.zeros((n, total, bins), dtype=np.complex128)
-        for j in range(total):
-            unit = np.zeros((total, bins), dtype=np.complex128)
-            unit[j] = 1.0
-            with np.errstate(all="ignore"):
-                matrix[:, j] = -self.resolvent.apply_adjoint(self.z, unit[:n])
-            matrix[:, j, self.near.k] = -self.near.adjoint(unit[:, self.near.k])
-        return matrix
 
     def particular(self, rhs: ComplexArray) -> ComplexArray:
         """Return (I - N N^* M) P rhs, shape (n+m, columns, bins), for rhs (n, columns, bins)."""

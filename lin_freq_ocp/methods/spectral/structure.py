@@ -119,7 +119,7 @@ def signals(
     spectrum = data.base.copy()
     if len(working) or multipliers.any():
         spaces.respond(*forces(structure, lti, multipliers, working), spectrum)
-    kkt.add(theta, spectrum)
+    kkt.add(theta[:, None], spectrum[:, None])
     y, last = fft.irfft(spectrum, lti.horizon), lti.end.copy()
     if lti.periodic:
         last[:] = y[: lti.state_dim, 0]
