@@ -182,7 +182,7 @@ class Exchange:
         (step, base), self.first_point = self.first_point or self._unconstrained_point(whole), None
         start, self.first = whole.duals(self.first or working.rows()), None
         found = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
-        rows = Rows(whole.t[found.indices], whole.f[found.indices], found.sign, found.weights)
+        rows = whole.rows_of(found)
         self.rounds += max(0, found.rounds - 1)
         if not found.accurate:
             if known:
@@ -428,7 +428,7 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
         return None
     if outcome.status != "optimal":
         return None
-    t, f, sign, _ = outcome.working.active_rows()
+    t, f, sign, _ = outcome.working.rows().active()
     if hold:
         return _refine_rows(lti, t, f, sign)
     return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
@@ -532,9 +532,7 @@ def batch_working_sets(
         duals = exchange_values(whole, violations, start, base, tolerance, structure.unconstrained, stop)
         if duals.accurate and violations.worst < tol.FINE_VIOLATION:
             weights[i, duals.indices], found[i] = duals.sign * duals.weights, True
-            active = duals.weights > 0
-            index = duals.indices[active]
-            rows = Rows(whole.t[index], whole.f[index], duals.sign[active], duals.weights[active])
+            rows = whole.rows_of(duals).active()
         else:
             solve_alone(i)
     return weights, found, rows

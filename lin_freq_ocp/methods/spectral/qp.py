@@ -99,16 +99,17 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None)
                 return None
             lam[rows] = -solution
         slope = A @ lam + b
-        error = np.where(active, -lam, -slope - tol.WRONG_SLOPE)
+        error = -tol.WRONG_SLOPE - slope
+        error[rows] = -lam[rows]
         if upper is not None:
             above = active & (lam > upper)
             error = np.where(above, lam - upper, np.where(saturated, slope - tol.WRONG_SLOPE, error))
-        if error.max() <= 0:
-            return lam
         wrong = error > 0
+        if not wrong.any():
+            return lam
         if step >= STEPS_OF_ALL:  # multipliers and slopes are compared with their own kind
-            worst = np.where(active, (error * active).max(), (error * ~active).max())
-            wrong &= error >= WORST_SHARE * worst
+            worst = [error[kind].max(initial=0.0) for kind in (active, ~active)]
+            wrong &= error >= WORST_SHARE * np.where(active, *worst)
         if upper is not None:
             saturated = np.where(wrong, above, saturated)
         active ^= wrong

@@ -10,7 +10,6 @@ certify the answers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,8 +28,6 @@ from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Residuals
 from lin_freq_ocp.program.stop_band_rows import bin_multipliers
-
-BLOCK = 1 << 17  # times of which residuals are computed at once
 
 
 def trajectory(outcome: ExchangeOutcome, units: LtiUnits) -> Trajectory:
@@ -140,8 +137,7 @@ def residuals(lti: Lti, outcome: ExchangeOutcome, found: Recovered) -> Residuals
     working = outcome.working
     slack = working.limits(lti) - working.values(y, last)
     missing = np.where(working.saturated(lti), np.maximum(slack, 0.0), np.abs(slack))
-    complementarity = float(working.weights @ missing)
-    gap = complementarity + product + float(found.stationarity * np.abs(y[n:]).sum())
+    gap = float(working.weights @ missing) + product + found.stationarity * float(np.abs(y[n:]).sum())
     return Residuals(
         primal=max(_missed_steps(lti, y, last), float(band) / energy, missed),
         dual=max(adjoint / terms, found.stationarity / max(through_u, tol.LEAST_SIZE * lti.curvature_unit)),
@@ -151,29 +147,25 @@ def residuals(lti: Lti, outcome: ExchangeOutcome, found: Recovered) -> Residuals
 
 def _missed_steps(lti: Lti, y: Array, last: Array) -> float:
     """Return the largest residual of the dynamics, relative to the states."""
-    n, T, largest, size = lti.state_dim, lti.horizon, 0.0, max(float(np.abs(last).max()), tol.LEAST_SIZE)
-    if lti.response is not None:
-        residual = fft.irfft(np.einsum("imk,mk->ik", lti.response, fft.rfft(y[n:])), T) - np.roll(y[:n], -1, axis=1)
-        residual += 0.0 if lti.offset is None else lti.offset
-        return float(np.abs(residual).max()) / max(size, float(np.abs(y[:n]).max()))
-    dynamics = np.hstack([lti.A, lti.B])
-    for start in range(0, T, BLOCK):
-        stop = min(start + BLOCK, T)
-        residual = dynamics @ y[:, start:stop]
-        residual -= _columns(y[:n], last, start + 1, stop + 1)
-        if lti.offset is not None:
-            residual += lti.offset[:, start:stop]
-        largest = max(largest, float(np.abs(residual, out=residual).max()))
-        size = max(size, float(np.abs(y[:n, start:stop]).max()))
-    return largest / size
+    n = lti.state_dim
+    if lti.response is None:
+        residual = np.hstack([lti.A, lti.B]) @ y
+        residual[:, :-1] -= y[:n, 1:]
+        residual[:, -1] -= last
+    else:
+        by_controls = np.einsum("imk,mk->ik", lti.response, fft.rfft(y[n:]))
+        residual = fft.irfft(by_controls, lti.horizon) - np.roll(y[:n], -1, axis=1)
+    if lti.offset is not None:
+        residual += lti.offset
+    return _largest(residual) / max(_largest(y[:n]), _largest(last), tol.LEAST_SIZE)
 
 
 def _missed_values(lti: Lti, y: Array, last: Array) -> float:
     """Return the errors of x_0, fixed values and stopped bins of states, relative to the signals."""
-    n, size = lti.state_dim, max(-float(y.min()), float(y.max()), tol.LEAST_SIZE)
+    n, size = lti.state_dim, max(_largest(y), tol.LEAST_SIZE)
     t, f = lti.fixed_points
     start = np.where(np.isnan(lti.start), 0.0, lti.start - y[:n, 0])
-    missed = max(float(np.abs(start).max()), float(np.abs(y[f, t] - lti.bounds.lower[f, t]).max(initial=0.0))) / size
+    missed = max(_largest(start), _largest(y[f, t] - lti.bounds.lower[f, t])) / size
     if not lti.state_stop.any():
         return missed
     x = np.hstack([y[:n], last[:, None]])[:, : lti.state_samples]
@@ -186,44 +178,38 @@ def _adjoint(lti: Lti, outcome: ExchangeOutcome, found: Recovered) -> tuple[floa
 
     The residuals are eta_{t-1} - A'eta_t + Q x + S u + q + mu + C'l + (R'rho), (n, T+1).
     """
-    at, n, T = outcome.signals, lti.state_dim, lti.horizon
-    largest, product, sizes = 0.0, 0.0, np.zeros(0)
-    for start in range(0, T + 1, BLOCK):
-        stop = min(start + BLOCK, T + 1)
-        terms = list(_adjoint_terms(lti, outcome, found, start, stop))
-        size = np.array([float(np.abs(term).max()) for term in terms])
-        sizes = size if start == 0 else np.maximum(sizes, size)
-        residual = np.abs(sum(terms[1:], start=terms[0]))
-        largest = max(largest, float(residual.max()))
-        product += float(np.einsum("it,it->", residual, np.abs(_columns(at.y[:n], at.last, start, stop))))
-    return largest, max(float(sizes.sum()), tol.LEAST_SIZE * lti.curvature_unit), product
+    at, n, eta = outcome.signals, lti.state_dim, found.eta
+    residual = found.on_rows[:n].copy()
+    sizes = [_largest(residual), _largest(eta)]
+    residual[:, 1:] += eta
+    if lti.periodic:  # x_0 follows the end of the period, and x_T is x_0
+        residual[:, 0] += eta[:, -1]
+        residual[:, -1] -= eta[:, -1]
 
+    def add(inner: Array, last: Array | float) -> None:
+        sizes.append(max(_largest(inner), _largest(last)))
+        residual[:, :-1] += inner
+        residual[:, -1] += last
 
-def _adjoint_terms(lti: Lti, outcome: ExchangeOutcome, found: Recovered, start: int, stop: int) -> Iterator[Array]:
-    """Yield the terms at start <= t < stop, (n, stop - start); at T, the gradient is that of the terminal cost."""
-    at, n, eta, eta_C, zero = outcome.signals, lti.state_dim, found.eta, found.eta_C, np.zeros(lti.state_dim)
-    yield found.on_rows[:n, start:stop]
-    before = np.array(eta[:, np.arange(start - 1, stop - 1)])  # at t = 0, that of the end, if it is periodic
-    if start == 0 and not lti.periodic:
-        before[:, 0] = 0.0
-    if stop == lti.horizon + 1 and lti.periodic:
-        before[:, -1] = 0.0
-    yield before
-    yield _columns(-lti.A.T @ eta[:, start:stop], zero, 0, stop - start)
-    if eta_C and (lti.state_cost or lti.P.any()):
-        yield _columns(lti.M[:n] @ at.y[:, start:stop], lti.P @ at.last, 0, stop - start)
-    if eta_C and (lti.linear is not None or lti.p.any()):
-        yield _columns(np.zeros((n, lti.horizon)) if lti.linear is None else lti.linear[:n], lti.p, start, stop)
+    add(-lti.A.T @ eta, 0.0)
+    if found.eta_C and (lti.state_cost or lti.P.any()):
+        add(lti.M[:n] @ at.y, lti.P @ at.last)
+    if found.eta_C and (lti.linear is not None or lti.p.any()):
+        add(np.zeros((n, 1)) if lti.linear is None else lti.linear[:n], lti.p)
     if len(lti.F) > len(lti.M):
-        yield lti.F[len(lti.M) :, :n].T @ found.on_rows[len(lti.M) :, start:stop]
+        add(lti.F[len(lti.M) :, :n].T @ found.on_rows[len(lti.M) :, :-1], 0.0)
     if found.rho_x.any():
-        yield _columns(time_signal(found.rho_x, lti.state_samples).T, np.zeros(n), start, stop)
+        forces = time_signal(found.rho_x, lti.state_samples).T
+        add(forces[:, : lti.horizon], 0.0 if lti.periodic else forces[:, -1])
+    np.abs(residual, out=residual)
+    x = np.abs(at.y[:n])
+    product = float(np.einsum("it,it->", residual[:, :-1], x) + residual[:, -1] @ np.abs(at.last))
+    return _largest(residual), max(sum(sizes), tol.LEAST_SIZE * lti.curvature_unit), product
 
 
-def _columns(inner: Array, last: Array, start: int, stop: int) -> Array:
-    """Return columns start .. stop - 1 of [inner, last]."""
-    some = inner[:, start:stop]
-    return some if some.shape[1] == stop - start else np.hstack([some, last[:, None]])
+def _largest(values: Array | float) -> float:
+    """Return the largest absolute value, 0 if there is none."""
+    return float(np.abs(values).max(initial=0.0))
 
 
 def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUnits, found: Recovered) -> Multipliers:

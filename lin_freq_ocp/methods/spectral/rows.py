@@ -41,6 +41,10 @@ class Rows(NamedTuple):
     sign: Array
     weights: Array | None = None
 
+    def active(self) -> Rows:
+        """Return the rows with a multiplier above zero."""
+        return Rows(*(part[np.asarray(self.weights) > 0] for part in self if part is not None))
+
 
 def bounded_rows(rows: Rows, lti: Lti) -> Rows:
     """Return the rows that have a bound and are no equation."""
@@ -197,11 +201,6 @@ class WorkingSet:
         """Return the rows with their weights."""
         return Rows(self.t, self.f, self.sign, self.weights)
 
-    def active_rows(self) -> Rows:
-        """Return the rows with a multiplier above zero."""
-        active = self.weights > 0
-        return Rows(self.t[active], self.f[active], self.sign[active], self.weights[active])
-
     def weighted(self, weights: Array) -> WorkingSet:
         """Return the same rows with other multipliers."""
         other = copy(self)
@@ -255,15 +254,9 @@ class WorkingSet:
                 8.0 * COPIES * len(self) ** 2,
                 "Choose a coarser grid or a shorter horizon.",
             )
-            inner = self.inner
-            t, f, sign = self.t[inner], self.f[inner], self.sign[inner]
-            gram = self._kkt.kernels.gram(t, f, t, f)
-            gram *= sign[:, None]
-            gram *= sign
-            if not inner.all():
-                gram, of_inner = np.zeros((len(self), len(self))), gram
-                gram[np.ix_(inner, inner)] = of_inner
-            self._known_gram = gram
+            self._known_gram = self._kkt.kernels.gram_of_rows(self.t, self.f)
+            self._known_gram *= self.sign[:, None]
+            self._known_gram *= self.sign
         return self._known_gram
 
     def eliminated(self, inverse: Array) -> tuple[Array, Array]:
@@ -295,11 +288,8 @@ class WorkingSet:
         return self.sign * values
 
     def free_response(self) -> Array:
-        """Return how far a unit force moves each row without equations, (count,); x_T moves by itself."""
-        inner = self.inner
-        free = np.full(len(self), 1 / self._kkt.lti.curvature_unit)
-        free[inner] = self._kkt.kernels.free_response(self.f[inner])
-        return free
+        """Return how far a unit force moves each row without equations, (count,)."""
+        return self._kkt.kernels.free_response(self.t, self.f)
 
 
 def neighbourhood_of(kkt: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
@@ -341,10 +331,10 @@ class Neighbourhood:
         worst = float(violation.max(initial=0.0))
         entering = violation > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
         if self._is_state.any():
-            follows = np.append(False, (np.diff(self.t) == 1) & (np.diff(self.f) == 0))
-            rises = np.append(True, np.diff(violation) >= 0) | ~follows
-            falls = np.append(np.append(True, np.diff(violation) <= 0)[1:], True) | ~np.append(follows[1:], False)
-            entering &= ~self._is_state | (rises & falls)
+            follows = (np.diff(self.t) == 1) & (np.diff(self.f) == 0)
+            before, after = (np.where(follows, side, -np.inf) for side in (violation[:-1], violation[1:]))
+            peaks = (violation >= np.append(-np.inf, before)) & (violation >= np.append(after, -np.inf))
+            entering &= ~self._is_state | peaks
         chosen = np.flatnonzero(entering & (not worst <= tolerance))
         return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
 
@@ -405,21 +395,16 @@ class WholeHorizon:
         """Return S of some values."""
         if self.tabulated:
             return self.table.ravel().take(index[:, None] * len(self.t) + index)
-        t, f = self.t[index], self.f[index]
         S = self.coupling[:, index].T @ self.through[:, index]
-        S = (S + S.T) / 2
-        inner = index < self._inner
-        if inner.all():
-            return S + self._kkt.kernels.gram(t, f, t, f)
-        S[np.ix_(inner, inner)] += self._kkt.kernels.gram(t[inner], f[inner], t[inner], f[inner])
-        return S
+        return (S + S.T) / 2 + self._kkt.kernels.gram_of_rows(self.t[index], self.f[index])
 
     def free_response(self, index: Indices) -> Array:
-        """Return how far a unit force moves each of some values without equations; x_T moves by itself."""
-        free = np.full(len(index), 1 / self._kkt.lti.curvature_unit)
-        inner = index < self._inner
-        free[inner] = self._kkt.kernels.free_response(self.f[index[inner]])
-        return free
+        """Return how far a unit force moves each of some values without equations."""
+        return self._kkt.kernels.free_response(self.t[index], self.f[index])
+
+    def rows_of(self, duals: ActiveSetDuals) -> Rows:
+        """Return the rows of some values."""
+        return Rows(self.t[duals.indices], self.f[duals.indices], duals.sign, duals.weights)
 
     def response(self, index: Indices, mu: Array) -> Array:
         """Return S mu of all values, for multipliers of some."""

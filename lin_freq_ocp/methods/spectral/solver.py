@@ -328,7 +328,7 @@ class SpectralSolver:
             message=message,
             seconds={"setup": self.setup_seconds, "solve": now() - started},
             problem=problem,
-            active=None if infeasible else outcome.working.active_rows(),
+            active=None if infeasible else outcome.working.rows().active(),
             rounds=outcome.rounds,
         )
 

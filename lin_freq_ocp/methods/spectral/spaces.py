@@ -11,7 +11,10 @@ in time.
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy import fft
@@ -83,11 +86,12 @@ class NearBins:
         self.cost = np.full((len(k), m), np.inf)
         real = (k == 0) | (2 * k == lti.horizon)
         # bins that share a mask of passed controls are decomposed at once, in real arithmetic where z is real
-        masks, mask_of = np.unique(np.vstack([lti.passed[:, k], real]), axis=1, return_inverse=True)
-        for i, (*passed, is_real) in enumerate(masks.T):
-            which = np.flatnonzero(mask_of.ravel() == i)
-            at = z[k[which]].real if is_real else z[k[which]]
-            allowed = np.concatenate([np.ones(n, dtype=bool), np.array(passed)])
+        groups = defaultdict[bytes, list[int]](list)
+        for i, mask in enumerate(np.vstack([lti.passed[:, k], real]).T):
+            groups[mask.tobytes()].append(i)
+        for which in map(np.array, groups.values()):
+            at = z[k[which]].real if real[which[0]] else z[k[which]]
+            allowed = np.append(np.ones(n, dtype=bool), lti.passed[:, k[which[0]]])
             F = at[:, None, None] * np.eye(n, n + m) - np.hstack([lti.A, lti.B])
             self.left[which], self.sigma[which], right = np.linalg.svd(F[:, :, allowed])
             V = np.zeros((len(at), n + m, right.shape[1]), dtype=at.dtype)
@@ -262,21 +266,29 @@ class CirculantKernels:
 
     def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
         """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
-        if not self.complete:
-            self._require([(int(a), int(b)) for a in np.unique(f) for b in np.unique(g)])
+        self._require(product(np.unique(f), np.unique(g)))
         f, lag = f[:, None], t[:, None] - s  # a negative index counts from the end of the circle
         if self.complete:
             return self.table[f, g, lag]
         return self.table[np.minimum(f, g), np.maximum(f, g), np.where(f <= g, lag, -lag)]
 
-    def free_response(self, f: Indices) -> Array:
-        """Return K_ff(0) of each row: how far a unit force moves its own row without equations."""
-        if not self.complete:
-            self._require([(int(a), int(a)) for a in np.unique(f)])
-        return self.table[f, f, 0]
+    def gram_of_rows(self, t: Indices, f: Indices) -> Array:
+        """Return K between the rows f at times t, (count, count); 0 for components of x_T, which are at t = T."""
+        inner = t < self.lti.horizon
+        if inner.all():
+            return self.gram(t, f, t, f)
+        gram = np.zeros((len(t), len(t)))
+        gram[np.ix_(inner, inner)] = self.gram(t[inner], f[inner], t[inner], f[inner])
+        return gram
 
-    def _require(self, pairs: list[tuple[int, int]]) -> None:
-        for f, g in map(sorted, pairs):
+    def free_response(self, t: Indices, f: Indices) -> Array:
+        """Return how far a unit force moves each row without equations, K_ff(0), (count,); x_T moves by itself."""
+        inner = t < self.lti.horizon
+        self._require([(a, a) for a in np.unique(f[inner])])
+        return np.where(inner, self.table[f, f, 0], 1 / self.lti.curvature_unit)
+
+    def _require(self, pairs: Iterable[tuple[int, int]]) -> None:
+        for f, g in () if self.complete else map(sorted, pairs):
             if not self.known[f, g]:
                 row, column = self.of_rows(np.array([f, g]))
                 self.table[f, g] = fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
