@@ -18,7 +18,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels, times_columns
 from lin_freq_ocp.program.stop_band_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling
@@ -84,7 +84,7 @@ class BorderedSystem:
         W, v = self.end_responses, self.vectors
         self.H = np.zeros((self.size, self.size))
         if e:
-            weighted = np.tensordot(lti.M, W, 1)
+            weighted = times_columns(lti.M, W)
             self.H[:e, :e] = np.einsum("iak,ibk->ab", W.conj() * w, weighted, optimize=True).real / lti.horizon
             self.H[e:, :e] = np.einsum("iq,iaq->qa", v.conj(), weighted[:, :, self.bins]).real
             self.H[:e, e:] = self.H[e:, :e].T
@@ -236,13 +236,13 @@ class BorderedSystem:
         signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
         moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
         if self.size:
-            moved[:, : self.size] = np.tensordot(F, signals, 1)
+            moved[:, : self.size] = times_columns(F, signals)
         by_points = self.kernels.table[rows[:, None], self.point_f]  # unit forces at t = 0, (len(rows), points, T) ...
         for i in np.flatnonzero(self.point_t):  # ... which act later at the other points
             by_points[:, i] = np.roll(by_points[:, i], self.point_t[i], axis=-1)
         moved[:, self.size : self.size + len(self.point_t)] = -by_points
         if len(self.bands):
-            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
+            moved[:, -len(self.bands) :] = -times_columns(F, self.band_responses)
         return moved.swapaxes(0, 1)
 
     def responses(self, t: Indices, f: Indices) -> Array:

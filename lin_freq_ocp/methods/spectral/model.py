@@ -154,6 +154,16 @@ class LtiUnits:
     rows: Array
     cost: float
 
+    @property
+    def signals(self) -> Array:
+        """Units of (x, u), (n+m,)."""
+        return np.concatenate([self.x, self.u])
+
+    @property
+    def multipliers(self) -> Array:
+        """Units of multipliers of (x, u), (n+m,)."""
+        return self.cost / self.signals
+
 
 def refusal(problem: OptimalControlProblem) -> str | None:
     """Return why the Fourier-domain method cannot take the problem, or None."""
@@ -263,7 +273,7 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion
         lead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
         A, B, d, response = np.zeros((n, n)), np.zeros((n, len(u))), found.base[1:], lead * np.moveaxis(found.G, 0, -1)
-    y = np.concatenate([x, u])
+    y = units.signals
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]
     bounds, prices = _bounds(problem, units), None
@@ -324,7 +334,7 @@ def _bounds(problem: OptimalControlProblem, units: LtiUnits) -> Bounds:
         columns = [_as_columns(state[:T], first), _as_columns(control, control[0]), *joint]
         times = max(part.shape[1] for part in columns)
         rows = np.vstack([np.broadcast_to(part, (len(part), times)) for part in columns])
-        rows /= np.concatenate([units.x, units.u, units.rows])[:, None]
+        rows /= np.concatenate([units.signals, units.rows])[:, None]
         return np.broadcast_to(rows, (len(rows), T))
 
     absent = [np.full((len(e), 1), -np.inf) for e in joint]
@@ -343,7 +353,7 @@ def _as_columns(bounds: Array, first: Array) -> Array:
 
 def _soft_bounds(problem: OptimalControlProblem, units: LtiUnits, hard: Bounds) -> tuple[Bounds, Bounds]:
     """Return the bounds with those of soft sets in their places, and all prices; rows are soft on their upper side."""
-    n, T, y = problem.state_dim, problem.horizon, np.concatenate([units.x, units.u])
+    n, T, y = problem.state_dim, problem.horizon, units.signals
     given = soft_sets(problem)
     everything = None if given is None else priced_bounds(problem, given)
     if everything is None:

@@ -21,6 +21,7 @@ from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import soft_sets
 from lin_freq_ocp.methods.spectral.rows import Rows
+from lin_freq_ocp.methods.spectral.spaces import times_columns
 from lin_freq_ocp.methods.spectral.structure import Data, EndsModel, Structure, forces
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
@@ -97,27 +98,28 @@ def _recover_columns(
         eta_hat[:, :, singular.k] += singular.left[:, None] * (scale * lti.horizon / weight * value)
         row += weight
     if lti.response is None:
-        through_controls = np.tensordot(lti.B.T, eta_hat, 1)
+        through_controls = times_columns(lti.B.T, eta_hat)
     else:
         through_controls = np.einsum("imk,ijk->mjk", lti.response.conj(), eta_hat)
     band = through_controls - gradient[n:]
-    passed = np.broadcast_to(lti.passed[:, None], band.shape)
-    stationarity = float(np.abs(band[passed]).max(initial=0.0)) / lti.horizon
-    band[passed] = 0.0
+    missed = np.where(lti.passed[:, None], band, 0.0)
+    band -= missed
     eta = fft.irfft(eta_hat, lti.horizon)
     # mu_0, mu_T where ends are fixed follow from transversality: any vector is normal there
     joint, on_bands = slice(len(lti.M), None), y[len(y) - len(kkt.bands) :]
     at_start = lti.F[joint, :n].T @ on_rows[joint, :, 0] - lti.A.T @ eta[:, :, 0]
     at_end = np.array(eta[:, :, -1])
-    np.add.at(at_start, kkt.band_component, on_bands * kkt.bands[:, :1])
-    np.add.at(at_end, kkt.band_component, on_bands * kkt.bands[:, -1:])
+    for component, row, weight in zip(kkt.band_component, kkt.bands, on_bands, strict=True):
+        at_start[component] += weight * row[0]
+        at_end[component] += weight * row[-1]
     if eta_C:
         at_start += lti.M[:n] @ first + (0.0 if lti.linear is None else lti.linear[:n, :1])
         at_end += lti.P @ last + lti.p[:, None]
     fixed_start, fixed_end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
     on_rows[fixed_start, :, 0] = -at_start[fixed_start]
     on_rows[fixed_end, :, -1] = -at_end[fixed_end]
-    return Recovered(eta_C, eta, on_rows, band, stationarity, np.zeros(lti.state_stop.shape, dtype=np.complex128))
+    rho_x = np.zeros(lti.state_stop.shape, dtype=np.complex128)
+    return Recovered(eta_C, eta, on_rows, band, _largest(missed) / lti.horizon, rho_x)
 
 
 def residuals(lti: Lti, outcome: ExchangeOutcome, found: Recovered) -> Residuals:
@@ -207,7 +209,7 @@ def _adjoint(lti: Lti, outcome: ExchangeOutcome, found: Recovered) -> tuple[floa
     return _largest(residual), max(sum(sizes), tol.LEAST_SIZE * lti.curvature_unit), product
 
 
-def _largest(values: Array | float) -> float:
+def _largest(values: Array | ComplexArray | float) -> float:
     """Return the largest absolute value, 0 if there is none."""
     return float(np.abs(values).max(initial=0.0))
 
@@ -215,8 +217,8 @@ def _largest(values: Array | float) -> float:
 def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUnits, found: Recovered) -> Multipliers:
     """Return the theorem's multipliers in the user's units."""
     n, m = problem.state_dim, problem.control_dim
-    x, u = units.cost / units.x, units.cost / units.u
-    forces = found.on_rows[: n + m].T * np.concatenate([x, u])
+    x, u = np.split(units.multipliers, [n])
+    forces = found.on_rows[: n + m].T * units.multipliers
     on_sets = {one.name: one.multipliers(forces, found.eta_C) for one in soft_sets(problem) or ()}
     on_ends: dict[str, Array] = {}
     if structure.kkt.lti.periodic:  # the multiplier of x_T - x_0 = 0; mu_0 moves to mu_T where x_T has the bound
@@ -279,22 +281,22 @@ def recover_batch(
     signals, last = fft.irfft(spectrum, T), np.zeros((n, N))
     last[~np.isnan(lti.end)] = p[:, 1 + n :].T
     last[kkt.free_end] = theta[kkt.at_end]
-    gradient = np.tensordot(lti.M, spectrum, 1) + force
+    gradient = times_columns(lti.M, spectrum) + force
     if model.linear is not None:
         gradient += model.linear[:, None]
     of = _recover_columns(structure, lti, 1.0, gradient, y, on_rows, signals[:, :, 0], last)
-    x, u, bins = units.cost / units.x, units.cost / units.u, spaces.weight / T
+    y_unit, of_y, bins = units.signals, units.multipliers, spaces.weight / T
 
     def in_time(part: Array, unit: Array) -> Array:
         return np.ascontiguousarray(np.moveaxis(part, 0, -1)) * unit
 
     return Together(
-        in_time(np.concatenate([signals[:n], last[:, :, None]], axis=2), units.x),
-        in_time(signals[n:], units.u),
-        in_time(of.eta, x),
-        in_time(of.on_rows[:n], x),
-        in_time(of.on_rows[n:, :, :T], u),
-        in_time(of.band * bins, u),
+        in_time(np.concatenate([signals[:n], last[:, :, None]], axis=2), y_unit[:n]),
+        in_time(signals[n:], y_unit[n:]),
+        in_time(of.eta, of_y[:n]),
+        in_time(of.on_rows[:n], of_y[:n]),
+        in_time(of.on_rows[n:, :, :T], of_y[n:]),
+        in_time(of.band * bins, of_y[n:]),
         found,
         rows,
     )

@@ -15,8 +15,10 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 from scipy.linalg import schur
 
@@ -39,23 +41,23 @@ class Resolvent:
 
     def apply(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
         """Return (z_k I - A)^{-1} rhs_k, for z (bins,) and rhs (n, columns, bins); inf or NaN at eigenvalues."""
-        Y = _times(self._adjoint, rhs)
+        Y = times_columns(self._adjoint, rhs)
         for i in range(len(Y) - 1, -1, -1):
             for j in range(i + 1, len(Y)):
                 if self.triangle[i, j]:
                     Y[i] += self.triangle[i, j] * Y[j]
             Y[i] /= z - self.triangle[i, i]
-        return _times(self.unitary, Y)
+        return times_columns(self.unitary, Y)
 
     def apply_adjoint(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
         """Return (z_k I - A)^{-*} rhs_k, for rhs (n, columns, bins)."""
-        Y = _times(self._adjoint, rhs)
+        Y = times_columns(self._adjoint, rhs)
         for i in range(len(Y)):
             for j in range(i):
                 if self.triangle[j, i]:
                     Y[i] += self.triangle[j, i].conj() * Y[j]
             Y[i] /= (z - self.triangle[i, i]).conj()
-        return _times(self.unitary, Y)
+        return times_columns(self.unitary, Y)
 
     def size(self, z: ComplexArray) -> Array:
         """Return the sum of the absolute values of the entries of (z_k I - A)^{-1}, shape (bins,)."""
@@ -64,9 +66,9 @@ class Resolvent:
         return np.abs(self.apply(z, identity)).sum((0, 1))
 
 
-def _times(matrix: ComplexArray, X: ComplexArray) -> ComplexArray:
-    """Return the matrix applied along the first axis of X (n, columns, bins)."""
-    return (matrix @ X.reshape(len(X), -1)).reshape(X.shape)
+def times_columns(matrix: NDArray[Any], X: NDArray[Any]) -> NDArray[Any]:
+    """Return the matrix times all vectors along the first axis of X, whose other axes stay."""
+    return (matrix @ X.reshape(len(X), -1)).reshape(len(matrix), *X.shape[1:])
 
 
 class NearBins:
@@ -165,14 +167,14 @@ class BinSpaces:
             N[:n] = self.resolvent.apply(self.z, np.broadcast_to(B, (n, m, len(self.z))))
         N[:n, ~passed] = 0
         N[n + np.arange(m), np.arange(m)] = passed
-        return np.einsum("iak,kba->ibk", N, self._inverse_factors(N, passed).conj())
+        return self._normalised(N, passed)
 
-    def _inverse_factors(self, N: ComplexArray, passed: Mask) -> ComplexArray:
-        """Return L^{-1} with N^*MN = L L^* per bin, (bins, m, m); stopped controls have unit cost."""
+    def _normalised(self, N: ComplexArray, passed: Mask) -> ComplexArray:
+        """Return N L^{-*} with N^*MN = L L^* per bin; stopped controls have unit cost."""
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
         seen = slice(0 if lti.state_cost else n, None)
         V, M = N[seen], lti.M[seen, seen]
-        H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), np.tensordot(M, V, 1)), dtype=np.complex128)
+        H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), times_columns(M, V)), dtype=np.complex128)
         if m == 1:  # several are checked below
             unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
             if (H[:, 0, 0].real <= unseen)[passed[0]].any():
@@ -182,14 +184,15 @@ class BinSpaces:
         if not (sizes > 0).all():
             raise _flat_cost()
         if m == 1:
-            return np.asarray(1 / sizes[:, :, None], dtype=np.complex128)
+            N /= sizes.T
+            return N
         try:
             factor = np.linalg.cholesky(H / (sizes[:, :, None] * sizes[:, None]))
         except np.linalg.LinAlgError:
             raise _flat_cost() from None
         if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
             raise _flat_cost()
-        return np.asarray(np.linalg.inv(factor) / sizes[:, None], dtype=np.complex128)
+        return np.einsum("iak,kba->ibk", N, (np.linalg.inv(factor) / sizes[:, None]).conj())
 
     def _choose_bordering_directions(self) -> None:
         """Choose the bordering directions among those of the near bins, and complete N by the others."""
@@ -218,11 +221,9 @@ class BinSpaces:
         k = self.near.k
         response[:, :, k] = self.near.particular(rhs[:, :, k])
         if lti.state_cost:
-            response -= self.project(np.tensordot(lti.M, response, 1))
+            response -= self.project(times_columns(lti.M, response))
         else:  # but at near bins the response has u = 0, and M sees u only
-            at_near = response[:, :, k]
-            weighted = (lti.M @ at_near.reshape(len(at_near), -1)).reshape(at_near.shape)
-            response[:, :, k] = at_near - self.project(weighted, k)
+            response[:, :, k] -= self.project(times_columns(lti.M, response[:, :, k]), k)
         return response
 
     def project(self, g: ComplexArray, bins: Indices | slice = slice(None)) -> ComplexArray:
@@ -266,7 +267,8 @@ class CirculantKernels:
 
     def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
         """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
-        self._require(product(np.unique(f), np.unique(g)))
+        if not self.complete:
+            self._require(product(np.unique(f), np.unique(g)))
         f, lag = f[:, None], t[:, None] - s  # a negative index counts from the end of the circle
         if self.complete:
             return self.table[f, g, lag]
@@ -284,11 +286,12 @@ class CirculantKernels:
     def free_response(self, t: Indices, f: Indices) -> Array:
         """Return how far a unit force moves each row without equations, K_ff(0), (count,); x_T moves by itself."""
         inner = t < self.lti.horizon
-        self._require([(a, a) for a in np.unique(f[inner])])
+        if not self.complete:
+            self._require((a, a) for a in np.unique(f[inner]))
         return np.where(inner, self.table[f, f, 0], 1 / self.lti.curvature_unit)
 
     def _require(self, pairs: Iterable[tuple[int, int]]) -> None:
-        for f, g in () if self.complete else map(sorted, pairs):
+        for f, g in map(sorted, pairs):
             if not self.known[f, g]:
                 row, column = self.of_rows(np.array([f, g]))
                 self.table[f, g] = fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
@@ -300,4 +303,4 @@ class CirculantKernels:
     def of_rows(self, rows: Indices) -> ComplexArray:
         """Return F_f N of some rows, shape (rows, m, bins)."""
         dimension = len(self.lti.M)
-        return self.spaces.N[rows] if len(self.lti.F) == dimension else np.tensordot(self.lti.F[rows], self.spaces.N, 1)
+        return self.spaces.N[rows] if len(self.lti.F) == dimension else times_columns(self.lti.F[rows], self.spaces.N)
