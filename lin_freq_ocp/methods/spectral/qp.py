@@ -203,20 +203,23 @@ class Caps:
 
     def slope(self, z: Array) -> Array:
         """Return z - y, (count,)."""
-        slope = z[: self.count].copy()
-        slope[self.capped] -= z[self.count :]
-        return slope
+        return self._folded(z, -1.0)
+
+    def _folded(self, pairs: Array, sign: float) -> Array:
+        """Return the entries of (lam, z) with those of (w, y) added to, or taken from, their rows, (count,)."""
+        if not len(self.capped):
+            return pairs
+        folded = pairs[: self.count].copy()
+        folded[self.capped] += sign * pairs[self.count :]
+        return folded
 
     def diagonal(self, weights: Array, z: Array) -> Array:
         """Return z / lam + y / w, (count,)."""
-        quotient = z / weights
-        diagonal = quotient[: self.count].copy()
-        diagonal[self.capped] += quotient[self.count :]
-        return diagonal
+        return self._folded(z / weights, 1.0)
 
     def steps(self, change: Array) -> Array:
         """Return the steps of (lam, w) from that of lam."""
-        return np.concatenate([change, -change[self.capped]])
+        return np.concatenate([change, -change[self.capped]]) if len(self.capped) else change
 
     def split(self, weights: Array, z: Array) -> tuple[Mask, Array]:
         """Return which rows are active, between their bounds, and lam with the others at the bounds."""
@@ -298,7 +301,7 @@ class _Dense:
     def factor(self, w: Array) -> bool:
         """Factor A + diag(w); False if it is not positive definite."""
         matrix = self.A.copy()
-        matrix[np.diag_indices_from(matrix)] += w
+        np.einsum("ii->i", matrix)[:] += w
         self._lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
         return failed == 0
 

@@ -41,18 +41,22 @@ class Rows(NamedTuple):
     sign: Array
     weights: Array | None = None
 
+    def take(self, chosen: Mask) -> Rows:
+        """Return some of the rows."""
+        return Rows(*(part[chosen] for part in self if part is not None))
+
     def active(self) -> Rows:
         """Return the rows with a multiplier above zero."""
-        return Rows(*(part[np.asarray(self.weights) > 0] for part in self if part is not None))
+        return self if self.weights is None else self.take(self.weights > 0)
 
 
 def bounded_rows(rows: Rows, lti: Lti) -> Rows:
     """Return the rows that have a bound and are no equation."""
-    t, f, sign, weights = rows
+    t, f, sign, _ = rows
     i = f % lti.state_dim
     fixed = (t == 0) & (f < lti.state_dim) & ~np.isnan(lti.start[i]) | (t == lti.horizon) & ~np.isnan(lti.end[i])
     kept = np.isfinite(lti.bounds.at(t, f, sign)) & (lti.bounds.at(t, f, -1.0) < lti.bounds.at(t, f, 1.0)) & ~fixed
-    return Rows(t[kept], f[kept], sign[kept], None if weights is None else weights[kept])
+    return rows.take(kept)
 
 
 class Violations:
@@ -213,37 +217,30 @@ class WorkingSet:
         t, f, sign = t[new], f[new], sign[new]
         if not len(t):
             return 0
-        self._mark(t, f, sign, True)
         kkt, inner = self._kkt, t < self._kkt.lti.horizon
         columns = np.zeros((len(self.coupling), len(t)))
         columns[: kkt.size, inner] = kkt.values(t[inner], f[inner]).T
         columns[kkt.size :, inner] = -kkt.responses(t[inner], f[inner])
         free = np.flatnonzero(~inner)
         columns[kkt.at_end[np.searchsorted(kkt.free_end, f[free])], free] = 1.0
-        self.coupling, self._known_gram = np.hstack([self.coupling, columns * sign]), None
-        self.t, self.f = np.concatenate([self.t, t]), np.concatenate([self.f, f])
-        self.sign, self.weights = np.concatenate([self.sign, sign]), np.concatenate([self.weights, np.zeros(len(t))])
+        parts = zip(self.rows(), (t, f, sign, np.zeros(len(t))), strict=True)
+        self.replace(Rows(*map(np.concatenate, parts)), np.hstack([self.coupling, columns * sign]))
         return len(t)
 
     def keep(self, kept: Mask) -> None:
         """Drop all rows but these."""
         if not kept.all():
-            self._mark(self.t[~kept], self.f[~kept], self.sign[~kept], False)
-            self.t, self.f = self.t[kept], self.f[kept]
-            self.sign, self.weights = self.sign[kept], self.weights[kept]
-            self.coupling = self.coupling[:, kept]
-            self._known_gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
+            gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
+            self.replace(self.rows().take(kept), self.coupling[:, kept])
+            self._known_gram = gram
 
     def replace(self, rows: Rows, coupling: Array) -> None:
         """Take other rows, with their coupling."""
-        self._mark(self.t, self.f, self.sign, False)
+        self._present[(self.sign > 0).astype(np.intp), self.f, self.t] = False
         self.t, self.f, self.sign = rows.t, rows.f, rows.sign
         self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
+        self._present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
         self.coupling, self._known_gram = coupling, None
-        self._mark(self.t, self.f, self.sign, True)
-
-    def _mark(self, t: Indices, f: Indices, sign: Array, present: bool) -> None:
-        self._present[(sign > 0).astype(np.intp), f, t] = present
 
     @property
     def gram(self) -> Array:
