@@ -99,8 +99,7 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None)
                 return None
             lam[rows] = -solution
         slope = A @ lam + b
-        error = -tol.WRONG_SLOPE - slope
-        error[rows] = -lam[rows]
+        error = np.where(active, -lam, -tol.WRONG_SLOPE - slope)
         if upper is not None:
             above = active & (lam > upper)
             error = np.where(above, lam - upper, np.where(saturated, slope - tol.WRONG_SLOPE, error))

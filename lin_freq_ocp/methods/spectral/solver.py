@@ -277,13 +277,13 @@ class SpectralSolver:
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
         model = self._model_between(lti)
-        known = None if model is None else model.at(lti)
-        if model is None or known is None:
+        if model is None:
             exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
             answer = self._measured_answer(exchange, exchange.run())
         else:
-            exchange = Exchange(self._structure, known[0], first, tolerance, stop, model.violations, known[1])
-            ray = model.known_ray(*known)
+            data, point = model.at(lti)
+            exchange = Exchange(self._structure, data, first, tolerance, stop, model.violations, point)
+            ray = model.known_ray(data, point)
             answer = self._measured_answer(exchange, exchange.run() if ray is None else exchange.infeasible_by(ray))
             if ray is None and answer.outcome.ray is not None:
                 model.keep_ray(answer.outcome.ray)
@@ -300,7 +300,8 @@ class SpectralSolver:
             return None
         if self._solves == 2:
             self._ends_model = ends_model(self._structure, self._lti)
-        return self._ends_model
+        model = self._ends_model
+        return model if model is not None and model.bounds_ends_of(lti) else None
 
     def _measured_answer(self, exchange: Exchange, outcome: ExchangeOutcome) -> MeasuredOutcome:
         """Recover the multipliers, and measure the point with them."""

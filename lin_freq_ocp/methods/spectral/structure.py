@@ -311,12 +311,14 @@ class EndsModel:
         self._h, self._e = _affine([one.h for one in data]), _affine([one.e for one in data])
         self.step, self.values = _affine([one.step for one in values]), _affine([one.values for one in values])
 
-    def at(self, lti: Lti) -> tuple[Data, UnconstrainedPoint] | None:
-        """Return the data between other ends, and the unconstrained point; None if x_T has another set."""
+    def bounds_ends_of(self, lti: Lti) -> bool:
+        """Whether the free components of x_T have the same bounds in ``lti``."""
         mine, other, free = self.lti.bounds, lti.bounds, np.isnan(lti.end)
         sides = (mine.last_lower, other.last_lower), (mine.last_upper, other.last_upper)
-        if not all(np.array_equal(one[free], another[free]) for one, another in sides):
-            return None
+        return all(np.array_equal(one[free], another[free]) for one, another in sides)
+
+    def at(self, lti: Lti) -> tuple[Data, UnconstrainedPoint]:
+        """Return the data between other ends, and the unconstrained point."""
         p = np.append(1.0, np.concatenate([lti.start, lti.end])[self._fixed])
         h, e, step, values = (p @ part for part in (self._h, self._e, self.step, self.values))
         return Data(lti, self.spectra(p), self.linear, h, e), UnconstrainedPoint(step, values)

@@ -256,7 +256,10 @@ def test_kernels_are_a_dense_projection(monkeypatch, kind, stops, cost, T, toget
     np.testing.assert_allclose(gram, expected, atol=1e-11 * np.abs(expected).max())
     np.testing.assert_array_equal(gram, gram.T)
     np.testing.assert_allclose(
-        table.free_response(np.zeros(rows, dtype=int), np.arange(rows)), np.diagonal(expected)[:rows], rtol=1e-9, atol=1e-11
+        table.free_response(np.zeros(rows, dtype=int), np.arange(rows)),
+        np.diagonal(expected)[:rows],
+        rtol=1e-9,
+        atol=1e-11,
     )
 
 
