@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -131,7 +132,6 @@ class Exchange:
         self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
         self.unconstrained, self.soft = structure.unconstrained, self.kkt.soft
         self.ray: Ray | None = None
-        self._known_cost: float | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
         if self.first_point is None:
             self._evaluate()
@@ -165,7 +165,7 @@ class Exchange:
         """Correct the defects of the present point, with the best weights of the working rows."""
         working, kkt = self.working, self.kkt
         whole = None if ask or self.whole is None else self._whole_step(self.whole)
-        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self._defects(), ask)
+        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self.defects, ask)
         self.ray = ray
         if ray is not None:
             return
@@ -173,7 +173,7 @@ class Exchange:
         self.theta = self.theta + step[: kkt.size]
         self.multipliers = self.multipliers + step[kkt.size :]
         self._evaluate()
-        if self._relative_residual() > tol.EQUATION_CONFLICT:
+        if self.relative_residual > tol.EQUATION_CONFLICT:
             self.ray = equation_ray(self.structure, self.data, self.residual)
 
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
@@ -188,14 +188,14 @@ class Exchange:
             if known:
                 self._evaluate()
             working.add(rows.t, rows.f, rows.sign)
-            self.values = working.values(self.signals.y, self.signals.last)
+            self._measure_rows()
             return None
         working.replace(rows, whole.coupling[:, found.indices] * found.sign)
         return step - whole.through[:, found.indices] @ (found.sign * found.weights), found.weights, None
 
     def _unconstrained_point(self, whole: WholeHorizon) -> UnconstrainedPoint:
         """Return the point without working rows, from the present one."""
-        working, step = self.working, self.kkt.inverse @ self._defects()
+        working, step = self.working, self.kkt.inverse @ self.defects
         indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
         values = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
         return UnconstrainedPoint(step + whole.through[:, indices] @ mu, values + whole.response(indices, mu))
@@ -214,7 +214,7 @@ class Exchange:
             near = near or neighbourhood_of(self.kkt, self.violations, working)
             if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
                 break
-            self.values = working.values(self.signals.y, self.signals.last)
+            self._measure_rows()
             guess = np.append(new, np.zeros(len(working) - len(new)))
         else:
             step, new, ray = self._eliminated_step(right, guess, ask)
@@ -227,7 +227,7 @@ class Exchange:
         if not len(working):
             return step, working.weights, None
         Z, S = working.eliminated(inverse)
-        d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
+        d = self.slack - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
         prices = working.prices(self.data.lti)
         response = None if prices is None else working.free_response()
@@ -244,33 +244,34 @@ class Exchange:
         if not len(working):
             return kkt.inverse_with(self.proximal) @ right, working.weights, None
         K = kkt.proximal_matrix(self.proximal)
-        slack = working.limits(self.data.lti) - self.values
         prices = working.prices(self.data.lti)
         upper = np.full(len(working), np.inf) if prices is None else prices
-        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, slack, working.weights, upper)
+        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, self.slack, working.weights, upper)
         step, new, accurate = qp.solve(self.stop)
         if not (ask or not accurate) or self.stop():
             return step, new, None
         return step, new, regularised_ray(self.structure, self.data, working, self.stop)
 
-    def _defects(self) -> Array:
-        """Return the right-hand side of the bordered system: what the slope and the equations lack."""
-        return np.concatenate([-self.slope, self.residual])
-
     def _evaluate(self) -> None:
         """Compute the signals of this point by FFT, their violations, and the defects in the equations and in theta."""
-        self.__dict__.pop("signals", None)  # large: given back before the next are made
-        self.__dict__.pop("spectrum", None)
+        for name in ("signals", "spectrum", "cost"):  # large: given back before the next are made
+            self.__dict__.pop(name, None)
         point = self.theta, self.multipliers, self.working
         self.signals, self.spectrum = signals(self.structure, self.data, *point)
-        self._known_cost = None
         self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
         saturated = self.working.saturated(self.data.lti)
         self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
         self.violations.measure(self.signals.y, self.signals.last)
-        self.values = self.working.values(self.signals.y, self.signals.last)
+        self._measure_rows()
         on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
         self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.multipliers + on_rows
+        self.defects = np.concatenate([-self.slope, self.residual])  # right-hand side of the bordered system
+        largest = max(1.0, float(np.abs(self.signals.y).max()))
+        self.relative_residual = float(np.abs(self.residual).max(initial=0.0)) / largest
+
+    def _measure_rows(self) -> None:
+        """Set the slacks of the working rows at this point."""
+        self.slack = self.working.slacks(self.data.lti, self.signals.y, self.signals.last)
 
     def _exchange_rows(self, count: int) -> int:
         """Drop rows without multiplier, add violated ones; return how many are new."""
@@ -278,7 +279,7 @@ class Exchange:
         if count <= KEEP_ALL_AFTER:
             self.working.keep(self.working.weights > 0)
         added = self.working.add(*entering)
-        self.values = self.working.values(self.signals.y, self.signals.last)
+        self._measure_rows()
         return added
 
     def _optimal(self, added: int) -> bool:
@@ -304,10 +305,8 @@ class Exchange:
 
     def _complementary(self, allowed: float) -> bool:
         """Whether the equations hold, and all rows with a multiplier hold with equality."""
-        if self._relative_residual() >= tol.EQUATION_TOLERANCE:
-            return False
-        slack = self.working.weights @ np.maximum(0.0, self.working.limits(self.data.lti) - self.values)
-        return bool(slack <= allowed * self._cost_size())
+        slack = float(self.working.weights @ np.maximum(0.0, self.slack))
+        return self.relative_residual < tol.EQUATION_TOLERANCE and slack <= allowed * self._cost_size()
 
     def _flat(self) -> bool:
         """Whether the cost hardly decreases along the bordering unknowns, without working rows or by such moves."""
@@ -320,38 +319,32 @@ class Exchange:
     def _cannot_decrease(self) -> bool:
         """Whether moves of the bordering unknowns as large as the point, and as 1, hardly decrease the cost."""
         decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
-        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self._cost()), tol.SMALL_COST * self.data.lti.cost_level)
-
-    def _relative_residual(self) -> float:
-        return float(np.abs(self.residual).max(initial=0.0)) / max(1.0, float(np.abs(self.signals.y).max()))
+        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self.cost), tol.SMALL_COST * self.data.lti.cost_level)
 
     def _relative_slope(self) -> float:
         """Return the largest derivative in theta, relative to the terms that it is the sum of."""
-        if not self.kkt.size:
-            return 0.0
         kkt, working = self.kkt, self.working
         terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
         terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.multipliers)
         least = tol.LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
-    def _cost(self) -> float:
-        if self._known_cost is None:
-            lti, at = self.data.lti, self.signals
-            last = 0.5 * at.last @ lti.P @ at.last + lti.p @ at.last
-            linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))
-            stages = 0.5 * np.einsum("it,it->", lti.M @ at.y, at.y)
-            self._known_cost = float(stages + linear + last) + lti.constant
-        return self._known_cost
+    @cached_property
+    def cost(self) -> float:
+        """Cost of this point, without prices."""
+        lti, at = self.data.lti, self.signals
+        last = 0.5 * at.last @ lti.P @ at.last + lti.p @ at.last
+        linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))
+        return float(0.5 * np.einsum("it,it->", lti.M @ at.y, at.y) + linear + last) + lti.constant
 
     def _cost_size(self) -> float:
         """Return what differences in cost are relative to."""
-        return max(self.data.lti.cost_level, abs(self._cost()))
+        return max(self.data.lti.cost_level, abs(self.cost))
 
     def _outcome(self, status: str, message: str = "") -> ExchangeOutcome:
         self.violations.violation = np.zeros((0, 0))  # large, and measured again before it is used
-        point, cost = (self.signals, self.multipliers, self.working), self._cost()
-        return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
+        point = self.signals, self.multipliers, self.working
+        return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, self.cost, self.ray)
 
     def infeasible_by(self, ray: Ray) -> ExchangeOutcome:
         """Return the outcome for a known ray."""

@@ -137,7 +137,7 @@ def residuals(lti: Lti, outcome: ExchangeOutcome, found: Recovered) -> Residuals
     gains = np.abs(lti.B) if lti.response is None else np.abs(lti.response).max(2)
     through_u = float(gains.sum(0).max()) * terms
     working = outcome.working
-    slack = working.limits(lti) - working.values(y, last)
+    slack = working.slacks(lti, y, last)
     missing = np.where(working.saturated(lti), np.maximum(slack, 0.0), np.abs(slack))
     gap = float(working.weights @ missing) + product + found.stationarity * float(np.abs(y[n:]).sum())
     return Residuals(

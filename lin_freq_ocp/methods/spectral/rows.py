@@ -277,12 +277,12 @@ class WorkingSet:
         prices = self.prices(lti)
         return np.zeros(len(self), dtype=bool) if prices is None else self.weights >= prices
 
-    def values(self, y: Array, last: Array) -> Array:
-        """Return sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
-        lti, at_end = self._kkt.lti, np.flatnonzero(~self.inner)
+    def slacks(self, lti: Lti, y: Array, last: Array) -> Array:
+        """Return limit - sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
+        at_end = np.flatnonzero(~self.inner)
         values = lti.row_values(y, np.minimum(self.t, lti.horizon - 1), self.f)
         values[at_end] = last[self.f[at_end]]
-        return self.sign * values
+        return self.limits(lti) - self.sign * values
 
     def free_response(self) -> Array:
         """Return how far a unit force moves each row without equations, (count,)."""

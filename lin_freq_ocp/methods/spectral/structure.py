@@ -212,9 +212,8 @@ def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array
     slope = np.abs(kkt.E.T @ y + working.coupling[: kkt.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
     c, residual = _point_without_forces(structure, data)
-    limits = working.limits(lti)
-    value = float(working.weights @ (limits - working.values(c.y, c.last)) + y @ residual)
-    terms = float(working.weights @ np.abs(limits) + np.abs(y) @ np.abs(data.e)) + 1e-300
+    value = float(working.weights @ working.slacks(lti, c.y, c.last) + y @ residual)
+    terms = float(working.weights @ np.abs(working.limits(lti)) + np.abs(y) @ np.abs(data.e)) + 1e-300
     proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
     return Ray(working, y) if proven else None
 
@@ -273,7 +272,7 @@ def regularised_ray(
     kkt, (c, residual) = structure.kkt, _point_without_forces(structure, data)
     step = kkt.regularised @ np.concatenate([np.zeros(kkt.size), residual])
     Z, S = working.eliminated(kkt.regularised)
-    d = working.limits(data.lti) - working.values(c.y, c.last) - working.coupling.T @ step
+    d = working.slacks(data.lti, c.y, c.last) - working.coupling.T @ step
     return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
 
 
