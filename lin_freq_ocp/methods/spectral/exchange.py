@@ -261,7 +261,7 @@ class Exchange:
         self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
         saturated = self.working.saturated(self.data.lti)
         self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
-        self.violations.measure(self.signals.y, self.signals.last)
+        self.violations.measure_values(self.violations.values(self.signals.y), self.signals.last)
         self._measure_rows()
         on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
         self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.multipliers + on_rows
@@ -375,7 +375,8 @@ def exchange_values(
             t, f = whole.t[index], whole.f[index]
             d = sign * (lti.bounds.at(t, f, sign) - base[index])
             free = None if unconstrained is None else unconstrained[f] * (t < lti.horizon)
-            most, response = (None, None) if prices is None else (prices.at(t, f, sign), whole.free_response(index))
+            most = None if prices is None else prices.at(t, f, sign)
+            response = None if prices is None else whole.kernels.free_response(t, f)
             S = whole.gram(index) * sign * sign[:, None]
             weights, accurate = bounded_qp(S, d, weights, free, stop, most, response)
             found = ActiveSetDuals(index, sign, weights, count, accurate)

@@ -75,6 +75,11 @@ class Lti:
         """Number of equations x(0) = x_0: none if the ends are periodic."""
         return 0 if self.periodic else self.state_dim
 
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """x_0 and x_T with zeros for free components, (n,)."""
+        return np.where(np.isnan(self.start), 0.0, self.start), np.where(np.isnan(self.end), 0.0, self.end)
+
     def between(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
         """Return the problem between other ends, in units x (n,) of the states; None if x_0 has free components."""
         start, end = (_fixed_values(box) / x for box in ends)

@@ -97,10 +97,6 @@ class Violations:
         self._saturated = self._index[f[inner]], t[inner]
         self._saturated_last = f[~inner]
 
-    def measure(self, y: Array, last: Array) -> float:
-        """Measure a point, y (n+m, T) and last = x_T; return the worst violation."""
-        return self.measure_values(self.values(y), last)
-
     def values(self, y: Array) -> Array:
         """Return F y of the bounded rows, shape (bounded, T)."""
         return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
@@ -354,7 +350,7 @@ class WholeHorizon:
 
     def __init__(self, kkt: BorderedSystem, rows: Indices):
         lti, T, n = kkt.lti, kkt.lti.horizon, kkt.lti.state_dim
-        self._kkt, self.rows, self._inner = kkt, rows, len(rows) * T
+        self.kernels, self.rows, self._inner = kkt.kernels, rows, len(rows) * T
         self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
         self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
         self._row_index = np.zeros(len(lti.F), dtype=np.intp)
@@ -368,7 +364,7 @@ class WholeHorizon:
 
     def flat_indices(self, t: Indices, f: Indices) -> Indices:
         """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
-        T = self._kkt.lti.horizon
+        T = self.kernels.lti.horizon
         return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
 
     def duals(self, rows: Rows) -> ActiveSetDuals:
@@ -380,12 +376,11 @@ class WholeHorizon:
     @cached_property
     def table(self) -> Array:
         """S of all values, (values, values): for many solves, if they are few enough."""
-        T, kernels = self._kkt.lti.horizon, self._kkt.kernels.table
-        S = self.coupling.T @ self.through
+        T, S = self.kernels.lti.horizon, self.coupling.T @ self.through
         lags = np.arange(T)[:, None] - np.arange(T)
-        for i, f in enumerate(self.rows):
+        for i, f in enumerate(self.rows):  # by blocks: twice as fast as to look up all values at once
             for j, g in enumerate(self.rows):
-                S[i * T : (i + 1) * T, j * T : (j + 1) * T] += kernels[f, g][lags]
+                S[i * T : (i + 1) * T, j * T : (j + 1) * T] += self.kernels.table[f, g][lags]
         return (S + S.T) / 2
 
     def gram(self, index: Indices) -> Array:
@@ -393,11 +388,7 @@ class WholeHorizon:
         if self.tabulated:
             return self.table.ravel().take(index[:, None] * len(self.t) + index)
         S = self.coupling[:, index].T @ self.through[:, index]
-        return (S + S.T) / 2 + self._kkt.kernels.gram_of_rows(self.t[index], self.f[index])
-
-    def free_response(self, index: Indices) -> Array:
-        """Return how far a unit force moves each of some values without equations."""
-        return self._kkt.kernels.free_response(self.t[index], self.f[index])
+        return (S + S.T) / 2 + self.kernels.gram_of_rows(self.t[index], self.f[index])
 
     def rows_of(self, duals: ActiveSetDuals) -> Rows:
         """Return the rows of some values."""
@@ -414,5 +405,5 @@ class WholeHorizon:
         acting = pulses.any(1)
         answer = (self._spaces[acting].conj() * fft.rfft(pulses[acting])[:, None]).sum(0)
         values = (self.through[:, index] @ mu) @ self.coupling
-        values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self._kkt.lti.horizon).ravel()
+        values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self.kernels.lti.horizon).ravel()
         return values

@@ -87,7 +87,7 @@ class Data:
 def data_of(structure: Structure, lti: Lti) -> Data:
     """Return the data of ``lti``, whose structure must be the given one."""
     spaces, kkt = structure.spaces, structure.kkt
-    start, end = np.where(np.isnan(lti.start), 0.0, lti.start), np.where(np.isnan(lti.end), 0.0, lti.end)
+    start, end = lti.ends
     jump = spaces.z * (start - end)[:, None]
     if lti.offset is not None:
         jump += fft.rfft(lti.offset)
@@ -134,14 +134,10 @@ def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingS
     inner = working.inner
     np.add.at(pulses, (working.f[inner], working.t[inner]), (working.sign * working.weights)[inner])
     np.add.at(pulses, (kkt.point_f, kkt.point_t), multipliers[: len(kkt.point_t)])
-    acting = np.zeros(len(lti.F), dtype=bool)
-    acting[working.f[inner]] = True
-    acting[kkt.point_f] |= bool(multipliers.any())
-    force = pulses[:dimension]
-    if acting[dimension:].any():
-        force += lti.F[dimension:].T @ pulses[dimension:]
-        acting[:dimension] |= lti.F[dimension:][acting[dimension:]].any(0)
-    used = acting[:dimension]
+    force, joint = np.split(pulses, [dimension])
+    if joint.any():
+        force += lti.F[dimension:].T @ joint
+    used = force.any(1)
     spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
     if used.any():
         spectrum[used] = fft.rfft(force if used.all() else force[used])
