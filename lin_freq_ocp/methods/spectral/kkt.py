@@ -230,13 +230,13 @@ class BorderedSystem:
         signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
         moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
         if self.size:
-            moved[:, : self.size] = times_columns(F, signals)
+            moved[:, : self.size] = np.tensordot(F, signals, 1)
         by_points = self.kernels.table[rows[:, None], self.point_f]  # unit forces at t = 0, (len(rows), points, T) ...
         for i in np.flatnonzero(self.point_t):  # ... which act later at the other points
             by_points[:, i] = np.roll(by_points[:, i], self.point_t[i], axis=-1)
         moved[:, self.size : self.size + len(self.point_t)] = -by_points
         if len(self.bands):
-            moved[:, -len(self.bands) :] = -times_columns(F, self.band_responses)
+            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
         return moved.swapaxes(0, 1)
 
     def responses(self, t: Indices, f: Indices) -> Array:

@@ -202,19 +202,19 @@ class Caps:
 
     def slope(self, z: Array) -> Array:
         """Return z - y, (count,)."""
-        return self._folded(z, -1.0)
+        return self._sum_of_pairs(z, -1.0)
 
-    def _folded(self, pairs: Array, sign: float) -> Array:
+    def _sum_of_pairs(self, pairs: Array, sign: float) -> Array:
         """Return the entries of (lam, z) with those of (w, y) added to, or taken from, their rows, (count,)."""
         if not len(self.capped):
             return pairs
-        folded = pairs[: self.count].copy()
-        folded[self.capped] += sign * pairs[self.count :]
-        return folded
+        total = pairs[: self.count].copy()
+        total[self.capped] += sign * pairs[self.count :]
+        return total
 
     def diagonal(self, weights: Array, z: Array) -> Array:
         """Return z / lam + y / w, (count,)."""
-        return self._folded(z / weights, 1.0)
+        return self._sum_of_pairs(z / weights, 1.0)
 
     def steps(self, change: Array) -> Array:
         """Return the steps of (lam, w) from that of lam."""

@@ -13,9 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, sealed
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Entry, Mask, sealed
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
@@ -268,12 +269,12 @@ def recover_batch(
     with signs; ``found`` and ``rows`` are those of Together.
     """
     lti, kkt, spaces, whole = model.lti, structure.kkt, structure.spaces, model.whole
-    n, T, points, N = lti.state_dim, lti.horizon, (kkt.point_f, kkt.point_t), len(p)
+    n, T, N = lti.state_dim, lti.horizon, len(p)
     theta, y = np.split((p @ model.step - weights @ whole.through.T).T, [kkt.size])
     on_rows = np.zeros((len(lti.F), N, T + 1))
     on_rows[whole.rows, :, :T] = np.moveaxis(weights[:, :-n].reshape(N, -1, T), 1, 0)
     on_rows[:n, :, T] = weights[:, -n:].T
-    for f, t, of_point in zip(*points, y, strict=False):
+    for f, t, of_point in zip(kkt.point_f, kkt.point_t, y, strict=False):
         on_rows[f, :, t] += of_point
     force = fft.rfft(on_rows[:, :, :T])
     spectrum = np.moveaxis(model.spectra(p), 1, 0) - spaces.project(force)
@@ -284,19 +285,19 @@ def recover_batch(
     gradient = times_columns(lti.M, spectrum) + force
     if model.linear is not None:
         gradient += model.linear[:, None]
-    of = _recover_columns(structure, lti, 1.0, gradient, y, on_rows, signals[:, :, 0], last)
+    duals = _recover_columns(structure, lti, 1.0, gradient, y, on_rows, signals[:, :, 0], last)
     y_unit, of_y, bins = units.signals, units.multipliers, spaces.weight / T
 
-    def in_time(part: Array, unit: Array) -> Array:
-        return np.ascontiguousarray(np.moveaxis(part, 0, -1)) * unit
+    def in_time(part: NDArray[Entry]) -> NDArray[Entry]:
+        return np.ascontiguousarray(np.moveaxis(part, 0, -1))
 
     return Together(
-        in_time(np.concatenate([signals[:n], last[:, :, None]], axis=2), y_unit[:n]),
-        in_time(signals[n:], y_unit[n:]),
-        in_time(of.eta, of_y[:n]),
-        in_time(of.on_rows[:n], of_y[:n]),
-        in_time(of.on_rows[n:, :, :T], of_y[n:]),
-        in_time(of.band * bins, of_y[n:]),
+        in_time(np.concatenate([signals[:n], last[:, :, None]], axis=2)) * y_unit[:n],
+        in_time(signals[n:]) * y_unit[n:],
+        in_time(duals.eta) * of_y[:n],
+        in_time(duals.on_rows[:n]) * of_y[:n],
+        in_time(duals.on_rows[n:, :, :T]) * of_y[n:],
+        in_time(duals.band * bins) * of_y[n:],
         found,
         rows,
     )

@@ -43,7 +43,8 @@ class Rows(NamedTuple):
 
     def take(self, chosen: Mask) -> Rows:
         """Return some of the rows."""
-        return Rows(*(part[chosen] for part in self if part is not None))
+        weights = None if self.weights is None else self.weights[chosen]
+        return Rows(self.t[chosen], self.f[chosen], self.sign[chosen], weights)
 
     def active(self) -> Rows:
         """Return the rows with a multiplier above zero."""
@@ -219,8 +220,9 @@ class WorkingSet:
         columns[kkt.size :, inner] = -kkt.responses(t[inner], f[inner])
         free = np.flatnonzero(~inner)
         columns[kkt.at_end[np.searchsorted(kkt.free_end, f[free])], free] = 1.0
-        parts = zip(self.rows(), (t, f, sign, np.zeros(len(t))), strict=True)
-        self.replace(Rows(*map(np.concatenate, parts)), np.hstack([self.coupling, columns * sign]))
+        indices, signs = (np.append(self.t, t), np.append(self.f, f)), np.append(self.sign, sign)
+        rows = Rows(*indices, signs, np.append(self.weights, np.zeros(len(t))))
+        self.replace(rows, np.hstack([self.coupling, columns * sign]))
         return len(t)
 
     def keep(self, kept: Mask) -> None:

@@ -15,10 +15,8 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 from scipy.linalg import schur
 
@@ -66,7 +64,7 @@ class Resolvent:
         return np.abs(self.apply(z, identity)).sum((0, 1))
 
 
-def times_columns(matrix: NDArray[Any], X: NDArray[Any]) -> NDArray[Any]:
+def times_columns(matrix: Array | ComplexArray, X: ComplexArray) -> ComplexArray:
     """Return the matrix times all vectors along the first axis of X, whose other axes stay."""
     return (matrix @ X.reshape(len(X), -1)).reshape(len(matrix), *X.shape[1:])
 
@@ -142,7 +140,7 @@ class BinSpaces:
     def __init__(self, lti: Lti):
         self.lti = lti
         bins = np.arange(lti.horizon // 2 + 1)
-        self.z = np.exp(2j * np.pi * bins / lti.horizon)
+        self.z: ComplexArray = np.exp(2j * np.pi * bins / lti.horizon)
         self.weight = np.where((bins == 0) | (2 * bins == lti.horizon), 1.0, 2.0)
         self.resolvent = Resolvent(lti.A)
         distance = np.full(len(self.z), np.inf)  # to the nearest eigenvalue
@@ -167,9 +165,9 @@ class BinSpaces:
             N[:n] = self.resolvent.apply(self.z, np.broadcast_to(B, (n, m, len(self.z))))
         N[:n, ~passed] = 0
         N[n + np.arange(m), np.arange(m)] = passed
-        return self._normalised(N, passed)
+        return self._unit_null_spaces(N, passed)
 
-    def _normalised(self, N: ComplexArray, passed: Mask) -> ComplexArray:
+    def _unit_null_spaces(self, N: ComplexArray, passed: Mask) -> ComplexArray:
         """Return N L^{-*} with N^*MN = L L^* per bin; stopped controls have unit cost."""
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
         seen = slice(0 if lti.state_cost else n, None)

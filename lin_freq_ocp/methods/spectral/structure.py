@@ -88,7 +88,7 @@ def data_of(structure: Structure, lti: Lti) -> Data:
     """Return the data of ``lti``, whose structure must be the given one."""
     spaces, kkt = structure.spaces, structure.kkt
     start, end = lti.ends
-    jump = spaces.z * (start - end)[:, None]
+    jump: ComplexArray = spaces.z * (start - end)[:, None]
     if lti.offset is not None:
         jump += fft.rfft(lti.offset)
     linear = None if lti.linear is None else fft.rfft(lti.linear)
@@ -137,7 +137,7 @@ def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingS
     force, joint = np.split(pulses, [dimension])
     if joint.any():
         force += lti.F[dimension:].T @ joint
-    used = force.any(1)
+    used: Mask = np.asarray(force.any(1))
     spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
     if used.any():
         spectrum[used] = fft.rfft(force if used.all() else force[used])
