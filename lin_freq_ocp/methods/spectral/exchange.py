@@ -118,9 +118,9 @@ class Exchange:
         self.working = WorkingSet(self.kkt)
         self.violations = violations or Violations(data.lti)
         self.whole = structure.whole_horizon(self.violations.rows)
+        self.first_point = None
         if self.whole is not None:
-            first_point = first_point or unconstrained_point(structure, data, self.violations, self.whole)
-        self.first_point = None if self.whole is None else first_point
+            self.first_point = first_point or unconstrained_point(structure, data, self.violations, self.whole)
         self.first = None if first is None else bounded_rows(first, data.lti)
         if self.first is not None and self.whole is None:
             self.working.add(self.first.t, self.first.f, self.first.sign)
