@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -42,6 +43,7 @@ from lin_freq_ocp.methods.spectral.structure import (
     regularised_ray,
     row_ray,
     signals,
+    unconstrained_point,
 )
 
 MODEL_ROUNDS = 12  # after which the true signals are evaluated
@@ -116,7 +118,9 @@ class Exchange:
         self.working = WorkingSet(self.kkt)
         self.violations = violations or Violations(data.lti)
         self.whole = structure.whole_horizon(self.violations.rows)
-        self.first_point = None if self.whole is None else first_point
+        self.first_point = None
+        if self.whole is not None:
+            self.first_point = first_point or unconstrained_point(structure, data, self.violations, self.whole)
         self.first = None if first is None else bounded_rows(first, data.lti)
         if self.first is not None and self.whole is None:
             self.working.add(self.first.t, self.first.f, self.first.sign)
@@ -128,7 +132,6 @@ class Exchange:
         self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
         self.unconstrained, self.soft = structure.unconstrained, self.kkt.soft
         self.ray: Ray | None = None
-        self._known_cost: float | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
         if self.first_point is None:
             self._evaluate()
@@ -162,7 +165,7 @@ class Exchange:
         """Correct the defects of the present point, with the best weights of the working rows."""
         working, kkt = self.working, self.kkt
         whole = None if ask or self.whole is None else self._whole_step(self.whole)
-        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self._defects(), ask)
+        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self.defects, ask)
         self.ray = ray
         if ray is not None:
             return
@@ -170,35 +173,32 @@ class Exchange:
         self.theta = self.theta + step[: kkt.size]
         self.multipliers = self.multipliers + step[kkt.size :]
         self._evaluate()
-        if self._relative_residual() > tol.EQUATION_CONFLICT:
+        if self.relative_residual > tol.EQUATION_CONFLICT:
             self.ray = equation_ray(self.structure, self.data, self.residual)
 
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
         """Return the bordering step and weights from rounds on all values; None if a small QP was inaccurate."""
         working, known = self.working, self.first_point is not None
-        (step, base), self.first_point = self.first_point or self._without_rows(whole), None
+        (step, base), self.first_point = self.first_point or self._unconstrained_point(whole), None
         start, self.first = whole.duals(self.first or working.rows()), None
         found = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
-        rows = Rows(whole.t[found.indices], whole.f[found.indices], found.sign, found.weights)
+        rows = whole.rows_of(found)
         self.rounds += max(0, found.rounds - 1)
         if not found.accurate:
             if known:
                 self._evaluate()
             working.add(rows.t, rows.f, rows.sign)
-            self.values = working.values(self.signals.y, self.signals.last)
+            self._measure_rows()
             return None
         working.replace(rows, whole.coupling[:, found.indices] * found.sign)
         return step - whole.through[:, found.indices] @ (found.sign * found.weights), found.weights, None
 
-    def _without_rows(self, whole: WholeHorizon) -> UnconstrainedPoint:
-        """Return the step to the point without working rows, and its values."""
-        working, step = self.working, self.kkt.inverse @ self._defects()
-        base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
-        if len(working):
-            indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
-            base += whole.response(indices, mu)
-            step += whole.through[:, indices] @ mu
-        return UnconstrainedPoint(step, base)
+    def _unconstrained_point(self, whole: WholeHorizon) -> UnconstrainedPoint:
+        """Return the point without working rows, from the present one."""
+        working, step = self.working, self.kkt.inverse @ self.defects
+        indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
+        values = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
+        return UnconstrainedPoint(step + whole.through[:, indices] @ mu, values + whole.response(indices, mu))
 
     def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
         """Return the bordering step, weights and perhaps a ray, with the bordering unknowns eliminated.
@@ -214,7 +214,7 @@ class Exchange:
             near = near or neighbourhood_of(self.kkt, self.violations, working)
             if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
                 break
-            self.values = working.values(self.signals.y, self.signals.last)
+            self._measure_rows()
             guess = np.append(new, np.zeros(len(working) - len(new)))
         else:
             step, new, ray = self._eliminated_step(right, guess, ask)
@@ -227,7 +227,7 @@ class Exchange:
         if not len(working):
             return step, working.weights, None
         Z, S = working.eliminated(inverse)
-        d = working.limits(self.data.lti) - self.values - working.coupling.T @ step - S @ working.weights
+        d = self.slack - working.coupling.T @ step - S @ working.weights
         unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
         prices = working.prices(self.data.lti)
         response = None if prices is None else working.free_response()
@@ -244,33 +244,34 @@ class Exchange:
         if not len(working):
             return kkt.inverse_with(self.proximal) @ right, working.weights, None
         K = kkt.proximal_matrix(self.proximal)
-        slack = working.limits(self.data.lti) - self.values
         prices = working.prices(self.data.lti)
         upper = np.full(len(working), np.inf) if prices is None else prices
-        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, slack, working.weights, upper)
+        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, self.slack, working.weights, upper)
         step, new, accurate = qp.solve(self.stop)
         if not (ask or not accurate) or self.stop():
             return step, new, None
         return step, new, regularised_ray(self.structure, self.data, working, self.stop)
 
-    def _defects(self) -> Array:
-        """Return the right-hand side of the bordered system: what the slope and the equations lack."""
-        return np.concatenate([-self.slope, self.residual])
-
     def _evaluate(self) -> None:
         """Compute the signals of this point by FFT, their violations, and the defects in the equations and in theta."""
-        self.__dict__.pop("signals", None)  # large: given back before the next are made
-        self.__dict__.pop("spectrum", None)
+        for name in ("signals", "spectrum", "cost"):  # large: given back before the next are made
+            self.__dict__.pop(name, None)
         point = self.theta, self.multipliers, self.working
         self.signals, self.spectrum = signals(self.structure, self.data, *point)
-        self._known_cost = None
         self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
         saturated = self.working.saturated(self.data.lti)
         self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
-        self.violations.measure(self.signals.y, self.signals.last)
-        self.values = self.working.values(self.signals.y, self.signals.last)
+        self.violations.measure_values(self.violations.values(self.signals.y), self.signals.last)
+        self._measure_rows()
         on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
         self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.multipliers + on_rows
+        self.defects = np.concatenate([-self.slope, self.residual])  # right-hand side of the bordered system
+        largest = max(1.0, float(np.abs(self.signals.y).max()))
+        self.relative_residual = float(np.abs(self.residual).max(initial=0.0)) / largest
+
+    def _measure_rows(self) -> None:
+        """Set the slacks of the working rows at this point."""
+        self.slack = self.working.slacks(self.data.lti, self.signals.y, self.signals.last)
 
     def _exchange_rows(self, count: int) -> int:
         """Drop rows without multiplier, add violated ones; return how many are new."""
@@ -278,7 +279,7 @@ class Exchange:
         if count <= KEEP_ALL_AFTER:
             self.working.keep(self.working.weights > 0)
         added = self.working.add(*entering)
-        self.values = self.working.values(self.signals.y, self.signals.last)
+        self._measure_rows()
         return added
 
     def _optimal(self, added: int) -> bool:
@@ -304,10 +305,8 @@ class Exchange:
 
     def _complementary(self, allowed: float) -> bool:
         """Whether the equations hold, and all rows with a multiplier hold with equality."""
-        if self._relative_residual() >= tol.EQUATION_TOLERANCE:
-            return False
-        slack = self.working.weights @ np.maximum(0.0, self.working.limits(self.data.lti) - self.values)
-        return bool(slack <= allowed * self._cost_size())
+        slack = float(self.working.weights @ np.maximum(0.0, self.slack))
+        return self.relative_residual < tol.EQUATION_TOLERANCE and slack <= allowed * self._cost_size()
 
     def _flat(self) -> bool:
         """Whether the cost hardly decreases along the bordering unknowns, without working rows or by such moves."""
@@ -320,38 +319,32 @@ class Exchange:
     def _cannot_decrease(self) -> bool:
         """Whether moves of the bordering unknowns as large as the point, and as 1, hardly decrease the cost."""
         decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
-        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self._cost()), tol.SMALL_COST * self.data.lti.cost_level)
-
-    def _relative_residual(self) -> float:
-        return float(np.abs(self.residual).max(initial=0.0)) / max(1.0, float(np.abs(self.signals.y).max()))
+        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self.cost), tol.SMALL_COST * self.data.lti.cost_level)
 
     def _relative_slope(self) -> float:
         """Return the largest derivative in theta, relative to the terms that it is the sum of."""
-        if not self.kkt.size:
-            return 0.0
         kkt, working = self.kkt, self.working
         terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
         terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.multipliers)
         least = tol.LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
-    def _cost(self) -> float:
-        if self._known_cost is None:
-            lti, at = self.data.lti, self.signals
-            last = 0.5 * at.last @ lti.P @ at.last + lti.p @ at.last
-            linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))
-            stages = 0.5 * np.einsum("it,it->", lti.M @ at.y, at.y)
-            self._known_cost = float(stages + linear + last) + lti.constant
-        return self._known_cost
+    @cached_property
+    def cost(self) -> float:
+        """Cost of this point, without prices."""
+        lti, at = self.data.lti, self.signals
+        last = 0.5 * at.last @ lti.P @ at.last + lti.p @ at.last
+        linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))
+        return float(0.5 * np.einsum("it,it->", lti.M @ at.y, at.y) + linear + last) + lti.constant
 
     def _cost_size(self) -> float:
         """Return what differences in cost are relative to."""
-        return max(self.data.lti.cost_level, abs(self._cost()))
+        return max(self.data.lti.cost_level, abs(self.cost))
 
     def _outcome(self, status: str, message: str = "") -> ExchangeOutcome:
         self.violations.violation = np.zeros((0, 0))  # large, and measured again before it is used
-        point, cost = (self.signals, self.multipliers, self.working), self._cost()
-        return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, cost, self.ray)
+        point = self.signals, self.multipliers, self.working
+        return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, self.cost, self.ray)
 
     def infeasible_by(self, ray: Ray) -> ExchangeOutcome:
         """Return the outcome for a known ray."""
@@ -374,34 +367,32 @@ def exchange_values(
     ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
     """
     index, sign, weights = start.indices, start.sign, start.weights
-    found, n, inside = start, violations.lti.state_dim, np.zeros(len(base), dtype=bool)
-    none = np.zeros(0, dtype=np.intp)
-    (lower, upper), prices = violations.flat_bounds(), violations.flat_prices()
+    lti, found, entered = violations.lti, start, np.zeros(len(base), dtype=bool)
+    n, prices = lti.state_dim, lti.prices
     for count in range(1, MODEL_ROUNDS + 1):
-        values = base
-        violations.set_saturated(none, none)
+        values, saturated = base, index[:0]
         if len(index):
-            d = sign * (np.where(sign > 0, upper[index], lower[index]) - base[index])
-            free = None if unconstrained is None else unconstrained[whole.f[index]] * (index < len(base) - n)
-            most = None if prices is None else np.where(sign > 0, prices[1][index], prices[0][index])
-            response = None if prices is None else whole.free_response(index)
-            gram = whole.gram(index) * sign * sign[:, None]
-            weights, accurate = bounded_qp(gram, d, weights, free, stop, most, response)
+            t, f = whole.t[index], whole.f[index]
+            d = sign * (lti.bounds.at(t, f, sign) - base[index])
+            free = None if unconstrained is None else unconstrained[f] * (t < lti.horizon)
+            most = None if prices is None else prices.at(t, f, sign)
+            response = None if prices is None else whole.kernels.free_response(t, f)
+            S = whole.gram(index) * sign * sign[:, None]
+            weights, accurate = bounded_qp(S, d, weights, free, stop, most, response)
             found = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break
             values = base - whole.response(index, sign * weights)
-            if most is not None:
-                saturated = index[weights >= most]
-                violations.set_saturated(whole.t[saturated], whole.f[saturated])
+            saturated = saturated if most is None else index[weights >= most]
+        violations.set_saturated(whole.t[saturated], whole.f[saturated])
         if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
             break
         kept = weights > 0
         index, sign, weights = index[kept], sign[kept], weights[kept]
-        inside[:] = False
-        inside[index] = True
-        entering, side = violations.chosen(tolerance)
-        new = ~inside[entering]
+        entered[:] = False
+        entered[index] = True
+        entering, side = violations.entering_values(tolerance)
+        new = ~entered[entering]
         added = np.count_nonzero(new)
         if not added or len(index) + added > LOCAL_ROWS:
             break
@@ -431,7 +422,7 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
         return None
     if outcome.status != "optimal":
         return None
-    t, f, sign, _ = outcome.working.active_rows()
+    t, f, sign, _ = outcome.working.rows().active()
     if hold:
         return _refine_rows(lti, t, f, sign)
     return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
@@ -472,24 +463,25 @@ def _hold_samples(lti: Lti) -> Lti:
             offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
     coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
     linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
-    prices = None if coarse.prices is None else coarse.prices.times(HOLD_FACTOR)
+    prices = None if coarse.prices is None else coarse.prices.map(lambda price: HOLD_FACTOR * price)
     return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
 
 
 def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array], Array]) -> Lti:
     """Return the problem at another horizon, without state bands and without values that bounds fix."""
-    lower, upper = sample(lti.lower), sample(lti.upper)
-    fixed = lower == upper
+    bounds = lti.bounds.map(sample)
+    fixed = bounds.lower == bounds.upper
     return replace(
         lti,
         horizon=T,
         passed=passed,
         state_stop=np.zeros(((T + 1) // 2 + 1, lti.state_dim), dtype=bool),
-        lower=np.where(fixed, -np.inf, lower),
-        upper=np.where(fixed, np.inf, upper),
+        bounds=replace(
+            bounds, lower=np.where(fixed, -np.inf, bounds.lower), upper=np.where(fixed, np.inf, bounds.upper)
+        ),
         linear=None if lti.linear is None else sample(lti.linear),
         offset=None if lti.offset is None else sample(lti.offset),
-        prices=None if lti.prices is None else lti.prices.at(sample),
+        prices=None if lti.prices is None else lti.prices.map(sample),
     )
 
 
@@ -534,9 +526,7 @@ def batch_working_sets(
         duals = exchange_values(whole, violations, start, base, tolerance, structure.unconstrained, stop)
         if duals.accurate and violations.worst < tol.FINE_VIOLATION:
             weights[i, duals.indices], found[i] = duals.sign * duals.weights, True
-            active = duals.weights > 0
-            index = duals.indices[active]
-            rows = Rows(whole.t[index], whole.f[index], duals.sign[active], duals.weights[active])
+            rows = whole.rows_of(duals).active()
         else:
             solve_alone(i)
     return weights, found, rows

@@ -18,7 +18,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
+from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels, times_columns
 from lin_freq_ocp.program.program_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling
@@ -59,12 +59,11 @@ class BorderedSystem:
             self.end_signals = fft.irfft(self.end_responses, T)
         # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
         k, v = self.spaces.border_bin, self.spaces.border_vector
-        twice = np.flatnonzero(self.spaces.weight[k] == 2)
-        order = np.argsort(np.concatenate([np.arange(len(k)), twice]), kind="stable")
-        self.bins = np.concatenate([k, k[twice]])[order]
-        self.vectors = np.hstack([v, 1j * v[:, twice]])[:, order]
-        self.first = ends + np.searchsorted(np.sort(np.concatenate([np.arange(len(k)), twice])), np.arange(len(k)))
+        counts = self.spaces.weight[k].astype(int)
+        direction = np.repeat(np.arange(len(k)), counts)
+        self.first, self.bins = ends + np.cumsum(counts) - counts, k[direction]
         self.ends_count, self.size = ends, ends + len(self.bins)
+        self.vectors = v[:, direction] * np.where(np.arange(ends, self.size) == self.first[direction], 1, 1j)
         self.amplitude = T / self.spaces.weight[self.bins]  # of a spectrum whose signal has unit amplitude
 
     def _require_size(self) -> None:
@@ -84,7 +83,7 @@ class BorderedSystem:
         W, v = self.end_responses, self.vectors
         self.H = np.zeros((self.size, self.size))
         if e:
-            weighted = np.tensordot(lti.M, W, 1)
+            weighted = times_columns(lti.M, W)
             self.H[:e, :e] = np.einsum("iak,ibk->ab", W.conj() * w, weighted, optimize=True).real / lti.horizon
             self.H[e:, :e] = np.einsum("iq,iaq->qa", v.conj(), weighted[:, :, self.bins]).real
             self.H[:e, e:] = self.H[e:, :e].T
@@ -164,15 +163,12 @@ class BorderedSystem:
         self.dependent = _null_space(self.E.T, G)
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
         self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
-        try:
-            self.inverse = self.inverse_with(0.0)
-            # soft: an unknown responds so much to a force that the digits of other responses are lost
-            response = np.abs(self.inverse.diagonal()[: self.size])
-            of_ends, inside = response[: self.ends_count].max(initial=0.0), response[self.ends_count :].max(initial=0.0)
-            stiff_ends = of_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal)
-            self.soft = not (stiff_ends and inside <= tol.SOFT_RESPONSE / unit)
-        except np.linalg.LinAlgError:
-            self.soft = True
+        self.inverse = self.inverse_with(0.0)
+        # soft: an unknown responds so much to a force that the digits of other responses are lost, or is NaN
+        response = np.abs(self.inverse.diagonal()[: self.size])
+        of_ends, inside = response[: self.ends_count].max(initial=0.0), response[self.ends_count :].max(initial=0.0)
+        stiff_ends = of_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal)
+        self.soft = not (stiff_ends and inside <= tol.SOFT_RESPONSE / unit)
         if self.soft:
             self.inverse = self.inverse_with(self.least_proximal)
 
@@ -194,14 +190,15 @@ class BorderedSystem:
         return self._inverse_of(matrix)
 
     def _inverse_of(self, matrix: Array) -> Array:
-        n = self.size
-        if self.dependent.size:
-            onto = self.dependent @ self.dependent.T
-            matrix[n:, n:] -= onto / self.lti.curvature_unit
-            inverse = _equilibrated_inverse(matrix)
-            inverse[n:, n:] += self.lti.curvature_unit * onto
-        else:
-            inverse = _equilibrated_inverse(matrix)
+        """Return the inverse of K_b with another Hessian; NaN if it is exactly singular: the exchange fails."""
+        n, onto = self.size, self.dependent @ self.dependent.T
+        matrix[n:, n:] -= onto / self.lti.curvature_unit
+        scale = equilibration(matrix)
+        try:
+            inverse = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
+        except np.linalg.LinAlgError:
+            return np.full_like(matrix, np.nan)
+        inverse[n:, n:] += self.lti.curvature_unit * onto
         return (inverse + inverse.T) / 2
 
     def gradient(self, spectrum: ComplexArray) -> Array:
@@ -212,16 +209,13 @@ class BorderedSystem:
 
     def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
         """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
-        spaces, n = self.spaces, lti.start_points
-        start = np.where(np.isnan(lti.start), 0.0, lti.start)
-        points = start[:n], lti.lower[self.point_f[n:], self.point_t[n:]]
+        spaces, n, (start, end) = self.spaces, lti.start_points, lti.ends
+        points = start[:n], lti.bounds.lower[self.point_f[n:], self.point_t[n:]]
         singular = [
             scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
             for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)
         ]
-        fixed_end = np.where(np.isnan(lti.end), 0.0, lti.end)
-        bands = -self.bands[:, -1] * fixed_end[self.band_component]
-        return np.concatenate([*points, *singular, bands])
+        return np.concatenate([*points, *singular, -self.bands[:, -1] * end[self.band_component]])
 
     def values(self, t: Indices, f: Indices) -> Array:
         """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
@@ -252,10 +246,11 @@ class BorderedSystem:
         return np.vstack([at_points, np.zeros((len(self.singular_rows), len(t))), at_bands])
 
     def add(self, theta: Array, spectrum: ComplexArray) -> None:
-        """Add the responses to theta to the spectrum (n+m, bins), in place."""
+        """Add the responses to theta (size, N) to the spectra (n+m, N, bins), in place."""
         for a in range(self.ends_count):
-            spectrum += theta[a] * self.end_responses[:, a]
-        np.add.at(spectrum.T, self.bins, (self.vectors * (self.amplitude * theta[self.ends_count :])).T)
+            spectrum += theta[a, :, None] * self.end_responses[:, a, None]
+        along = self.amplitude[:, None] * theta[self.ends_count :]
+        np.add.at(spectrum.T, self.bins, along[:, :, None] * self.vectors.T[:, None])
 
 
 def _null_space(rows: Array, gram: Array) -> Array:
@@ -277,11 +272,3 @@ def equilibration(matrix: Array) -> Array:
         largest = np.abs(matrix * scale[:, None] * scale).max(1, initial=0.0)
         scale /= np.sqrt(np.where(largest > 0, largest, 1.0))
     return scale
-
-
-def _equilibrated_inverse(matrix: Array) -> Array:
-    scale = equilibration(matrix)
-    try:
-        return np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
-    except np.linalg.LinAlgError:  # exactly singular: the exchange fails
-        return np.full_like(matrix, np.nan)

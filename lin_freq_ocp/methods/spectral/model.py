@@ -49,10 +49,7 @@ class Lti:
     linear: Array | None  # h_t, (n+m, T)
     p: Array
     offset: Array | None  # d_t, (n, T)
-    lower: Array  # (rows, T)
-    upper: Array
-    last_lower: Array  # of x_T, (n,)
-    last_upper: Array
+    bounds: Bounds
     constant: float  # cost at x = 0, u = 0
     prices: Bounds | None = None  # of a unit of violation, infinite for hard bounds; None if all are hard
     response: ComplexArray | None = None  # of x_{t+1} at every bin, (n, m, T//2 + 1), instead of A, B
@@ -78,6 +75,11 @@ class Lti:
         """Number of equations x(0) = x_0: none if the ends are periodic."""
         return 0 if self.periodic else self.state_dim
 
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """x_0 and x_T with zeros for free components, (n,)."""
+        return np.where(np.isnan(self.start), 0.0, self.start), np.where(np.isnan(self.end), 0.0, self.end)
+
     def between(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
         """Return the problem between other ends, in units x (n,) of the states; None if x_0 has free components."""
         start, end = (_fixed_values(box) / x for box in ends)
@@ -85,7 +87,8 @@ class Lti:
             return None
         other = self.at_points(start, end)
         if self.prices is None:  # else, the end is the same
-            assign(other, last_lower=ends[1].lower / x, last_upper=ends[1].upper / x)
+            last_lower, last_upper = (side / x for side in ends[1].bounds)
+            assign(other, bounds=replace(self.bounds, last_lower=last_lower, last_upper=last_upper))
         return other
 
     def at_points(self, start: Array, end: Array) -> Lti:
@@ -93,6 +96,10 @@ class Lti:
         other = copy(self)
         assign(other, start=start, end=end)
         return other
+
+    def row_values(self, y: Array, t: Indices, f: Indices) -> Array:
+        """Return F_f y_t of some rows at t < T, (count,), for y (n+m, T)."""
+        return y[f, t] if len(self.F) == len(y) else np.einsum("ri,ir->r", self.F[f], y[:, t])
 
     @cached_property
     def state_cost(self) -> bool:
@@ -113,27 +120,34 @@ class Lti:
     @cached_property
     def fixed_points(self) -> tuple[Indices, Indices]:
         """(t, f) of the rows F_f y_t with equal bounds, without fixed ends: 0 <= t < T."""
-        f, t = np.nonzero(self.lower == self.upper)
+        f, t = np.nonzero(self.bounds.lower == self.bounds.upper)
         elsewhere = (t > 0) | (f >= self.state_dim)
         return t[elsewhere], f[elsewhere]
 
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """A number for each bound, such as its price: of F y_t at t < T, (rows, T), and of x_T, (n,)."""
+    """A number for each bound, its limit or its price: of F y_t at t < T, (rows, T), and of x_T, (n,)."""
 
     lower: Array
     upper: Array
     last_lower: Array
     last_upper: Array
 
-    def times(self, factor: float) -> Bounds:
-        """Return multiples of the numbers at t < T."""
-        return replace(self, lower=factor * self.lower, upper=factor * self.upper)
+    def map(self, change: Callable[[Array], Array]) -> Bounds:
+        """Return the numbers with those at t < T, (rows, T), changed by a function."""
+        return replace(self, lower=change(self.lower), upper=change(self.upper))
 
-    def at(self, cut: Callable[[Array], Array]) -> Bounds:
-        """Return those at the times that a function keeps of arrays (rows, T)."""
-        return replace(self, lower=cut(self.lower), upper=cut(self.upper))
+    def at(self, t: Indices, f: Indices, sign: Array | float) -> Array:
+        """Return the numbers of rows f at times t, at T of the components f of x_T; upper ones where sign > 0."""
+        T = self.lower.shape[1]
+        time = np.minimum(t, T - 1)
+        numbers = np.where(sign > 0, self.upper[f, time], self.lower[f, time])
+        last = np.flatnonzero(t == T)
+        if len(last):
+            f, sign = f[last], np.broadcast_to(sign, t.shape)[last]
+            numbers[last] = np.where(sign > 0, self.last_upper[f], self.last_lower[f])
+        return numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +158,16 @@ class LtiUnits:
     u: Array
     rows: Array
     cost: float
+
+    @property
+    def signals(self) -> Array:
+        """Units of (x, u), (n+m,)."""
+        return np.concatenate([self.x, self.u])
+
+    @property
+    def multipliers(self) -> Array:
+        """Units of multipliers of (x, u), (n+m,)."""
+        return self.cost / self.signals
 
 
 def refusal(problem: OptimalControlProblem) -> str | None:
@@ -255,19 +279,17 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion
         lead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
         A, B, d, response = np.zeros((n, n)), np.zeros((n, len(u))), found.base[1:], lead * np.moveaxis(found.G, 0, -1)
-    y = np.concatenate([x, u])
+    y = units.signals
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]
-    lower, upper = _bounds(problem, units)
-    last_lower, last_upper = (side / x for side in problem.ends[1].bounds)
-    prices = None
+    bounds, prices = _bounds(problem, units), None
     if not all(term.hard for term in problem.terms):
-        (lower, upper, last_lower, last_upper), prices = _soft_bounds(problem, units, lower, upper)
+        bounds, prices = _soft_bounds(problem, units, bounds)
     periodic = closes_on_the_circle(problem)
     if periodic:
-        lower = _with_end_bound(np.maximum, lower, last_lower)
-        upper = _with_end_bound(np.minimum, upper, last_upper)
-        last_lower, last_upper = np.full(n, -np.inf), np.full(n, np.inf)
+        lower = _with_end_bound(np.maximum, bounds.lower, bounds.last_lower)
+        upper = _with_end_bound(np.minimum, bounds.upper, bounds.last_upper)
+        bounds = Bounds(lower, upper, np.full(n, -np.inf), np.full(n, np.inf))
     start, end = (_fixed_values(box) / x for box in problem.ends)
     p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
     referred = cost.x_ref.any() or cost.u_ref.any()
@@ -286,10 +308,7 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
         linear=None if linear is None else np.broadcast_to(linear * y[:, None] / units.cost, (len(y), T)),
         p=p * x / units.cost,
         offset=np.broadcast_to(offset / x[:, None], (n, T)) if offset.any() else None,
-        lower=lower,
-        upper=upper,
-        last_lower=last_lower,
-        last_upper=last_upper,
+        bounds=bounds,
         constant=constant / units.cost,
         prices=prices,
         periodic=periodic,
@@ -310,8 +329,8 @@ def _linear_terms(problem: OptimalControlProblem) -> Array | None:
     return np.vstack([np.broadcast_to(part.T, (part.shape[1], times)) for part in (in_x, in_u)])
 
 
-def _bounds(problem: OptimalControlProblem, units: LtiUnits) -> tuple[Array, Array]:
-    """Return lower and upper, shape (rows, T); without memory where they do not depend on time."""
+def _bounds(problem: OptimalControlProblem, units: LtiUnits) -> Bounds:
+    """Return the limits of boxes and stage rows; without memory where they do not depend on time."""
     T, states, controls = problem.horizon, problem.state_tube, problem.control_tube
     free = ~states.fixed[0]  # a fixed start is an equation, not a bound on x_0
     joint = [np.atleast_2d(rows.e).T for rows in problem.stage_rows]
@@ -321,11 +340,12 @@ def _bounds(problem: OptimalControlProblem, units: LtiUnits) -> tuple[Array, Arr
         columns = [_as_columns(state[:T], first), _as_columns(control, control[0]), *joint]
         times = max(part.shape[1] for part in columns)
         rows = np.vstack([np.broadcast_to(part, (len(part), times)) for part in columns])
-        rows /= np.concatenate([units.x, units.u, units.rows])[:, None]
+        rows /= np.concatenate([units.signals, units.rows])[:, None]
         return np.broadcast_to(rows, (len(rows), T))
 
     absent = [np.full((len(e), 1), -np.inf) for e in joint]
-    return side(states.lower, controls.lower, absent), side(states.upper, controls.upper, joint)
+    sides = side(states.lower, controls.lower, absent), side(states.upper, controls.upper, joint)
+    return Bounds(*sides, *(last / units.x for last in problem.ends[1].bounds))
 
 
 def _as_columns(bounds: Array, first: Array) -> Array:
@@ -337,11 +357,9 @@ def _as_columns(bounds: Array, first: Array) -> Array:
     return columns
 
 
-def _soft_bounds(
-    problem: OptimalControlProblem, units: LtiUnits, lower: Array, upper: Array
-) -> tuple[tuple[Array, Array, Array, Array], Bounds]:
+def _soft_bounds(problem: OptimalControlProblem, units: LtiUnits, hard: Bounds) -> tuple[Bounds, Bounds]:
     """Return the bounds with those of soft sets in their places, and all prices; rows are soft on their upper side."""
-    n, T, y = problem.state_dim, problem.horizon, np.concatenate([units.x, units.u])
+    n, T, y = problem.state_dim, problem.horizon, units.signals
     everything = priced_bounds(problem)
     if everything is None:
         raise UnsupportedError(
@@ -351,7 +369,7 @@ def _soft_bounds(
     joint = np.concatenate([*per_row, np.zeros(0)]) * units.rows / units.cost
     of_lower, of_upper = (side.T * y[:, None] / units.cost for side in (everything.of_lower, everything.of_upper))
     sides = list[Array]()
-    for side, own, price in ((lower, everything.lower, of_lower), (upper, everything.upper, of_upper)):
+    for side, own, price in ((hard.lower, everything.lower, of_lower), (hard.upper, everything.upper, of_upper)):
         soft = np.isfinite(price[:, :T])
         sides.append(np.vstack([np.where(soft, own[:T].T / y[:, None], side[: len(y)]), side[len(y) :]]))
     last = (everything.lower[T, :n] / units.x, everything.upper[T, :n] / units.x)
@@ -362,7 +380,7 @@ def _soft_bounds(
         of_lower[:n, T],
         of_upper[:n, T],
     )
-    return (sides[0], sides[1], *last), prices
+    return Bounds(sides[0], sides[1], *last), prices
 
 
 def _with_end_bound(tighter: np.ufunc, side: Array, last: Array) -> Array:

@@ -31,8 +31,9 @@ WARM = 1e-2  # least weight and slack of a warm start
 POLISHES = 3  # refinements of the polish: each squares the relative error of the factor
 DROPPINGS = 5  # passes that drop active rows of the wrong sign
 PIVOTING_ROWS = 300  # up to which block pivoting is tried first
-PIVOTING_STEPS = 12  # after which it has not converged
-WAITING_STEPS = 2  # its steps in a row without fewer wrong rows
+PIVOTING_STEPS = 30  # after which it has not converged; 1 to 4 are usual
+STEPS_OF_ALL = 3  # steps that exchange all wrong rows ...
+WORST_SHARE = 0.5  # ... and part of the worst error from which the later ones exchange a row
 
 
 def bounded_qp(
@@ -79,11 +80,15 @@ def _in_units(lam: Array, units: Array, most: Array | None, upper: Array | None)
 
 
 def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None) -> Array | None:
-    """Exchange all wrong rows at once; None if that does not converge, or if the rows are nearly dependent."""
-    fewest, waiting, slope = len(b) + 1, WAITING_STEPS, A @ start + b
-    saturated = np.zeros(len(b), dtype=bool) if upper is None else start >= upper
+    """Exchange all wrong rows at once, later the worst of them; None if that cycles, or if rows are nearly dependent.
+
+    To exchange all is fast, and cycles on some programs. Most cycles end where only those rows are exchanged that are
+    at least half as wrong as the worst one. Judice and Pires (1994) exchange a single row there, which takes longer.
+    """
+    slope, none = A @ start + b, np.zeros(len(b), dtype=bool)
+    saturated, above = none if upper is None else start >= upper, none
     active = ((start > 0) | (slope < 0)) & ~saturated
-    for _ in range(PIVOTING_STEPS):
+    for step in range(PIVOTING_STEPS):
         lam, rows, target = np.zeros(len(b)), active.nonzero()[0], b
         if upper is not None and saturated.any():
             lam[saturated] = upper[saturated]
@@ -94,19 +99,18 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None)
                 return None
             lam[rows] = -solution
         slope = A @ lam + b
-        wrong = np.where(active, lam < 0, slope < -tol.WRONG_SLOPE)
+        error = np.where(active, -lam, -tol.WRONG_SLOPE - slope)
         if upper is not None:
             above = active & (lam > upper)
-            leaving = saturated & (slope > tol.WRONG_SLOPE)
-            wrong = above | leaving | (wrong & ~saturated)
-            saturated = (saturated & ~leaving) | above
-        count = np.count_nonzero(wrong)
-        if count == 0:
+            error = np.where(above, lam - upper, np.where(saturated, slope - tol.WRONG_SLOPE, error))
+        wrong = error > 0
+        if not wrong.any():
             return lam
-        waiting = WAITING_STEPS if count < fewest else waiting - 1
-        if waiting < 0:
-            return None
-        fewest = min(fewest, count)
+        if step >= STEPS_OF_ALL:  # multipliers and slopes are compared with their own kind
+            worst = [error[kind].max(initial=0.0) for kind in (active, ~active)]
+            wrong &= error >= WORST_SHARE * np.where(active, *worst)
+        if upper is not None:
+            saturated = np.where(wrong, above, saturated)
         active ^= wrong
     return None
 
@@ -198,20 +202,23 @@ class Caps:
 
     def slope(self, z: Array) -> Array:
         """Return z - y, (count,)."""
-        slope = z[: self.count].copy()
-        slope[self.capped] -= z[self.count :]
-        return slope
+        return self._sum_of_pairs(z, -1.0)
+
+    def _sum_of_pairs(self, pairs: Array, sign: float) -> Array:
+        """Return the entries of (lam, z) with those of (w, y) added to, or taken from, their rows, (count,)."""
+        if not len(self.capped):
+            return pairs
+        total = pairs[: self.count].copy()
+        total[self.capped] += sign * pairs[self.count :]
+        return total
 
     def diagonal(self, weights: Array, z: Array) -> Array:
         """Return z / lam + y / w, (count,)."""
-        quotient = z / weights
-        diagonal = quotient[: self.count].copy()
-        diagonal[self.capped] += quotient[self.count :]
-        return diagonal
+        return self._sum_of_pairs(z / weights, 1.0)
 
     def steps(self, change: Array) -> Array:
         """Return the steps of (lam, w) from that of lam."""
-        return np.concatenate([change, -change[self.capped]])
+        return np.concatenate([change, -change[self.capped]]) if len(self.capped) else change
 
     def split(self, weights: Array, z: Array) -> tuple[Mask, Array]:
         """Return which rows are active, between their bounds, and lam with the others at the bounds."""
@@ -293,7 +300,7 @@ class _Dense:
     def factor(self, w: Array) -> bool:
         """Factor A + diag(w); False if it is not positive definite."""
         matrix = self.A.copy()
-        matrix[np.diag_indices_from(matrix)] += w
+        np.einsum("ii->i", matrix)[:] += w
         self._lower, failed = dpotrf(matrix.T, lower=1, overwrite_a=1, clean=0)
         return failed == 0
 

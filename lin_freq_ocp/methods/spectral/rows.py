@@ -18,7 +18,7 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
-from lin_freq_ocp.methods.spectral.model import Bounds, Lti
+from lin_freq_ocp.methods.spectral.model import Lti
 
 STATE_PEAKS = 40  # violated local maxima of states that enter in one round: samples of a long arc are nearly dependent
 NEARLY_ACTIVE = 0.05  # relative distance inside a control's bound up to which samples enter: arcs grow faster
@@ -41,20 +41,23 @@ class Rows(NamedTuple):
     sign: Array
     weights: Array | None = None
 
+    def take(self, chosen: Mask) -> Rows:
+        """Return some of the rows."""
+        weights = None if self.weights is None else self.weights[chosen]
+        return Rows(self.t[chosen], self.f[chosen], self.sign[chosen], weights)
+
+    def active(self) -> Rows:
+        """Return the rows with a multiplier above zero."""
+        return self if self.weights is None else self.take(self.weights > 0)
+
 
 def bounded_rows(rows: Rows, lti: Lti) -> Rows:
     """Return the rows that have a bound and are no equation."""
-    inner = rows.t < lti.horizon
-    lower, upper = np.full(len(rows.t), -np.inf), np.full(len(rows.t), np.inf)
-    t, f = rows.t[inner], rows.f[inner]
-    lower[inner], upper[inner] = lti.lower[f, t], lti.upper[f, t]
-    last = np.flatnonzero(~inner)
-    last = last[np.isnan(lti.end[rows.f[last]])]
-    lower[last], upper[last] = lti.last_lower[rows.f[last]], lti.last_upper[rows.f[last]]
-    kept = np.isfinite(np.where(rows.sign > 0, upper, lower)) & (lower < upper)
-    kept &= (rows.t > 0) | (rows.f >= lti.state_dim) | np.isnan(lti.start[rows.f % lti.state_dim])
-    weights = None if rows.weights is None else rows.weights[kept]
-    return Rows(rows.t[kept], rows.f[kept], rows.sign[kept], weights)
+    t, f, sign, _ = rows
+    i = f % lti.state_dim
+    fixed = (t == 0) & (f < lti.state_dim) & ~np.isnan(lti.start[i]) | (t == lti.horizon) & ~np.isnan(lti.end[i])
+    kept = np.isfinite(lti.bounds.at(t, f, sign)) & (lti.bounds.at(t, f, -1.0) < lti.bounds.at(t, f, 1.0)) & ~fixed
+    return rows.take(kept)
 
 
 class Violations:
@@ -66,14 +69,14 @@ class Violations:
     """
 
     def __init__(self, lti: Lti):
-        self.lti, n = lti, lti.state_dim
-        self.rows = np.flatnonzero((np.isfinite(lti.lower) | np.isfinite(lti.upper)).any(1))
-        self.lower, self.upper = _select_bounds(lti.lower, self.rows), _select_bounds(lti.upper, self.rows)
+        self.lti, n, bounds = lti, lti.state_dim, lti.bounds
+        self.rows = np.flatnonzero((np.isfinite(bounds.lower) | np.isfinite(bounds.upper)).any(1))
+        self.lower, self.upper = _select_bounds(bounds.lower, self.rows), _select_bounds(bounds.upper, self.rows)
         self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
         self.free_end = np.isnan(lti.end)
-        ends = np.where(self.free_end, [lti.last_lower, lti.last_upper], 0.0)
+        ends = np.where(self.free_end, [bounds.last_lower, bounds.last_upper], 0.0)
         largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
         self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
         self._row_scale = self.scale[self.rows, None]
@@ -95,17 +98,13 @@ class Violations:
         self._saturated = self._index[f[inner]], t[inner]
         self._saturated_last = f[~inner]
 
-    def measure(self, y: Array, last: Array) -> float:
-        """Measure a point, y (n+m, T) and last = x_T; return the worst violation."""
-        return self.measure_values(self.values(y), last)
-
     def values(self, y: Array) -> Array:
         """Return F y of the bounded rows, shape (bounded, T)."""
         return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
 
     def measure_values(self, values: Array, last: Array) -> float:
         """Measure what ``values`` returned, and last = x_T; return the worst violation."""
-        lti, n = self.lti, self.lti.state_dim
+        bounds, n = self.lti.bounds, self.lti.state_dim
         below = self.lower - values
         self.violation = np.subtract(values, self.upper, out=self.violation if self.violation.size else None)
         self.above = self.violation >= below
@@ -113,23 +112,22 @@ class Violations:
         self.violation /= self._row_scale
         self.violation[self.fixed] = ABSENT
         self.violation[self._saturated] = ABSENT
-        over = np.maximum(last - lti.last_upper, lti.last_lower - last) / self.scale[:n]
+        over = np.maximum(last - bounds.last_upper, bounds.last_lower - last) / self.scale[:n]
         over[self._saturated_last] = ABSENT
-        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > lti.last_upper
+        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > bounds.last_upper
         self.worst = max(float(self.violation.max(initial=ABSENT)), float(self.last.max()))
         return self.worst
 
     def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
         """Return (t, f, sign) of the rows to add: peaks of states, every (nearly) active sample of the others."""
-        i, t = self._chosen_entries(tolerance)
-        ends = np.flatnonzero(self.last > tolerance / 2)
-        sign = np.concatenate([np.where(self.above[i, t], 1.0, -1.0), np.where(self.last_above[ends], 1.0, -1.0)])
-        times = np.concatenate([t, np.full(len(ends), self.lti.horizon)])
-        return times, np.concatenate([self.rows[i], ends]), sign
+        index, sign = self.entering_values(tolerance)
+        T, inner, f = self.lti.horizon, index < self.violation.size, index - self.violation.size
+        f[inner] = self.rows[index[inner] // T]
+        return np.where(inner, index % T, T), f, sign
 
-    def chosen(self, tolerance: float) -> tuple[Indices, Array]:
+    def entering_values(self, tolerance: float) -> tuple[Indices, Array]:
         """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
-        i, t = self._chosen_entries(tolerance)
+        i, t = self._entering_samples(tolerance)
         index, above = i * self.lti.horizon + t, self.above[i, t]
         if self.free_end.any():
             ends = np.flatnonzero(self.last > tolerance / 2)
@@ -137,7 +135,7 @@ class Violations:
             above = np.concatenate([above, self.last_above[ends]])
         return index, np.where(above, 1.0, -1.0)
 
-    def _chosen_entries(self, tolerance: float) -> tuple[Indices, Indices]:
+    def _entering_samples(self, tolerance: float) -> tuple[Indices, Indices]:
         """Return (i, t) of the entries of ``violation`` that enter; states with saturated samples: not only peaks."""
         threshold = np.where(self.state_rows, tolerance / 2, entering_violation(self.worst, tolerance))
         i, t = np.nonzero(self.violation > threshold[:, None])
@@ -153,19 +151,6 @@ class Violations:
             peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
         kept = peaks | ~states
         return i[kept], t[kept]
-
-    def flat_bounds(self) -> tuple[Array, Array]:
-        """Return lower and upper bounds over the same."""
-        lti = self.lti
-        return np.append(self.lower, lti.last_lower), np.append(self.upper, lti.last_upper)
-
-    def flat_prices(self) -> tuple[Array, Array] | None:
-        """Return the prices of lower and upper bounds over the same; None if all are hard."""
-        prices = self.lti.prices
-        if prices is None:
-            return None
-        lower, upper = prices.lower[self.rows], prices.upper[self.rows]
-        return np.append(lower, prices.last_lower), np.append(upper, prices.last_upper)
 
 
 def entering_violation(worst: float, tolerance: float) -> float:
@@ -217,11 +202,6 @@ class WorkingSet:
         """Return the rows with their weights."""
         return Rows(self.t, self.f, self.sign, self.weights)
 
-    def active_rows(self) -> Rows:
-        """Return the rows with a multiplier above zero."""
-        active = self.weights > 0
-        return Rows(self.t[active], self.f[active], self.sign[active], self.weights[active])
-
     def weighted(self, weights: Array) -> WorkingSet:
         """Return the same rows with other multipliers."""
         other = copy(self)
@@ -234,37 +214,31 @@ class WorkingSet:
         t, f, sign = t[new], f[new], sign[new]
         if not len(t):
             return 0
-        self._mark(t, f, sign, True)
         kkt, inner = self._kkt, t < self._kkt.lti.horizon
         columns = np.zeros((len(self.coupling), len(t)))
         columns[: kkt.size, inner] = kkt.values(t[inner], f[inner]).T
         columns[kkt.size :, inner] = -kkt.responses(t[inner], f[inner])
         free = np.flatnonzero(~inner)
         columns[kkt.at_end[np.searchsorted(kkt.free_end, f[free])], free] = 1.0
-        self.coupling, self._known_gram = np.hstack([self.coupling, columns * sign]), None
-        self.t, self.f = np.concatenate([self.t, t]), np.concatenate([self.f, f])
-        self.sign, self.weights = np.concatenate([self.sign, sign]), np.concatenate([self.weights, np.zeros(len(t))])
+        indices, signs = (np.append(self.t, t), np.append(self.f, f)), np.append(self.sign, sign)
+        rows = Rows(*indices, signs, np.append(self.weights, np.zeros(len(t))))
+        self.replace(rows, np.hstack([self.coupling, columns * sign]))
         return len(t)
 
     def keep(self, kept: Mask) -> None:
         """Drop all rows but these."""
         if not kept.all():
-            self._mark(self.t[~kept], self.f[~kept], self.sign[~kept], False)
-            self.t, self.f = self.t[kept], self.f[kept]
-            self.sign, self.weights = self.sign[kept], self.weights[kept]
-            self.coupling = self.coupling[:, kept]
-            self._known_gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
+            gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
+            self.replace(self.rows().take(kept), self.coupling[:, kept])
+            self._known_gram = gram
 
     def replace(self, rows: Rows, coupling: Array) -> None:
         """Take other rows, with their coupling."""
-        self._mark(self.t, self.f, self.sign, False)
+        self._present[(self.sign > 0).astype(np.intp), self.f, self.t] = False
         self.t, self.f, self.sign = rows.t, rows.f, rows.sign
         self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
+        self._present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
         self.coupling, self._known_gram = coupling, None
-        self._mark(self.t, self.f, self.sign, True)
-
-    def _mark(self, t: Indices, f: Indices, sign: Array, present: bool) -> None:
-        self._present[(sign > 0).astype(np.intp), f, t] = present
 
     @property
     def gram(self) -> Array:
@@ -275,15 +249,9 @@ class WorkingSet:
                 8.0 * COPIES * len(self) ** 2,
                 "Choose a coarser grid or a shorter horizon.",
             )
-            inner = self.inner
-            t, f, sign = self.t[inner], self.f[inner], self.sign[inner]
-            gram = self._kkt.kernels.gram(t, f, t, f)
-            gram *= sign[:, None]
-            gram *= sign
-            if not inner.all():
-                gram, of_inner = np.zeros((len(self), len(self))), gram
-                gram[np.ix_(inner, inner)] = of_inner
-            self._known_gram = gram
+            self._known_gram = self._kkt.kernels.gram_of_rows(self.t, self.f)
+            self._known_gram *= self.sign[:, None]
+            self._known_gram *= self.sign
         return self._known_gram
 
     def eliminated(self, inverse: Array) -> tuple[Array, Array]:
@@ -296,40 +264,27 @@ class WorkingSet:
 
     def limits(self, lti: Lti) -> Array:
         """Return the right-hand sides of the rows, shape (count,)."""
-        return self.sign * self._of_bounds(Bounds(lti.lower, lti.upper, lti.last_lower, lti.last_upper))
+        return self.sign * lti.bounds.at(self.t, self.f, self.sign)
 
     def prices(self, lti: Lti) -> Array | None:
         """Return the largest multipliers of the rows, (count,), infinite for hard rows; None if all are hard."""
-        return None if lti.prices is None else self._of_bounds(lti.prices)
-
-    def _of_bounds(self, bounds: Bounds) -> Array:
-        """Return the entries of the rows in arrays for all bounds, (count,)."""
-        inner, upper = self.inner, self.sign > 0
-        found, t, f = np.empty(len(self)), self.t[inner], self.f[inner]
-        found[inner] = np.where(upper[inner], bounds.upper[f, t], bounds.lower[f, t])
-        last = self.f[~inner]
-        found[~inner] = np.where(upper[~inner], bounds.last_upper[last], bounds.last_lower[last])
-        return found
+        return None if lti.prices is None else lti.prices.at(self.t, self.f, self.sign)
 
     def saturated(self, lti: Lti) -> Mask:
         """Return which rows have their price as multiplier, (count,)."""
         prices = self.prices(lti)
         return np.zeros(len(self), dtype=bool) if prices is None else self.weights >= prices
 
-    def values(self, y: Array, last: Array) -> Array:
-        """Return sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
-        inner = self.inner
-        result = np.empty(len(self))
-        result[inner] = np.einsum("ri,ir->r", self._kkt.lti.F[self.f[inner]], y[:, self.t[inner]])
-        result[~inner] = last[self.f[~inner]]
-        return self.sign * result
+    def slacks(self, lti: Lti, y: Array, last: Array) -> Array:
+        """Return limit - sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
+        at_end = np.flatnonzero(~self.inner)
+        values = lti.row_values(y, np.minimum(self.t, lti.horizon - 1), self.f)
+        values[at_end] = last[self.f[at_end]]
+        return self.limits(lti) - self.sign * values
 
     def free_response(self) -> Array:
-        """Return how far a unit force moves each row without equations, (count,); x_T moves by itself."""
-        inner = self.inner
-        free = np.full(len(self), 1 / self._kkt.lti.curvature_unit)
-        free[inner] = self._kkt.kernels.free_response(self.f[inner])
-        return free
+        """Return how far a unit force moves each row without equations, (count,)."""
+        return self._kkt.kernels.free_response(self.t, self.f)
 
 
 def neighbourhood_of(kkt: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
@@ -348,11 +303,11 @@ class Neighbourhood:
 
     def __init__(self, kkt: BorderedSystem, violations: Violations, t: Indices, f: Indices):
         lti = violations.lti
-        bounded = np.isfinite(lti.lower[f, t]) | np.isfinite(lti.upper[f, t])
-        free = bounded & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
+        lower, upper = lti.bounds.at(t, f, -1.0), lti.bounds.at(t, f, 1.0)
+        free = (np.isfinite(lower) | np.isfinite(upper)) & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
         t, f = t[free], f[free]
         self._kkt, self.t, self.f = kkt, t, f
-        self._lower, self._upper, self._scale = lti.lower[f, t], lti.upper[f, t], violations.scale[f]
+        self._lower, self._upper, self._scale = lower[free], upper[free], violations.scale[f]
         self._is_state = ~lti.F[f, lti.state_dim :].any(1)
         self._coupling = np.hstack([kkt.values(t, f), -kkt.responses(t, f).T])
 
@@ -361,7 +316,7 @@ class Neighbourhood:
     ) -> tuple[Indices, Indices, Array]:
         """Return (t, f, sign) of the rows to add: those that a bordering step with new weights violates."""
         kkt, inner = self._kkt, working.inner
-        values = np.einsum("ri,ir->r", kkt.lti.F[self.f], y[:, self.t]) + self._coupling @ step
+        values = kkt.lti.row_values(y, self.t, self.f) + self._coupling @ step
         change = working.sign * (weights - working.weights)
         acting = np.flatnonzero(inner & (change != 0))
         values -= kkt.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
@@ -371,10 +326,10 @@ class Neighbourhood:
         worst = float(violation.max(initial=0.0))
         entering = violation > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
         if self._is_state.any():
-            follows = np.append(False, (np.diff(self.t) == 1) & (np.diff(self.f) == 0))
-            rises = np.append(True, np.diff(violation) >= 0) | ~follows
-            falls = np.append(np.append(True, np.diff(violation) <= 0)[1:], True) | ~np.append(follows[1:], False)
-            entering &= ~self._is_state | (rises & falls)
+            follows = (np.diff(self.t) == 1) & (np.diff(self.f) == 0)
+            before, after = (np.where(follows, side, -np.inf) for side in (violation[:-1], violation[1:]))
+            peaks = (violation >= np.append(-np.inf, before)) & (violation >= np.append(after, -np.inf))
+            entering &= ~self._is_state | peaks
         chosen = np.flatnonzero(entering & (not worst <= tolerance))
         return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
 
@@ -397,7 +352,7 @@ class WholeHorizon:
 
     def __init__(self, kkt: BorderedSystem, rows: Indices):
         lti, T, n = kkt.lti, kkt.lti.horizon, kkt.lti.state_dim
-        self._kkt, self.rows, self._inner = kkt, rows, len(rows) * T
+        self.kernels, self.rows, self._inner = kkt.kernels, rows, len(rows) * T
         self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
         self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
         self._row_index = np.zeros(len(lti.F), dtype=np.intp)
@@ -411,7 +366,7 @@ class WholeHorizon:
 
     def flat_indices(self, t: Indices, f: Indices) -> Indices:
         """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
-        T = self._kkt.lti.horizon
+        T = self.kernels.lti.horizon
         return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
 
     def duals(self, rows: Rows) -> ActiveSetDuals:
@@ -423,33 +378,23 @@ class WholeHorizon:
     @cached_property
     def table(self) -> Array:
         """S of all values, (values, values): for many solves, if they are few enough."""
-        T, kernels = self._kkt.lti.horizon, self._kkt.kernels.table
-        S = self.coupling.T @ self.through
+        T, S = self.kernels.lti.horizon, self.coupling.T @ self.through
         lags = np.arange(T)[:, None] - np.arange(T)
-        for i, f in enumerate(self.rows):
+        for i, f in enumerate(self.rows):  # by blocks: twice as fast as to look up all values at once
             for j, g in enumerate(self.rows):
-                S[i * T : (i + 1) * T, j * T : (j + 1) * T] += kernels[f, g][lags]
+                S[i * T : (i + 1) * T, j * T : (j + 1) * T] += self.kernels.table[f, g][lags]
         return (S + S.T) / 2
 
     def gram(self, index: Indices) -> Array:
         """Return S of some values."""
         if self.tabulated:
             return self.table.ravel().take(index[:, None] * len(self.t) + index)
-        t, f = self.t[index], self.f[index]
         S = self.coupling[:, index].T @ self.through[:, index]
-        S = (S + S.T) / 2
-        inner = index < self._inner
-        if inner.all():
-            return S + self._kkt.kernels.gram(t, f, t, f)
-        S[np.ix_(inner, inner)] += self._kkt.kernels.gram(t[inner], f[inner], t[inner], f[inner])
-        return S
+        return (S + S.T) / 2 + self.kernels.gram_of_rows(self.t[index], self.f[index])
 
-    def free_response(self, index: Indices) -> Array:
-        """Return how far a unit force moves each of some values without equations; x_T moves by itself."""
-        free = np.full(len(index), 1 / self._kkt.lti.curvature_unit)
-        inner = index < self._inner
-        free[inner] = self._kkt.kernels.free_response(self.f[index[inner]])
-        return free
+    def rows_of(self, duals: ActiveSetDuals) -> Rows:
+        """Return the rows of some values."""
+        return Rows(self.t[duals.indices], self.f[duals.indices], duals.sign, duals.weights)
 
     def response(self, index: Indices, mu: Array) -> Array:
         """Return S mu of all values, for multipliers of some."""
@@ -462,5 +407,5 @@ class WholeHorizon:
         acting = pulses.any(1)
         answer = (self._spaces[acting].conj() * fft.rfft(pulses[acting])[:, None]).sum(0)
         values = (self.through[:, index] @ mu) @ self.coupling
-        values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self._kkt.lti.horizon).ravel()
+        values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self.kernels.lti.horizon).ravel()
         return values

@@ -27,11 +27,11 @@ from lin_freq_ocp.methods.spectral.exchange import (
 )
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.recovery import (
-    BatchRecovery,
     Recovered,
     Together,
     in_units,
     recover,
+    recover_batch,
     residuals,
     trajectory,
 )
@@ -278,13 +278,13 @@ class SpectralSolver:
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
         model = self._model_between(lti)
-        known = None if model is None else model.at(lti)
-        if model is None or known is None:
+        if model is None:
             exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
             answer = self._measured_answer(exchange, exchange.run())
         else:
-            exchange = Exchange(self._structure, known[0], first, tolerance, stop, model.violations, known[1])
-            ray = model.known_ray(*known)
+            data, point = model.at(lti)
+            exchange = Exchange(self._structure, data, first, tolerance, stop, model.violations, point)
+            ray = model.known_ray(data, point)
             answer = self._measured_answer(exchange, exchange.run() if ray is None else exchange.infeasible_by(ray))
             if ray is None and answer.outcome.ray is not None:
                 model.keep_ray(answer.outcome.ray)
@@ -297,11 +297,12 @@ class SpectralSolver:
     def _model_between(self, lti: Lti) -> EndsModel | None:
         """Return the model of other ends, from the second solve on, if the problem differs in nothing else."""
         self._solves += 1
-        if self._solves == 1 or lti.lower is not self._lti.lower or lti.linear is not self._lti.linear:
+        if self._solves == 1 or lti.bounds.lower is not self._lti.bounds.lower or lti.linear is not self._lti.linear:
             return None
         if self._solves == 2:
             self._ends_model = ends_model(self._structure, self._lti)
-        return self._ends_model
+        model = self._ends_model
+        return model if model is not None and model.bounds_ends_of(lti) else None
 
     def _measured_answer(self, exchange: Exchange, outcome: ExchangeOutcome) -> MeasuredOutcome:
         """Recover the multipliers, and measure the point with them."""
@@ -329,7 +330,7 @@ class SpectralSolver:
             message=message,
             seconds={"setup": self.setup_seconds, "solve": now() - started},
             problem=problem,
-            active=None if infeasible else outcome.working.active_rows(),
+            active=None if infeasible else outcome.working.rows().active(),
             rounds=outcome.rounds,
         )
 
@@ -364,10 +365,7 @@ class SpectralSolver:
                 self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tolerance, stop)
 
             p = model.parameters(starts)
-            step, values = p @ model.step, p @ model.values
-            batch = self._structure, model, values, rows, tolerance, stop, solve_alone
+            batch = self._structure, model, p @ model.values, rows, tolerance, stop, solve_alone
             weights, found, self._last_rows = batch_working_sets(*batch)
-            step -= weights @ model.whole.through.T
-            answer = BatchRecovery(self._structure, model, p, step, weights)
-            batched = answer.in_units(self._units, found, self._last_rows)
+            batched = recover_batch(self._structure, self._units, model, p, weights, found, self._last_rows)
             return replace(batched, interrupted=interrupt.is_set())

@@ -11,8 +11,10 @@ in time.
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy import fft
@@ -37,23 +39,23 @@ class Resolvent:
 
     def apply(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
         """Return (z_k I - A)^{-1} rhs_k, for z (bins,) and rhs (n, columns, bins); inf or NaN at eigenvalues."""
-        Y = _times(self._adjoint, rhs)
+        Y = times_columns(self._adjoint, rhs)
         for i in range(len(Y) - 1, -1, -1):
             for j in range(i + 1, len(Y)):
                 if self.triangle[i, j]:
                     Y[i] += self.triangle[i, j] * Y[j]
             Y[i] /= z - self.triangle[i, i]
-        return _times(self.unitary, Y)
+        return times_columns(self.unitary, Y)
 
     def apply_adjoint(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
-        """Return (z_k I - A)^{-*} rhs_k, for rhs (n, bins)."""
-        Y = self._adjoint @ rhs
+        """Return (z_k I - A)^{-*} rhs_k, for rhs (n, columns, bins)."""
+        Y = times_columns(self._adjoint, rhs)
         for i in range(len(Y)):
             for j in range(i):
                 if self.triangle[j, i]:
                     Y[i] += self.triangle[j, i].conj() * Y[j]
             Y[i] /= (z - self.triangle[i, i]).conj()
-        return self.unitary @ Y
+        return times_columns(self.unitary, Y)
 
     def size(self, z: ComplexArray) -> Array:
         """Return the sum of the absolute values of the entries of (z_k I - A)^{-1}, shape (bins,)."""
@@ -62,9 +64,9 @@ class Resolvent:
         return np.abs(self.apply(z, identity)).sum((0, 1))
 
 
-def _times(matrix: ComplexArray, X: ComplexArray) -> ComplexArray:
-    """Return the matrix applied along the first axis of X (n, columns, bins)."""
-    return (matrix @ X.reshape(len(X), -1)).reshape(X.shape)
+def times_columns(matrix: Array | ComplexArray, X: ComplexArray) -> ComplexArray:
+    """Return the matrix times all vectors along the first axis of X, whose other axes stay."""
+    return (matrix @ X.reshape(len(X), -1)).reshape(len(matrix), *X.shape[1:])
 
 
 class NearBins:
@@ -84,11 +86,12 @@ class NearBins:
         self.cost = np.full((len(k), m), np.inf)
         real = (k == 0) | (2 * k == lti.horizon)
         # bins that share a mask of passed controls are decomposed at once, in real arithmetic where z is real
-        masks, mask_of = np.unique(np.vstack([lti.passed[:, k], real]), axis=1, return_inverse=True)
-        for i, (*passed, is_real) in enumerate(masks.T):
-            which = np.flatnonzero(mask_of.ravel() == i)
-            at = z[k[which]].real if is_real else z[k[which]]
-            allowed = np.concatenate([np.ones(n, dtype=bool), np.array(passed)])
+        groups = defaultdict[bytes, list[int]](list)
+        for i, mask in enumerate(np.vstack([lti.passed[:, k], real]).T):
+            groups[mask.tobytes()].append(i)
+        for which in map(np.array, groups.values()):
+            at = z[k[which]].real if real[which[0]] else z[k[which]]
+            allowed = np.append(np.ones(n, dtype=bool), lti.passed[:, k[which[0]]])
             F = at[:, None, None] * np.eye(n, n + m) - np.hstack([lti.A, lti.B])
             self.left[which], self.sigma[which], right = np.linalg.svd(F[:, :, allowed])
             V = np.zeros((len(at), n + m, right.shape[1]), dtype=at.dtype)
@@ -112,9 +115,9 @@ class NearBins:
         return np.einsum("kij,kjc->ick", self.right, projected)
 
     def adjoint(self, rhs: ComplexArray) -> ComplexArray:
-        """Return L diag(1/sigma) V^* rhs over the good singular values, for rhs (n+m, count), shape (n, count)."""
-        projected = np.einsum("kij,ik->kj", self.right.conj(), rhs) * self._inverse
-        return np.einsum("kij,kj->ik", self.left, projected)
+        """Return L diag(1/sigma) V^* rhs over the good singular values, for rhs (n+m, columns, count)."""
+        projected = np.einsum("kij,ick->kjc", self.right.conj(), rhs) * self._inverse[:, :, None]
+        return np.einsum("kij,kjc->ick", self.left, projected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +140,7 @@ class BinSpaces:
     def __init__(self, lti: Lti):
         self.lti = lti
         bins = np.arange(lti.horizon // 2 + 1)
-        self.z = np.exp(2j * np.pi * bins / lti.horizon)
+        self.z: ComplexArray = np.exp(2j * np.pi * bins / lti.horizon)
         self.weight = np.where((bins == 0) | (2 * bins == lti.horizon), 1.0, 2.0)
         self.resolvent = Resolvent(lti.A)
         distance = np.full(len(self.z), np.inf)  # to the nearest eigenvalue
@@ -162,14 +165,14 @@ class BinSpaces:
             N[:n] = self.resolvent.apply(self.z, np.broadcast_to(B, (n, m, len(self.z))))
         N[:n, ~passed] = 0
         N[n + np.arange(m), np.arange(m)] = passed
-        return np.einsum("iak,kba->ibk", N, self._inverse_factors(N, passed).conj())
+        return self._unit_null_spaces(N, passed)
 
-    def _inverse_factors(self, N: ComplexArray, passed: Mask) -> ComplexArray:
-        """Return L^{-1} with N^*MN = L L^* per bin, (bins, m, m); stopped controls have unit cost."""
+    def _unit_null_spaces(self, N: ComplexArray, passed: Mask) -> ComplexArray:
+        """Return N L^{-*} with N^*MN = L L^* per bin; stopped controls have unit cost."""
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
         seen = slice(0 if lti.state_cost else n, None)
         V, M = N[seen], lti.M[seen, seen]
-        H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), np.tensordot(M, V, 1)), dtype=np.complex128)
+        H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), times_columns(M, V)), dtype=np.complex128)
         if m == 1:  # several are checked below
             unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
             if (H[:, 0, 0].real <= unseen)[passed[0]].any():
@@ -179,14 +182,15 @@ class BinSpaces:
         if not (sizes > 0).all():
             raise _flat_cost()
         if m == 1:
-            return np.asarray(1 / sizes[:, :, None], dtype=np.complex128)
+            N /= sizes.T
+            return N
         try:
             factor = np.linalg.cholesky(H / (sizes[:, :, None] * sizes[:, None]))
         except np.linalg.LinAlgError:
             raise _flat_cost() from None
         if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
             raise _flat_cost()
-        return np.asarray(np.linalg.inv(factor) / sizes[:, None], dtype=np.complex128)
+        return np.einsum("iak,kba->ibk", N, (np.linalg.inv(factor) / sizes[:, None]).conj())
 
     def _choose_bordering_directions(self) -> None:
         """Choose the bordering directions among those of the near bins, and complete N by the others."""
@@ -206,19 +210,6 @@ class BinSpaces:
         seen = np.einsum("iak,ik->ak", at.conj(), self.lti.M @ border)
         self.border_vector: ComplexArray = border - np.einsum("iak,ak->ik", at, seen)
 
-    @cached_property
-    def adjoint_map(self) -> ComplexArray:
-        """The map from spectra of gradients to those of eta without singular directions, (n, n+m, bins)."""
-        n, total, bins = self.lti.state_dim, len(self.lti.M), len(self.z)
-        matrix = np.zeros((n, total, bins), dtype=np.complex128)
-        for j in range(total):
-            unit = np.zeros((total, bins), dtype=np.complex128)
-            unit[j] = 1.0
-            with np.errstate(all="ignore"):
-                matrix[:, j] = -self.resolvent.apply_adjoint(self.z, unit[:n])
-            matrix[:, j, self.near.k] = -self.near.adjoint(unit[:, self.near.k])
-        return matrix
-
     def particular(self, rhs: ComplexArray) -> ComplexArray:
         """Return (I - N N^* M) P rhs, shape (n+m, columns, bins), for rhs (n, columns, bins)."""
         lti, n = self.lti, self.lti.state_dim
@@ -228,11 +219,9 @@ class BinSpaces:
         k = self.near.k
         response[:, :, k] = self.near.particular(rhs[:, :, k])
         if lti.state_cost:
-            response -= self.project(np.tensordot(lti.M, response, 1))
+            response -= self.project(times_columns(lti.M, response))
         else:  # but at near bins the response has u = 0, and M sees u only
-            at_near = response[:, :, k]
-            weighted = (lti.M @ at_near.reshape(len(at_near), -1)).reshape(at_near.shape)
-            response[:, :, k] = at_near - self.project(weighted, k)
+            response[:, :, k] -= self.project(times_columns(lti.M, response[:, :, k]), k)
         return response
 
     def project(self, g: ComplexArray, bins: Indices | slice = slice(None)) -> ComplexArray:
@@ -277,19 +266,29 @@ class CirculantKernels:
     def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
         """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
         if not self.complete:
-            self._require([(int(a), int(b)) for a in np.unique(f) for b in np.unique(g)])
+            self._require(product(np.unique(f), np.unique(g)))
         f, lag = f[:, None], t[:, None] - s  # a negative index counts from the end of the circle
         if self.complete:
             return self.table[f, g, lag]
         return self.table[np.minimum(f, g), np.maximum(f, g), np.where(f <= g, lag, -lag)]
 
-    def free_response(self, f: Indices) -> Array:
-        """Return K_ff(0) of each row: how far a unit force moves its own row without equations."""
-        if not self.complete:
-            self._require([(int(a), int(a)) for a in np.unique(f)])
-        return self.table[f, f, 0]
+    def gram_of_rows(self, t: Indices, f: Indices) -> Array:
+        """Return K between the rows f at times t, (count, count); 0 for components of x_T, which are at t = T."""
+        inner = t < self.lti.horizon
+        if inner.all():
+            return self.gram(t, f, t, f)
+        gram = np.zeros((len(t), len(t)))
+        gram[np.ix_(inner, inner)] = self.gram(t[inner], f[inner], t[inner], f[inner])
+        return gram
 
-    def _require(self, pairs: list[tuple[int, int]]) -> None:
+    def free_response(self, t: Indices, f: Indices) -> Array:
+        """Return how far a unit force moves each row without equations, K_ff(0), (count,); x_T moves by itself."""
+        inner = t < self.lti.horizon
+        if not self.complete:
+            self._require((a, a) for a in np.unique(f[inner]))
+        return np.where(inner, self.table[f, f, 0], 1 / self.lti.curvature_unit)
+
+    def _require(self, pairs: Iterable[tuple[int, int]]) -> None:
         for f, g in map(sorted, pairs):
             if not self.known[f, g]:
                 row, column = self.of_rows(np.array([f, g]))
@@ -302,4 +301,4 @@ class CirculantKernels:
     def of_rows(self, rows: Indices) -> ComplexArray:
         """Return F_f N of some rows, shape (rows, m, bins)."""
         dimension = len(self.lti.M)
-        return self.spaces.N[rows] if len(self.lti.F) == dimension else np.tensordot(self.lti.F[rows], self.spaces.N, 1)
+        return self.spaces.N[rows] if len(self.lti.F) == dimension else times_columns(self.lti.F[rows], self.spaces.N)

@@ -87,8 +87,8 @@ class Data:
 def data_of(structure: Structure, lti: Lti) -> Data:
     """Return the data of ``lti``, whose structure must be the given one."""
     spaces, kkt = structure.spaces, structure.kkt
-    start, end = np.where(np.isnan(lti.start), 0.0, lti.start), np.where(np.isnan(lti.end), 0.0, lti.end)
-    jump = spaces.z * (start - end)[:, None]
+    start, end = lti.ends
+    jump: ComplexArray = spaces.z * (start - end)[:, None]
     if lti.offset is not None:
         jump += fft.rfft(lti.offset)
     linear = None if lti.linear is None else fft.rfft(lti.linear)
@@ -119,7 +119,7 @@ def signals(
     spectrum = data.base.copy()
     if len(working) or multipliers.any():
         spaces.respond(*forces(structure, lti, multipliers, working), spectrum)
-    kkt.add(theta, spectrum)
+    kkt.add(theta[:, None], spectrum[:, None])
     y, last = fft.irfft(spectrum, lti.horizon), lti.end.copy()
     if lti.periodic:
         last[:] = y[: lti.state_dim, 0]
@@ -134,14 +134,10 @@ def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingS
     inner = working.inner
     np.add.at(pulses, (working.f[inner], working.t[inner]), (working.sign * working.weights)[inner])
     np.add.at(pulses, (kkt.point_f, kkt.point_t), multipliers[: len(kkt.point_t)])
-    acting = np.zeros(len(lti.F), dtype=bool)
-    acting[working.f[inner]] = True
-    acting[kkt.point_f] |= bool(multipliers.any())
-    force = pulses[:dimension]
-    if acting[dimension:].any():
-        force += lti.F[dimension:].T @ pulses[dimension:]
-        acting[:dimension] |= lti.F[dimension:][acting[dimension:]].any(0)
-    used = acting[:dimension]
+    force, joint = np.split(pulses, [dimension])
+    if joint.any():
+        force += lti.F[dimension:].T @ joint
+    used: Mask = np.asarray(force.any(1))
     spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
     if used.any():
         spectrum[used] = fft.rfft(force if used.all() else force[used])
@@ -180,6 +176,15 @@ def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Ar
     return c, equation_residual(structure, data, theta, c)
 
 
+def unconstrained_point(
+    structure: Structure, data: Data, violations: Violations, whole: WholeHorizon
+) -> UnconstrainedPoint:
+    """Return the point without working rows, to the accuracy of K_b."""
+    at, residual = _point_without_forces(structure, data)
+    step = structure.kkt.inverse @ np.concatenate([-data.h, residual])
+    return UnconstrainedPoint(step, np.append(violations.values(at.y), at.last) + step @ whole.coupling)
+
+
 @dataclass(frozen=True, eq=False)
 class Ray:
     """A Farkas ray, verified within this method: weights l of the working rows, and multipliers y of the equations.
@@ -203,9 +208,8 @@ def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array
     slope = np.abs(kkt.E.T @ y + working.coupling[: kkt.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
     c, residual = _point_without_forces(structure, data)
-    limits = working.limits(lti)
-    value = float(working.weights @ (limits - working.values(c.y, c.last)) + y @ residual)
-    terms = float(working.weights @ np.abs(limits) + np.abs(y) @ np.abs(data.e)) + 1e-300
+    value = float(working.weights @ working.slacks(lti, c.y, c.last) + y @ residual)
+    terms = float(working.weights @ np.abs(working.limits(lti)) + np.abs(y) @ np.abs(data.e)) + 1e-300
     proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
     return Ray(working, y) if proven else None
 
@@ -264,7 +268,7 @@ def regularised_ray(
     kkt, (c, residual) = structure.kkt, _point_without_forces(structure, data)
     step = kkt.regularised @ np.concatenate([np.zeros(kkt.size), residual])
     Z, S = working.eliminated(kkt.regularised)
-    d = working.limits(data.lti) - working.values(c.y, c.last) - working.coupling.T @ step
+    d = working.slacks(data.lti, c.y, c.last) - working.coupling.T @ step
     return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
 
 
@@ -296,24 +300,20 @@ class EndsModel:
             ends = np.full(2 * n, np.nan)
             ends[self._fixed] = p
             data.append(data_of(structure, lti.at_points(*np.split(ends, [n]))))
-            # the point without working rows, to the accuracy of K_b
-            at, residual = _point_without_forces(structure, data[-1])
-            step = structure.kkt.inverse @ np.concatenate([-data[-1].h, residual])
-            of_step = np.append(violations.values(at.y), at.last) + step @ whole.coupling
-            values.append(UnconstrainedPoint(step, of_step))
+            values.append(unconstrained_point(structure, data[-1], violations, whole))
         self.linear = data[0].linear
         self._base = _affine([one.base.view(np.float64) for one in data])
         self._h, self._e = _affine([one.h for one in data]), _affine([one.e for one in data])
         self.step, self.values = _affine([one.step for one in values]), _affine([one.values for one in values])
 
-    def at(self, lti: Lti) -> tuple[Data, UnconstrainedPoint] | None:
-        """Return the data between other ends, and the unconstrained point; None if x_T has another set."""
-        free = np.isnan(lti.end)
-        if not all(
-            np.array_equal(mine[free], other[free])
-            for mine, other in ((self.lti.last_lower, lti.last_lower), (self.lti.last_upper, lti.last_upper))
-        ):
-            return None
+    def bounds_ends_of(self, lti: Lti) -> bool:
+        """Whether the free components of x_T have the same bounds in ``lti``."""
+        mine, other, free = self.lti.bounds, lti.bounds, np.isnan(lti.end)
+        sides = (mine.last_lower, other.last_lower), (mine.last_upper, other.last_upper)
+        return all(np.array_equal(one[free], another[free]) for one, another in sides)
+
+    def at(self, lti: Lti) -> tuple[Data, UnconstrainedPoint]:
+        """Return the data between other ends, and the unconstrained point."""
         p = np.append(1.0, np.concatenate([lti.start, lti.end])[self._fixed])
         h, e, step, values = (p @ part for part in (self._h, self._e, self.step, self.values))
         return Data(lti, self.spectra(p), self.linear, h, e), UnconstrainedPoint(step, values)

@@ -9,6 +9,7 @@ import pytest
 import qpsolvers
 from scipy.optimize import nnls
 
+from lin_freq_ocp.methods.spectral import qp as qp_module
 from lin_freq_ocp.methods.spectral.qp import BorderedQp, block_pivoting, bounded_qp, interior_point, predictor_corrector
 
 Qp = tuple[np.ndarray, np.ndarray]
@@ -38,6 +39,13 @@ def nearly_parallel(count: int, seed: int = 0) -> Qp:
     place, width = np.linspace(0, 1, count), 0.15
     G = np.exp(-(((place - np.linspace(-0.2, 1.2, 400)[:, None]) / width) ** 2))
     return of_factor(G, G @ np.abs(rng.standard_normal(count)) + 0.01 * rng.standard_normal(400))
+
+
+def smooth(count: int, seed: int) -> Qp:
+    """Samples of a state whose neighbours differ: independent rows, of which some hold others back."""
+    place, width = np.linspace(0, 1, count), 0.04
+    G = np.exp(-(((place - np.linspace(-0.2, 1.2, 400)[:, None]) / width) ** 2))
+    return of_factor(G, np.random.default_rng(seed).standard_normal(400))
 
 
 def bimodal(count: int, seed: int = 0) -> Qp:
@@ -138,6 +146,16 @@ def test_block_pivoting_settles_or_gives_up():
     lam = block_pivoting(*qp, np.zeros(60))
     assert max(errors(qp, lam)) < 1e-12
     assert block_pivoting(*nearly_parallel(60), np.ones(60)) is None
+
+
+@pytest.mark.parametrize("seed", [6, 21, 40])
+def test_block_pivoting_leaves_a_cycle_by_the_worst_rows(seed, monkeypatch):
+    qp = smooth(60, seed)
+    lam = block_pivoting(*qp, np.zeros(60))
+    assert max(errors(qp, lam)) < 1e-11
+    assert block_pivoting(*qp, np.zeros(60), np.full(60, 1e9)) == pytest.approx(lam, rel=1e-9, abs=1e-12)
+    monkeypatch.setattr(qp_module, "STEPS_OF_ALL", qp_module.PIVOTING_STEPS)
+    assert block_pivoting(*qp, np.zeros(60)) is None
 
 
 def test_a_conflict_is_no_answer():
