@@ -252,11 +252,6 @@ class SumMap(MatrixMap):
         return SumMap(tuple(stage.magnitudes() for stage in self.stages), np.abs(self.constant))
 
 
-def pad_columns(rows: sp.csr_array, columns: int) -> sp.csr_array:
-    """Return the rows with so many columns, zeros behind those that they have."""
-    return sp.csr_array((rows.data, rows.indices, rows.indptr), shape=(rows.shape[0], columns))
-
-
 def joined_rows(of_x: sp.csr_array, of_u: sp.csr_array) -> sp.csr_array:
     """Return the rows on (x, u) from those on x and on u."""
     rows = sp.csr_array(sp.hstack([of_x, of_u]))
