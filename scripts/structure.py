@@ -40,29 +40,29 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 38_222,
-    "code lines, linear part": 18_211,
-    "code lines, hybrid": 8_029,
-    SHARE_SAID: 18.7,  # at least
-    "files": 284,
+    "code lines": 37_180,
+    "code lines, linear part": 18_309,
+    "code lines, hybrid": 7_731,
+    SHARE_SAID: 19.2,  # at least
+    "files": 283,
     "folders": 39,
     "folders at the root": 17,
     "modules at the root": 11,
     "names in __all__": 53,
-    "lines of a file": 542,
+    "lines of a file": 535,
     "lines of a function": 80,
-    "functions used once [%]": 16.1,
-    "files entered by a solve": 45,
-    "functions entered by a solve": 396,
-    "calls of a solve": 1117,
+    "functions used once [%]": 14.8,
+    "files entered by a solve": 46,
+    "functions entered by a solve": 385,
+    "calls of a solve": 800,
     "imports through the door": 0,
     "files in circles": 0,
-    "class names used twice": 22,
+    "class names used twice": 2,
     "constants of several values": 3,
-    "file stems used three times": 5,
-    "names of a lone participle": 43,
+    "file stems used three times": 4,
+    "names of a lone participle": 39,
     "isinstance on dynamics": 4,
-    "isinstance on terms": 6,
+    "isinstance on terms": 5,
     "Any": 24,
 }
 """At most, but for the share of docstrings and comments."""

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Solver:
-    """One problem, solved again and again from other initial states, to other ends or with other references.
+    """One problem, solved again from other initial states, to other ends or with other references.
 
     What does not depend on them is set up once, and kept: the bins, kernels and last working set of the Fourier-domain
     method, the stages of the structured method. An answer is what ``lfo.solve`` would find, with its certificate.
@@ -50,7 +50,7 @@ class Solver:
 
     References
     ----------
-    docs/spectral.md and docs/structured.md, "again and again".
+    docs/spectral.md and docs/structured.md, "Repeated solves".
 
     Examples
     --------
