@@ -33,7 +33,7 @@ def natural_scaling(linear: LinearProgram) -> Scaling:
     """Return the change of units that makes states and controls of order 1, and the cost gradient of order 10."""
     guess = stated_sizes(linear.problem)
     x, u = _relaxed_magnitudes(linear, guess)
-    if any(not term.hard or term.kind != "stage rows" for term in linear.problem.terms):
+    if any(not term.hard or not term.kind.is_rows for term in linear.problem.terms):
         x, u = (
             np.clip(size, TERM_SHARE * stated, stated / TERM_SHARE) for size, stated in zip((x, u), guess, strict=True)
         )
