@@ -35,7 +35,7 @@ BAD = {
     "F ragged": ("state_set[0].F", [[1.0, 0.0], [0.0]], "state_set[0].F: got [[1.0, 0.0], [0.0]]"),
     "F of other size": ("state_set[0].F", [[1.0]], "state_set[0]: got a set in 1 dimensions; expected a set in 2"),
     "g of other size": ("state_set[0].g", [1.0, 2.0], "state_set[0].g: got shape (2,)"),
-    "g without a number": ("state_set[0].g", [-INF], "state_set[0].g: got -inf"),
+    "g without a number": ("state_set[0].g", [-INF], "state_set[0].g[0]: got -inf"),
     "W of other size": ("state_set[1].W", [[1.0]], "state_set[1]: got a set in 1 dimensions"),
     "W a vector": ("state_set[1].W", [1.0, 0.0], "state_set[1].W: got shape (2,)"),
     "radius of an ellipsoid": ("state_set[1].radius", -1.0, "state_set[1].radius: got -1.0"),
@@ -142,7 +142,7 @@ BAD_MODES = {
     "row that cannot hold": (
         "modes[0]",
         {"A": [[1.0, 0.0], [0.0, 1.0]], "B": [[1.0], [1.0]], "G": [[0.0, 0.0]], "h": [-1.0]},
-        "modes[0].h: got a limit below 0 for row 0, which has no coefficients",
+        "modes[0].h: got -1 for row 0, which has no coefficients",
     ),
     "name twice": ("modes[1].name", "free", "modes[1].name: got 'free' a second time; expected a different name"),
     "name of two lines": ("modes[1].name", "a\nb", "modes[1].name: got 'a\\nb'"),

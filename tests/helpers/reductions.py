@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.reductions import Reduction
 from lin_freq_ocp.problem.reformulations import RATE_LIMIT, rate_limit, sampled_masks, translated_by, translation_of
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
-from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.term import Term
@@ -79,7 +79,8 @@ class RateConstraint(FrequencyConstraint):
         both = np.concatenate([changes, -changes], axis=1).reshape(2 * samples * m, samples, m)
         constant = np.zeros((samples, 2, m))
         constant[0] = [[-self.previous], [self.previous]]
-        rates = SumMap(None, np.swapaxes(both, 0, 1), constant.ravel())
+        stages = StageMap(np.arange(samples), None, np.swapaxes(both, 0, 1), np.zeros(len(both)))
+        rates = SumMap((stages,), constant.ravel())
         yield Term(RATE_LIMIT, signal.kind, rates, HalfSpaces(np.full(len(both), self.limit), HARD), source)
 
     def extended(self, n, k):

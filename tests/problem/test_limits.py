@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.limits import changed_fields, constraints, limits, numbers
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
-from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.term import Term
@@ -35,7 +35,8 @@ class SteadyGain(FrequencyConstraint):
         ones = np.ones((signal.length, 1, 1))
         parts = (ones, None) if signal.D is None else (None, ones)
         ball = NormBall(2, np.asarray(self.limit), HARD)
-        yield Term(f"steady gain of {signal.names[0]}", signal.kind, SumMap(*parts, np.zeros(1)), ball, source)
+        sum_of = SumMap((StageMap(np.arange(signal.length), *parts, np.zeros(1)),), np.zeros(1))
+        yield Term(f"steady gain of {signal.names[0]}", signal.kind, sum_of, ball, source)
 
     def extended(self, n, k):
         return [self]

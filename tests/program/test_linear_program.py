@@ -11,7 +11,7 @@ from helpers.linear_kinds import KINDS, T
 from helpers.transcribed import M, N, each_problem, small_problem
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.maps import SumMap
+from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import Within
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -244,7 +244,7 @@ def test_another_origin_changes_the_variables_only(kind):
 @pytest.mark.parametrize(("constant", "rows"), [(0.0, 0), (1.0, 1)])
 def test_an_equation_without_coefficients_is_left_out_only_where_it_holds(constant, rows):
     problem = KINDS["no constraint"]()
-    empty = SumMap(np.zeros((2, 1, 2)), None, np.array([constant]))
+    empty = SumMap((StageMap(np.arange(2), np.zeros((2, 1, 2)), None, np.zeros(1)),), np.array([constant]))
     problem.__dict__["terms"] = (Term("nothing", TermKind.STATE_SPECTRUM, empty, Within(0.0)),)
     program = LinearProgram(problem).sparse
     found = program.rows[Block.TERMS]

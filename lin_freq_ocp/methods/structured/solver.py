@@ -23,6 +23,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MATRICES, VECTORS = 12, 100  # of a stage's size that there are at a time
 LATE = 2.0  # an estimated step may take so many times as long
+MOST_REVISIONS = 3  # of the units by the answer at most: where nothing has a size, each answer has other units
 RESIDUAL, GAP = 1e-10, 1e-9  # relative, unless a tolerance is asked for
 
 
@@ -53,7 +54,7 @@ def solve_structured(
     if time_limit is not None and now() + needed > end:
         yield Candidate("limit", message=f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s")
         return
-    while True:
+    for _ in range(MOST_REVISIONS + 1):
         system = System(assembly.stages, recursions)
         step = StepSystem(system, choose_kkt_solver(assembly.stages, recursions))
         answer = Embedding(
