@@ -75,8 +75,7 @@ def solve_again(
 
     Raises what ``solve_structured`` raises.
     """
-    known = prepared.near is not None
-    if not known:
+    if prepared.near is None:  # the assembly may forget it, too, below
         return None
     require_convex(problem)
     time_limit = options.time_limit
