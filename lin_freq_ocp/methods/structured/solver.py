@@ -75,11 +75,11 @@ def solve_again(
 
     Raises what ``solve_structured`` raises.
     """
-    if prepared.near is None:  # the assembly may forget it, too, below
+    known = prepared.near is not None
+    if not known:
         return None
     require_convex(problem)
-    time_limit = options.time_limit
-    started, targets = now(), _targets(options)
+    time_limit, started, targets = options.time_limit, now(), _targets(options)
     assembly, recursions = prepared.assembly(problem), loops(options.compiled, patient=time_limit is None)
     stages, near = assembly.stages, prepared.near
     if near is None or stages.cones or stages.coupling.balls:
