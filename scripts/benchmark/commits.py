@@ -23,6 +23,7 @@ from benchmark.record import Record, build_parser
 LEAST = """
 import subprocess, sys, time
 import lin_freq_ocp as lfo
+print(lfo.__file__)
 
 def least(call, repeats):
     call()
@@ -64,9 +65,14 @@ print(least(lambda: subprocess.run(command, check=True, capture_output=True), 5)
 
 def seconds(checkout: Path, case: str) -> float:
     """Return the seconds of a case with the package of a checkout, in a new process."""
-    command = [sys.executable, "-c", LEAST + CASES[case]]
-    environment = os.environ | {"PYTHONPATH": str(checkout.resolve())}
-    return float(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
+    # -P: else Python looks for packages in the folder of the caller before it looks in the checkout
+    command = [sys.executable, "-P", "-c", LEAST + CASES[case]]
+    environment = os.environ | {"PYTHONPATH": str(checkout.resolve()), "PYTHONSAFEPATH": "1"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    *_, source, least = done.stdout.split("\n")[:-1]
+    if not Path(source).is_relative_to(checkout.resolve()):
+        raise RuntimeError(f"checkout {checkout}: the package came from {source}; install nothing that hides it")
+    return float(least)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
