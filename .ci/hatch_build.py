@@ -1,4 +1,4 @@
-"""The checker of proofs in the wheel twice: in its folder, and alone as the top-level module lfo_check.
+"""Put the proof checker into the wheel twice: in its folder, and as the top-level module lfo_check.
 
 ``force-include`` would move the file there. A copy outside of the project is added instead.
 """

@@ -1,4 +1,4 @@
-"""What stands twice for a release says the same: recipe, citation and image against pyproject.toml and the package.
+"""Recipe, citation and image agree with pyproject.toml and the package in all that a release states twice.
 
 Run by .ci/run: python -m pytest .ci/test_release.py
 """

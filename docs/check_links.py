@@ -19,14 +19,14 @@ class Links(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Keep what leads or loads from somewhere."""
+        """Collect the links and the sources of a page."""
         address = dict(attrs).get("href" if tag == "a" else LOADED.get(tag, ""))
         if address:
             self.found.append((tag, address))
 
 
 def faults(page: Path, site: Path) -> list[str]:
-    """Return what is wrong with the links of a page, a line each."""
+    """Return the broken links of a page, a line each."""
     wrong = list[str]()
     for tag, address in Links(page.read_text(encoding="utf-8")).found:
         parts = urlsplit(address)

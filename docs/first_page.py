@@ -1,4 +1,4 @@
-"""What the first page shows: a live page with a solved sweep inside, and what is said of an infeasible problem."""
+"""Contents of the first page: a live page with a solved sweep inside, and the explanation of an infeasible problem."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pages show runs as it stands: the Python and the commands of README.md and docs/how_to, copied and run.
+"""The code of the pages runs as printed: the Python and the commands of README.md and docs/how_to.
 
 Run by .ci/run: python -m pytest docs/test_pages.py
 """

@@ -1,4 +1,4 @@
-"""Time, accuracy and memory of this package, beside other solvers where there are some. One file each in benchmark/.
+"""Time, accuracy and memory of this package, compared with other solvers. One file each in benchmark/.
 
     python scripts/benchmark.py NAME [options]
     python scripts/benchmark.py NAME --help

@@ -1,4 +1,4 @@
-"""The structure of the package in figures, each beside its limit; exit status 1 if one is beyond it. Part of .ci/run.
+"""Figures of the structure of the package, each with its limit; exit status 1 if one exceeds it. Part of .ci/run.
 
     python scripts/structure.py [FIGURE]
 
@@ -235,7 +235,7 @@ def constants_of(module: Module) -> Iterator[tuple[str, str]]:
 
 
 def is_lone(name: str, method: bool) -> bool:
-    """Whether a name is a participle or a preposition alone; public methods may be: properties and changed copies."""
+    """Whether a name is a lone participle or preposition; public methods may be: properties and changed copies."""
     stem = name.strip("_")
     if "_" in stem or name.startswith("__") or (method and not name.startswith("_")):
         return False
@@ -243,7 +243,7 @@ def is_lone(name: str, method: bool) -> bool:
 
 
 def contracts(modules: Sequence[Module]) -> Iterator[tuple[str, Figure]]:
-    """Yield where the order of the floors and the protocols are not kept."""
+    """Yield the places that violate the order of the floors or the protocols."""
     door = [
         f"{module.path}: {name}"
         for module in modules

@@ -1,9 +1,9 @@
-"""Whether a change made anything slower: two checkouts by turns, a new process each time, and their medians.
+"""Compare the speed of two checkouts: alternating runs, each in a new process, and their medians.
 
     git worktree add --detach ../before COMMIT
     python scripts/benchmark.py commits ../before . [--runs 5] [--write]
 
-A process imports the package of its checkout, calls a case once so that what is cached is cached, and times it then.
+A process imports the package of its checkout, calls the case once to fill the caches, and then times it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The contenders of the benchmark: each takes a problem and a time limit, and returns what it found.
+"""The contenders of the benchmark: each takes a problem and a time limit, and returns its answer.
 
 ours             the Fourier-domain solver, lfo.SpectralSolver
 cvxpy+clarabel   a vectorised CVXPY model, written here as a user would, with Clarabel's own tolerance (1e-8)
@@ -29,7 +29,7 @@ UNLIMITED = ("piqp",)  # solvers that cannot stop at a time limit
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a contender found.
+    """The answer of a contender.
 
     Attributes
     ----------

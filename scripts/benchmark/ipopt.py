@@ -20,7 +20,7 @@ TOLERANCE = 1e-9  # of IPOPT, relative
 
 
 class Claim(NamedTuple):
-    """What IPOPT returned, seconds without the construction of the program."""
+    """The answer of IPOPT; seconds exclude the construction of the program."""
 
     trajectory: Trajectory
     cost: float

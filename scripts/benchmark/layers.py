@@ -1,4 +1,4 @@
-"""What each speed layer of the Fourier-domain method is worth: its factor on CPU time where it is switched off.
+"""How much each speed layer of the Fourier-domain method gains: the factor on CPU time without it.
 
     OMP_NUM_THREADS=1 python scripts/benchmark.py layers [--repeats N] [--cases NAME ...] [--write]
 

@@ -1,4 +1,4 @@
-"""Controls with levels: value, samples between levels, bound, gap and seconds, beside HiGHS where that is natural.
+"""Controls with levels: cost, samples between levels, bound, gap and seconds, compared with HiGHS on linear costs.
 
     OMP_NUM_THREADS=1 python scripts/benchmark.py levels [--seconds 20] [--write]
 

@@ -1,4 +1,4 @@
-"""Time of a step of a control loop, beside the program that users write: CVXPY with a parameter for the state.
+"""Time of a step of a control loop, compared with what users would write: CVXPY with a parameter for the state.
 
     python scripts/benchmark.py loop [--horizons 60 240] [--problems free "low pass" "soft bounds"] [--steps 30]
                                      [--write]

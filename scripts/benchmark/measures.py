@@ -1,4 +1,4 @@
-"""What the benchmark says of an answer: its time, residuals from the problem's data alone, and the certificate."""
+"""Measures of an answer: its time, its residuals from the problem's data alone, and its certificate."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """What one contender did with one problem: its first answer, and the seconds of every run."""
+    """The first answer of a contender to a problem, and the seconds of every run."""
 
     answer: Answer
     seconds: tuple[float, ...]

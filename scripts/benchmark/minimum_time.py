@@ -1,4 +1,4 @@
-"""Minimum time: gradient pulses, each with its least number of samples, what is proven, and how long it took.
+"""Minimum time: gradient pulses, each with its least number of samples, the proof, and the time.
 
     OMP_NUM_THREADS=1 python scripts/benchmark.py minimum_time [--repeats 3] [--write]
 
@@ -37,7 +37,7 @@ CASES = {
 def timed(
     source: Callable[..., lfo.OptimalControlProblem], horizons: tuple[int, int]
 ) -> tuple[lfo.results.MinimumTime, float, float]:
-    """Return what is found, and its CPU and wall time in seconds."""
+    """Return the answer, and its CPU and wall time in seconds."""
     cpu, wall = time.process_time(), time.perf_counter()
     found = lfo.minimum_time(source, horizons=horizons)
     return found, time.process_time() - cpu, time.perf_counter() - wall

@@ -1,4 +1,4 @@
-"""Time mode searches beside a mixed-integer solver on one monolithic big-M program. About 5 minutes.
+"""Time of mode searches, compared with a mixed-integer solver on one big-M program. About 5 minutes.
 
     python scripts/benchmark.py modes [--case buck-15] [--contender big-M+daqp] [--limit-s 60] [--gap 1e-6] [--long]
                                       [--write]
@@ -65,7 +65,7 @@ LONG = {f"{short}-30": _case(name, 30) for short, name in SYSTEMS.items()}
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a contender says; a cost is computed again from the sequence.
+    """The answer of a contender; its cost is computed again from the sequence.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ def row_of(case: str, name: str, problem: lfo.OptimalControlProblem, limit: floa
 
 
 def judged(rows: list[Row], gap: float) -> list[Row]:
-    """Return the rows of one case with what is wrong in them in words."""
+    """Return the rows of one case, and their errors in words."""
     costs = [row.cost for row in rows if row.cost is not None]
     if not costs:
         return rows
@@ -266,7 +266,7 @@ def table_of(case: str, rows: list[Row]) -> Table:
 
 
 def relaxations(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], limit: float, gap: float) -> Table:
-    """Return root gaps, after what the reach excludes, and nodes of our search with each relaxation."""
+    """Return root gaps after exclusion by the reach, and the nodes of our search, for each relaxation."""
     table = Table("case", *(f"{kind}: root gap, nodes" for kind in RELAXATIONS))
     for name, build in cases.items():
         problem, cells = build(), list[str]()
@@ -299,7 +299,7 @@ def read_options(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run what the options ask for, and print the tables."""
+    """Run the cases of the options, and print their tables."""
     options = read_options(arguments)
     names = options.contender or list(CONTENDERS)
     if options.list:

@@ -64,7 +64,7 @@ def drawn(path: Path, seed: int) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run what the options ask for."""
+    """Run the cases of the options."""
     parser = build_parser(__name__, __doc__)
     parser.add_argument("--starts", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,4 +1,4 @@
-"""What a node of our search over modes takes, and what the means that make the search fast are worth.
+"""Time of a node of our search over modes, and how much each acceleration gains.
 
 Called by modes.py. Figures are seconds of the process.
 """
@@ -35,7 +35,7 @@ def part_seconds(work: Callable[[], object], times: int = 20) -> float:
 
 
 def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
-    """Return what a node takes: in a search of so many with the check of its tree, and the parts at the root."""
+    """Return the time of a node in a search of so many nodes, with the check of its tree, and its parts at the root."""
     parts = "reach of 8, each", "set-up", "compiled", "by Clarabel", "bound of its duals"
     table = Table("milliseconds", "a node, everything in it", "of it the check", *parts, "relaxations")
     for name, build in cases.items():
@@ -94,7 +94,7 @@ VARIANTS: dict[str, tuple[type[ModeRelaxation], dict[str, object]]] = {
     "by Clarabel": (PathRelaxation, {"relaxed": by_clarabel}),
     "solved to the end": (PathRelaxation, {"relaxed": to_the_end}),
 }
-"""Our search without each of its means: the relaxation, and what is changed in ``branch_and_bound``."""
+"""Our search without one acceleration each: the relaxation, and the change in ``branch_and_bound``."""
 
 
 def layers(cases: Mapping[str, Build], limit: float, gap: float, times: int = 3) -> Table:

@@ -56,7 +56,7 @@ def ours(problem: lfo.OptimalControlProblem, start: lfo.Trajectory, compiled: bo
 
 
 def timed(runs: dict[str, Callable[[], Value]], repeats: int) -> dict[str, tuple[float, Value]]:
-    """Return the least time of each run, with what it returned."""
+    """Return the least time of each run, and its answer."""
     best: dict[str, tuple[float, Value]] = {}
     for _ in range(repeats):
         for name, run in runs.items():

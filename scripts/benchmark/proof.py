@@ -1,4 +1,4 @@
-"""What a proof costs: seconds to solve, write and check, bytes, and the width of the interval.
+"""The price of a proof: seconds to solve, write and check, bytes, and the width of the interval.
 
     OMP_NUM_THREADS=1 python scripts/benchmark.py proof [--problems NAME:HORIZON ...] [--write]
 
@@ -39,7 +39,7 @@ Found = TypeVar("Found")
 
 
 def timed(call: Callable[[], Found]) -> tuple[Found, float]:
-    """Return what a call returns, and its seconds."""
+    """Return the value of a call, and its seconds."""
     start = time.process_time()
     return call(), time.process_time() - start
 

@@ -1,4 +1,4 @@
-"""Relaxations that are weaker than that of the search, paths, to compare with.
+"""Relaxations weaker than the path relaxation of the search, for comparison.
 
 perspective    shares of modes at each time (ModeRelaxation)
 hull    the same shares of modes, but the cost of (x_t, u_t) itself
@@ -25,7 +25,7 @@ class HullRelaxation(ModeRelaxation):
 
     @property
     def proves(self) -> bool:
-        """Return False: what duals prove stage by stage is the perspective relaxation's."""
+        """Return False: stagewise bounds from duals belong to the perspective relaxation."""
         return False
 
     def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:

@@ -1,4 +1,4 @@
-"""Time, accuracy and memory of the Fourier-domain solver beside others, on problems that grow. About 4 minutes.
+"""Time, accuracy and memory of the Fourier-domain solver and of others, on growing problems. About 4 minutes.
 
     python scripts/benchmark.py solvers [--family pendulum] [--sizes 240 960] [--full] [--csv FILE]
                                         [--figure FILE] [--write]
@@ -52,7 +52,7 @@ COLUMNS = ("error", "gap", "dynamics", "stop_band", "bounds", "adjoint")
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run what the options ask for, and print the tables."""
+    """Run the families of the options, and print their tables."""
     options = read_options(arguments)
     if options.list:
         for name, family in FAMILIES.items():
@@ -151,7 +151,7 @@ def race(problem: lfo.OptimalControlProblem, names: Sequence[str], repeats: int,
 
 
 def family_rows(name: str, sizes: Sequence[int], repeats: int, limit: float) -> tuple[list[Row], list[str]]:
-    """Return the rows of one family at all horizons, and what is said below their table."""
+    """Return the rows of one family at all horizons, and the notes below their table."""
     rows: list[Row] = []
     notes: list[str] = []
     earlier: dict[str, tuple[int, float]] = {}
@@ -173,7 +173,7 @@ WORST = ("error", "gap", "dynamics", "stop_band", "bounds", "adjoint", "iteratio
 
 
 def resolve_rows(family: str, horizon: int, count: int, limit: float) -> tuple[list[Row], str]:
-    """Return a row per contender over ``count`` initial states, and what is said below the table.
+    """Return a row per contender over ``count`` initial states, and the notes below the table.
 
     Setting up for the first problem, and solving it once, is not timed. Times are medians over the initial states that
     the contender found a trajectory for; every other figure is the worst of them.
@@ -288,7 +288,7 @@ def summary(rows: Sequence[Row]) -> Table:
 
 
 def description(family: str) -> str:
-    """Return what a family is."""
+    """Return the description of a family."""
     solved = RESOLVED.get(family, family)
     return FAMILIES[solved].words + ("" if solved == family else "; again and again from new initial states")
 
@@ -322,7 +322,7 @@ def memory_table(names: Sequence[str], sizes: Sequence[int] | None, limit: float
 
 
 def save_csv(rows: Sequence[Row], path: Path) -> None:
-    """Write all rows under the names of their fields; what is absent is empty."""
+    """Write all rows under the names of their fields; absent values are empty."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(Row)])
         writer.writeheader()

@@ -1,4 +1,4 @@
-"""What each speed layer of the structured method is worth: its factor on CPU time where it is switched off.
+"""How much each speed layer of the structured method gains: the factor on CPU time without it.
 
     OMP_NUM_THREADS=1 python scripts/benchmark.py structured --layers [--repeats N]
 

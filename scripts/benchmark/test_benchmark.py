@@ -1,4 +1,4 @@
-"""The benchmark measures what it says: contenders agree on small problems, and rows hold their residuals. No times.
+"""Contenders of the benchmark agree on small problems, and rows contain their residuals. No times.
 
 Run by .ci/run: python -m pytest scripts/benchmark/test_benchmark.py
 """

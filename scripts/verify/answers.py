@@ -35,7 +35,7 @@ SECONDS = 60.0  # for every solve
 
 @dataclass(frozen=True)
 class Answer:
-    """What one method said of one problem; multipliers by their names, only of trajectories."""
+    """The answer of one method to one problem; multipliers by their names, only with a trajectory."""
 
     status: str
     cost: float

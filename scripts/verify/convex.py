@@ -15,7 +15,7 @@ from verify.seeded import check_all
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:
-    """Check the random problems of these seeds and print what became of them; return whether all are as they must."""
+    """Check the random problems of these seeds and print their outcomes; return whether all are right."""
     outcomes = check_all(check, seeds, processes, "solving")
     console.print(summary(outcomes))
     for one in outcomes:

@@ -13,7 +13,7 @@ from verify.seeded import check_all
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:
-    """Check the problems of these seeds and print what became of them; return whether nothing is wrong."""
+    """Check the problems of these seeds and print their outcomes; return whether all are right."""
     outcomes = check_all(check, seeds, processes, "explaining")
     table = Table(
         "made infeasible", "problems", "blocks", "cures", "not decided", "failed", title="infeasible, explained"

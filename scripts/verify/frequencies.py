@@ -20,7 +20,7 @@ ABOVE = 1e-9  # of a proven maximum over the value at its own frequency
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:
-    """Check problems and signals, and print what was found; return whether all passed."""
+    """Check problems and signals, and print the results; return whether all passed."""
     found = check_all(check, seeds, processes, "masks at every frequency")
     table = Table("mask", "problems", "optimal", "infeasible", title="masks at every frequency, against CVXPY on grids")
     for column in ("below the lower bound", "above the upper", "bracket", "largest excess", "failed"):

@@ -13,7 +13,7 @@ PROMISED = {"clarabel": 1e-7, "qpsolvers:piqp": 1e-7, "osqp": 1e-5}
 
 
 def verify(console: Console) -> bool:
-    """Print a table of relative errors on known problems; return whether all are within what is promised."""
+    """Print a table of relative errors on known problems; return whether all are within their limits."""
     table, good = Table("problem", "optimal cost", title="known optima: relative error of the cost"), True
     for column in (*PROMISED, "worst condition", "gap"):
         table.add_column(column, justify="right")

@@ -101,7 +101,7 @@ def run(problem: lfo.OptimalControlProblem, method: str, limit: float) -> Run:
 
 
 def verify(console: Console) -> bool:
-    """Run all cases, print a table, and return whether every limit was kept."""
+    """Run all cases, print a table, and return whether every limit was observed."""
     table = Table("problem", "method", "limit [s]", "ended", "took [s]", "judge [s]", "beyond [s]")
     kept = True
     for name, make, method in CASES:

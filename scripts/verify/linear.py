@@ -28,7 +28,7 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
 
 
 def verify(console: Console, seeds: Sequence[int], processes: int) -> bool:
-    """Check all seeds and print what became of them; return whether all have an answer of the right cost."""
+    """Check all seeds and print their outcomes; return whether all have an answer of the right cost."""
     outcomes = check_all(check, seeds, processes, "linear problems")
     console.print(summary(outcomes))
     failed = [one for one in outcomes if one.unanswered or one.wrong]

@@ -31,7 +31,7 @@ SOFT = {"state_set": 1e3, "control_spectrum": 1e2}
 
 @dataclass(frozen=True)
 class Case:
-    """A loop: its problem, the sizes of its states, and what may give way."""
+    """A loop: its problem, the sizes of its states, and its soft constraints."""
 
     kind: str
     problem: lfo.OptimalControlProblem
@@ -40,7 +40,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Findings:
-    """What was found of one loop; excesses are relative."""
+    """The results of one loop; violations are relative."""
 
     kind: str
     steps: int
@@ -111,7 +111,7 @@ def check(seed: int) -> Findings:
 
 
 def verify(console: Console, steps: range, processes: int) -> bool:
-    """Run loops of so many steps in all, and print what was found; return whether all passed."""
+    """Run loops of so many steps in all, and print the results; return whether all passed."""
     loops = -(-len(steps) // STEPS)
     found = check_all(check, range(steps.start, steps.start + loops), processes, "closed loops")
     table = Table("loop", "loops", "steps", "softened", title="closed loops with disturbances")

@@ -24,7 +24,7 @@ POINT_TOLERANCE = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class GlobalClaim(SolverClaim):
-    """What a global solver says of a problem; nothing of it is proven, but where ``excluded``.
+    """The claims of a global solver about a problem; only ``excluded`` is proven.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class GlobalClaim(SolverClaim):
     excluded: bool = False
 
     def mismatches(self, cost: float, scale: float) -> list[str]:
-        """Return what the claim gets wrong, if its point led to a trajectory of that cost; ``scale`` is S."""
+        """Return the errors of the claim, if its point led to a trajectory of that cost; ``scale`` is S."""
         allowed = AGREEMENT * scale + POINT_TOLERANCE * self.slope
         return differences(self, cost, allowed, "the trajectory it leads to")
 

@@ -33,7 +33,7 @@ from lin_freq_ocp.program.units import common_scaling
 
 @dataclass(frozen=True, eq=False)
 class ModeFormulas:
-    """One mode; what occurs several times, in this mode or another, is the same node.
+    """One mode; subexpressions that occur several times, in this mode or another, are one node.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class SmoothProgram:
 
     @property
     def origin(self) -> Array:
-        """Return what stands for zero in the program's variables, (signals,), in the problem's units."""
+        """Return the origin of the program's variables, (signals,), in the problem's units."""
         T, n, m = self.problem.horizon, self.problem.state_dim, self.problem.control_dim
         return -self.host.point(Trajectory(np.zeros((T + 1, n)), np.zeros((T, m))))[: self.host.signals]
 
@@ -146,7 +146,7 @@ def smooth_program(problem: OptimalControlProblem) -> SmoothProgram:
 
 
 def enclosures(formulas: Sequence[Formula], lower: Array, upper: Array) -> Interval:
-    """Return what formulas take over the box lower <= (x, u) <= upper (n + m,), a pair of (formulas,)."""
+    """Return the ranges of formulas over the box lower <= (x, u) <= upper (n + m,), a pair of (formulas,)."""
     values = interval_jets(formulas, lower[None], upper[None]).values
     return values[0][0], values[1][0]
 

@@ -158,7 +158,7 @@ class _Stage:
             self.model.addConsIndicator(rest <= 0, binvar=delta)
 
     def _expression(self, formula: Formula, mode: int, delta: Any) -> Any:
-        """Return a formula as a linear expression of variables, in a mode and its binary, if it has others beside."""
+        """Return a formula of a mode as a linear expression of variables; with other modes it has the mode's binary."""
         for one in in_order([formula]):
             if self._key(one, mode) not in self.made:
                 self.made[self._key(one, mode)] = self._node(one, mode, delta)

@@ -13,7 +13,7 @@ from verify.seeded import check_all
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:
-    """Check the problems of these seeds, show what was found, and return whether all passed."""
+    """Check the problems of these seeds, show the results, and return whether all passed."""
     outcomes = check_all(check, seeds, processes, "mixing")
     table = Table(title=f"{len(seeds)} random problems of mixed features, against CVXPY")
     for column in ("feature", "problems"):

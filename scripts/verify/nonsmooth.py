@@ -1,8 +1,8 @@
-"""Examples 2 and 3 of the paper from cold starts: known optima, certificates, and what is proven of them.
+"""Examples 2 and 3 of the paper from cold starts: known optima, certificates and proven gaps.
 
 The optimal costs were found by dynamic programming, enumeration with a local solver, and a global solver; those of
-T = 20 by this project alone. SCIP, if installed, is asked for those of up to eight steps: what it claims, and what its
-point leads to.
+T = 20 by this project alone. SCIP, if installed, is asked for those of up to eight steps: its claims, and the answer
+that starts from its point.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from lin_freq_ocp.testing import PIECEWISE_SMOOTH
 
 COST, CONDITION = 1e-7, 1e-8  # relative difference of costs, and the worst condition of the certificate
 GAP, SECONDS = 1e-4, 60.0  # relative gap to prove, and the time for that together with the search
-# Other gaps: what is left of this one is the duality gap of its frequency constraint
+# Another gap: the frequency constraint of this problem has a duality gap
 TOLERANCES = {"buck, T = 20, bins 7 to 10": 1e-3}
 ROUNDING = 1e-9  # of the cost: a bound may be above the optimum by this, as the cost is that of a point
 # SCIP is asked for problems of so many steps at most, and given so long for each
@@ -25,7 +25,7 @@ CLAIMED = 1e-5  # relative difference of a claimed cost, whose trajectory violat
 
 
 def verify(console: Console, bounds: bool = True) -> bool:
-    """Solve all and print what became of them; return whether all are as they must."""
+    """Solve all and print their outcomes; return whether all are right."""
     table, good = Table("problem", "optimal cost", title="piecewise-smooth dynamics from cold starts"), True
     for heading in ("error of cost", "worst condition", "joint", "printed", "found in", "proven gap", "in"):
         table.add_column(heading, justify="right")
@@ -57,7 +57,7 @@ def verify(console: Console, bounds: bool = True) -> bool:
 
 
 def second_opinion(console: Console) -> bool:
-    """Print what SCIP claims of the short problems; return whether nothing of it contradicts the known optima."""
+    """Print the claims of SCIP about the short problems; return whether none contradicts the known optima."""
     try:
         from verify.minlp import polished, solve_minlp
     except ImportError as error:

@@ -22,7 +22,7 @@ LINES = 4
 
 
 def mutate(lines: list[str], truth: Truth, first_hash: str, index: int) -> tuple[int, list[str]]:
-    """Check every mutation of a line; return their number and what is wrong."""
+    """Check every mutation of a line; return their number and the errors."""
     with tempfile.TemporaryDirectory() as folder:
         found = of_index(lines, index)
         wrong = [(one, wrong_of(one, truth, first_hash, Path(folder))) for one in found]

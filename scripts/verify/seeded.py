@@ -18,7 +18,7 @@ CHUNK = 5
 
 
 def check_all(check: Callable[[int], Found], seeds: Sequence[int], processes: int, what: str) -> list[Found]:
-    """Return what was found of every seed, in their order."""
+    """Return the result of every seed, in their order."""
     terminal, spawn = Console(stderr=True), multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, spawn, initializer=threadpool_limits, initargs=(1,)) as pool:
         checked = pool.map(check, seeds, chunksize=CHUNK)

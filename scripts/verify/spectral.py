@@ -17,7 +17,7 @@ AGREEING = 0.99  # share of the problems solved by both that must agree
 
 
 def summary(outcomes: Sequence[Outcome]) -> Table:
-    """Return what became of all problems."""
+    """Return the outcomes of all problems."""
     counts = Counter(one.verdict for one in outcomes)
     both = [one for one in outcomes if one.verdict in BOTH_SOLVED]
     certificates = [one.certificate for one in outcomes if one.certified]
@@ -66,7 +66,7 @@ def _quantiles(values: Sequence[float], form: str) -> str:
 
 
 def verify(console: Console, seeds: Sequence[int], processes: int) -> bool:
-    """Check all seeds and print what became of them; return whether every requirement is met."""
+    """Check all seeds and print their outcomes; return whether every requirement is met."""
     outcomes = check_all(check, seeds, processes, "Fourier-domain method")
     console.print(summary(outcomes), by_kind(outcomes))
     for one in outcomes:

@@ -18,7 +18,7 @@ from verify.seeded import check_all
 
 
 def summary(outcomes: Sequence[Outcome]) -> Table:
-    """Return how many answers of every method are what."""
+    """Return the number of answers of every method, by kind."""
     table = Table("answer", *METHODS, title=f"{len(outcomes)} random problems by every linear method")
     counts = {name: Counter(one.verdicts[name] for one in outcomes) for name in METHODS}
     for verdict in Verdict:
@@ -28,7 +28,7 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
 
 
 def verify(console: Console, seeds: Sequence[int], processes: int) -> bool:
-    """Check all seeds and print what became of them; return whether the structured method is right everywhere."""
+    """Check all seeds and print their outcomes; return whether the structured method is right everywhere."""
     outcomes = check_all(check, seeds, processes, "all linear methods")
     console.print(summary(outcomes))
     for one in outcomes:

@@ -12,7 +12,7 @@ from verify.seeded import check_all
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:
-    """Check the problems of these seeds and print what became of them; return whether no verdict changed."""
+    """Check the problems of these seeds and print their outcomes; return whether no verdict changed."""
     outcomes = check_all(check, seeds, processes, "counting from far away")
     title = "verdicts that changed far from zero, of problems"
     table = Table("class", *QUESTIONS, "statuses", "rounded", "largest cost difference", title=title)

@@ -12,7 +12,7 @@ from verify.seeded import check_all
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:
-    """Check the problems of these seeds and print what became of them; return whether no verdict changed."""
+    """Check the problems of these seeds and print their outcomes; return whether no verdict changed."""
     outcomes = check_all(check, seeds, processes, "changing units")
     table = Table("class", *CHANGES, "statuses", "largest cost difference", title="verdicts that changed, of problems")
     for kind in sorted({one.kind for one in outcomes}):
