@@ -32,6 +32,7 @@ from lin_freq_ocp.methods.hybrid.search.common import (
     proven_tree,
     relaxed,
 )
+from lin_freq_ocp.methods.hybrid.search.level_rounding import level_rounding
 from lin_freq_ocp.methods.hybrid.search.node import Relaxed, compiled_is_loaded
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
@@ -116,7 +117,7 @@ class TreeSearch:
         self._started = now()
         self._relaxation = self.relaxation(self.problem)
         self._first_level = self._relaxation.level
-        self._arrays = self._relaxation.reach.arrays
+        self._arrays, self._rounding = self._relaxation.reach.arrays, level_rounding(self.problem)
         self._nodes: list[ModeNode] = []
         self._duals: list[Duals | None] = []
         self._heap: list[OpenNode] = []
@@ -262,8 +263,12 @@ class TreeSearch:
                 self._next_rounding = index + ROUNDING_EVERY
 
     def _round_answer(self, answer: Relaxed) -> Iterator[Indices]:
-        """Yield the sequence of the largest weights, and the sequence of the relaxed controls' trajectory."""
+        """Yield levels near the relaxed controls; without levels, the largest weights and the modes of a simulation."""
         if answer.trajectory is None or answer.weights is None:
+            return
+        if self._rounding is not None:
+            start, end = answer.trajectory.x[0], self._started + self.limits.search_seconds
+            yield self._rounding.sequence_near(answer.trajectory.u, self.problem.initial_box.project(start), end)
             return
         yield np.argmax(np.where(answer.reach.allowed, answer.weights, -1.0), axis=1)
         try:
