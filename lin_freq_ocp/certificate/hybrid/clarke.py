@@ -216,11 +216,11 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
     problem, multipliers = extremal.problem, extremal.multipliers
     (x, u), (n, m) = (extremal.trajectory.x, extremal.trajectory.u), (problem.state_dim, problem.control_dim)
     y, unit = np.append(x[t], u[t]), np.eye(n + m)
-    tubes, given = (problem.state_tube, problem.control_tube), np.append(multipliers.mu[t], multipliers.nu[t])
+    tubes, box_multipliers = (problem.state_tube, problem.control_tube), np.append(multipliers.mu[t], multipliers.nu[t])
     near = CONDITION_TOLERANCE * (np.append(least.x, least.u) / SCALE_FLOOR + np.abs(y))
     upper = y >= np.append(tubes[0].upper[t], tubes[1].upper[t]) - near
     lower = y <= np.append(tubes[0].lower[t], tubes[1].lower[t]) + near
-    normals, held = [unit[upper], -unit[lower]], [given[upper], -given[lower]]
+    normals, multipliers_of_normals = [unit[upper], -unit[lower]], [box_multipliers[upper], -box_multipliers[lower]]
     for priced in extremal.terms:
         rows = priced.term.polyhedron(n, m)
         if rows is None:
@@ -230,8 +230,8 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
         active = priced.values >= priced.term.penalty.bounds(priced.term.shape)[1] - near
         for group in np.flatnonzero(np.asarray(rows.times) == t):
             normals.append(rows.matrix(int(group))[active[group]])
-            held.append(priced.given[group, active[group]])
-    return np.vstack(normals), np.maximum(np.concatenate(held), 0.0)
+            multipliers_of_normals.append(priced.given[group, active[group]])
+    return np.vstack(normals), np.maximum(np.concatenate(multipliers_of_normals), 0.0)
 
 
 def times_at_gaps(problem: OptimalControlProblem, trajectory: Trajectory, arrays: ModeArrays, active: Mask) -> Indices:
@@ -240,8 +240,8 @@ def times_at_gaps(problem: OptimalControlProblem, trajectory: Trajectory, arrays
         return np.zeros(0, dtype=np.intp)
     x, u, sets = trajectory.x, trajectory.u, problem.stage_sets
     touched = (arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)
-    found = (t for t in np.flatnonzero(touched) if meets_gap(arrays, sets, int(t), np.append(x[t], u[t]), active[t]))
-    return np.fromiter(found, dtype=np.intp)
+    times = (t for t in np.flatnonzero(touched) if meets_gap(arrays, sets, int(t), np.append(x[t], u[t]), active[t]))
+    return np.fromiter(times, dtype=np.intp)
 
 
 def switching_stages(
@@ -305,8 +305,8 @@ def switching_facts(
     flips = [flip for stage in stages for flip in _flips(stage, sizes)]
     checks = (
         ("flip", "no mode towards which H rises", _flip_residuals),
-        ("printed", "C-iii and C-iv as printed, in x alone", _printed_in_x),
-        ("printed", "C-v as printed, in u alone", _printed_in_u),
+        ("printed", "C-iii and C-iv as printed, in x alone", _printed_residuals_in_x),
+        ("printed", "C-v as printed, in u alone", _printed_residuals_in_u),
         ("regular", "-<eta, f> Clarke-regular", _regular_residuals),
     )
     conditions = list[Condition]()
@@ -358,24 +358,28 @@ def _flip_residuals(stage: SwitchingStage) -> list[Array]:
     ]
 
 
-def _printed_in_u(stage: SwitchingStage) -> list[Array]:
+def _printed_residuals_in_u(stage: SwitchingStage) -> list[Array]:
     """Return the residual of D_v <eta, f> <= <b_u, v> for all v in the tangent cone of U_t, per mode."""
     part = slice(stage.states, None)
-    own = stage.own_normals(part)
-    base, normals, no_state = stage.without(own)[part], stage.normals[own, part].T, np.zeros(stage.states)
+    of_controls = stage.own_normals(part)
+    base, normals, no_state = (
+        stage.without(of_controls)[part],
+        stage.normals[of_controls, part].T,
+        np.zeros(stage.states),
+    )
     return [
         np.append(no_state, _cone_residual(slope[part] - base, np.hstack([facets[part], normals]), stage.scale[part]))
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
     ]
 
 
-def _printed_in_x(stage: SwitchingStage) -> list[Array]:
+def _printed_residuals_in_x(stage: SwitchingStage) -> list[Array]:
     """Return the residual of D_y <eta, f> - <mu, y> <= <b_x, y> for all y and one mu in N_X(x_t), per mode."""
     part, k = slice(0, stage.states), len(stage.modes)
-    own = stage.own_normals(part)
+    of_states = stage.own_normals(part)
     facets = block_diag(*(facets[part] for facets in stage.facets))
-    generators = np.hstack([np.tile(stage.normals[own, part].T, (k, 1)), facets])
-    vector = np.concatenate([slope[part] - stage.without(own)[part] for slope in stage.slopes])
+    generators = np.hstack([np.tile(stage.normals[of_states, part].T, (k, 1)), facets])
+    vector = np.concatenate([slope[part] - stage.without(of_states)[part] for slope in stage.slopes])
     return np.split(_cone_residual(vector, generators, np.tile(stage.scale[part], k)), k)
 
 
@@ -383,7 +387,7 @@ def _regular_residuals(stage: SwitchingStage) -> list[Array]:
     """Return, per mode, the largest residual of <a_i - a_k, d> <= 0 over the other modes."""
     worst = list[Array]()
     for slope, facets in zip(stage.slopes, stage.facets, strict=True):
-        residuals = [_cone_residual(slope - other, facets, stage.scale) for other in stage.slopes]
+        residuals = [_cone_residual(slope - other_slope, facets, stage.scale) for other_slope in stage.slopes]
         worst.append(max(residuals, key=lambda residual: float(np.abs(residual).max())))
     return worst
 
@@ -410,20 +414,25 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
     gaps = times_at_gaps(problem, trajectory, arrays, active)
-    weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
+    weights = _weights_along(problem, trajectory, multipliers, arrays, sequence, active)
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
     least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
     along = replace(problem, dynamics=piecewise_affine(problem).along(sequence))
-    moved = along.equations.motion_sizes(trajectory.x, trajectory.u)
-    own = state_equation(state_residual(along, trajectory), moved, least)
-    linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
-    active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)
+    motion = along.equations.motion_sizes(trajectory.x, trajectory.u)
+    dynamics_condition = state_equation(state_residual(along, trajectory), motion, least)
+    linear = [
+        dynamics_condition if condition.name == dynamics_condition.name else condition
+        for condition in all_conditions(extremal, least)
+    ]
+    active_mode, of_weights = _mode_condition(distance, sequence), _weight_condition(weights, active)
     stages = switching_stages(extremal, least, arrays, active, gaps)
-    others = all(given.passed for given in (*linear, active_mode) if given.name not in OF_WEIGHTS)
-    elsewhere = others and _stationary(extremal, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages]))
+    others = all(condition.passed for condition in (*linear, active_mode) if condition.name not in OF_WEIGHTS)
+    elsewhere = others and _is_stationary(
+        extremal, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages])
+    )
     conditions = (*linear, active_mode, of_weights)
-    joint = all(given.passed for given in conditions)
+    joint = all(condition.passed for condition in conditions)
     facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere)
     return Judgement(conditions, facts, cost_of_residuals(extremal))
 
@@ -449,7 +458,7 @@ def _averaged_problem(problem: OptimalControlProblem, weights: Array, sequence: 
     return replace(problem, dynamics=dynamics, control_set=held(problem.control_set, fixed))
 
 
-def _weights(
+def _weights_along(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
     multipliers: Multipliers,
@@ -472,15 +481,15 @@ def _weights(
     return weights
 
 
-def _mode_is_active(distance: Array, sequence: Indices) -> Condition:
+def _mode_condition(distance: Array, sequence: Indices) -> Condition:
     """S-f: (x_t, u_t) lies in the region of the mode that leads to x_{t+1}; relative to the terms of its rows."""
-    own = distance[np.arange(len(sequence)), sequence]
-    t = int(np.argmax(own))
+    distances = distance[np.arange(len(sequence)), sequence]
+    t = int(np.argmax(distances))
     name = "a mode holds that leads to the next state"
-    return Condition("S-f", name, float(own[t]), 1.0, CONDITION_TOLERANCE, t, int(sequence[t]))
+    return Condition("S-f", name, float(distances[t]), 1.0, CONDITION_TOLERANCE, t, int(sequence[t]))
 
 
-def _weights_of_modes(weights: Array, active: Mask) -> Condition:
+def _weight_condition(weights: Array, active: Mask) -> Condition:
     """N-f: weights are >= 0, 0 for modes that are not active, and sum to 1."""
     wrong = np.maximum(-weights, np.where(active, 0.0, np.abs(weights)))
     wrong = np.maximum(wrong, np.abs(weights.sum(axis=1, keepdims=True) - 1))
@@ -489,7 +498,7 @@ def _weights_of_modes(weights: Array, active: Mask) -> Condition:
     return Condition("N-f", name, float(wrong[t, mode]), 1.0, CONDITION_TOLERANCE, t, mode)
 
 
-def _stationary(extremal: Extremal, least: Floors, times: Mask) -> bool:
+def _is_stationary(extremal: Extremal, least: Floors, times: Mask) -> bool:
     """Whether the adjoint equation and stationarity in u hold at these of the times 0 .. T-1, and transversality."""
     n, scale = extremal.problem.state_dim, stationarity_scale(extremal, least)
     in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:n]

@@ -97,11 +97,11 @@ class IntervalReach:
 
         All go forward side by side, which takes less time.
         """
-        found = [list(before) for before, _, _ in choices]
-        for stages, (_, t, modes) in zip(found, choices, strict=True):
+        paths = [list(before) for before, _, _ in choices]
+        for stages, (_, t, modes) in zip(paths, choices, strict=True):
             stages[t] = replace(stages[t], modes=stages[t].modes & modes)
-        empty = self._forward(found, [t for _, t, _ in choices], known=True)
-        return [None if index in empty else tuple(stages) for index, stages in enumerate(found)]
+        empty = self._forward(paths, [t for _, t, _ in choices], known=True)
+        return [None if index in empty else tuple(stages) for index, stages in enumerate(paths)]
 
     def _forward(self, paths: list[list[Stage]], firsts: Sequence[int], known: bool) -> set[int]:
         """Go forward from the first times, in place; return the numbers of those that are empty."""
@@ -111,12 +111,12 @@ class IntervalReach:
             for start in range(0, len(going), SIDE_BY_SIDE):
                 some = going[start : start + SIDE_BY_SIDE]
                 steps = self._step(t, [paths[i][t] for i in some], [paths[i][t + 1] for i in some])
-                for i, found in zip(some, steps, strict=True):
-                    if found is None:
+                for i, step in zip(some, steps, strict=True):
+                    if step is None:
                         empty.add(i)
                         continue
-                    stages, after = paths[i], found[1]
-                    stages[t], several = found[0], np.count_nonzero(found[0].modes) > 1
+                    stages, after = paths[i], step[1]
+                    stages[t], several = step[0], np.count_nonzero(step[0].modes) > 1
                     same = (after.lower == stages[t + 1].lower).all() and (after.upper == stages[t + 1].upper).all()
                     if known and same and several:
                         settled.add(i)  # nothing changes at later times
@@ -135,23 +135,25 @@ class IntervalReach:
         centres, generators, radius = self._zonotopes(t, now)
         image_low = np.maximum(np.maximum(image_low, centres - radius), np.array([s.lower for s in after])[:, None])
         image_high = np.minimum(np.minimum(image_high, centres + radius), np.array([s.upper for s in after])[:, None])
-        kept = np.array([stage.modes for stage in now]) & possible & (image_low <= image_high).all(axis=-1)
-        lower = np.where(kept[..., None], image_low, np.inf).min(axis=1)
-        upper = np.where(kept[..., None], image_high, -np.inf).max(axis=1)
-        found: list[tuple[Stage, Stage] | None] = []
+        possible_modes = np.array([stage.modes for stage in now]) & possible & (image_low <= image_high).all(axis=-1)
+        lower = np.where(possible_modes[..., None], image_low, np.inf).min(axis=1)
+        upper = np.where(possible_modes[..., None], image_high, -np.inf).max(axis=1)
+        steps: list[tuple[Stage, Stage] | None] = []
         for i, (stage, following) in enumerate(zip(now, after, strict=True)):
-            left = np.flatnonzero(kept[i])
+            left = np.flatnonzero(possible_modes[i])
             if not len(left):
-                found.append(None)
+                steps.append(None)
                 continue
-            here = Stage(stage.lower, stage.upper, stage.centre, stage.generators, kept[i], low[i], high[i])
+            stage_now = Stage(
+                stage.lower, stage.upper, stage.centre, stage.generators, possible_modes[i], low[i], high[i]
+            )
             sets = _zonotope(lower[i], upper[i])
             if len(left) == 1:
-                own = generators[i, left[0], :, : stage.generators.shape[1]]
-                sets = centres[i, left[0]], np.concatenate([own, self._pushes[t, left[0]]], axis=-1)
+                state_generators = generators[i, left[0], :, : stage.generators.shape[1]]
+                sets = centres[i, left[0]], np.concatenate([state_generators, self._pushes[t, left[0]]], axis=-1)
             pairs = following.pair_lower, following.pair_upper
-            found.append((here, Stage(lower[i], upper[i], *sets, following.modes, *pairs)))
-        return found
+            steps.append((stage_now, Stage(lower[i], upper[i], *sets, following.modes, *pairs)))
+        return steps
 
     def _zonotopes(self, t: int, now: Sequence[Stage]) -> tuple[Array, Array, Array]:
         """Return centres, generators without those of controls, and radii of the images, (stages, modes, n, ...)."""
@@ -272,10 +274,10 @@ def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[
             choices += [(before, t, mask) for mask in chosen]
             left = np.flatnonzero(before[t].modes & ~chosen.any(axis=0))
             others += [(before, t, np.arange(modes) == i) for i in left]
-        for child, found in zip(level, reach.restricted_each(choices), strict=True):
-            reached[child] = found
-            covers &= _is_covered(found, tree, child)
-        covers &= all(found is None for found in reach.restricted_each(others))
+        for child, stages in zip(level, reach.restricted_each(choices), strict=True):
+            reached[child] = stages
+            covers &= _is_covered(stages, tree, child)
+        covers &= all(stages is None for stages in reach.restricted_each(others))
     return reached, covers
 
 
@@ -333,7 +335,7 @@ class LeafJudge:
     def _value(self, reached: Stages, proof: ModeMultipliers) -> float:
         extremal, centre = extremal_at(self._problem, self._centre, proof.multipliers), self._centre
         eta, eta_C = proof.multipliers.eta, proof.multipliers.eta_C
-        boxes, last = _boxes(reached, self._y, centre.x[-1]), self._shape[2]
+        boxes, last = _boxes_of_stages(reached, self._y, centre.x[-1]), self._shape[2]
         lengths, sizes = self._lengths(extremal, proof, boxes)
         after = np.zeros(self._shape[1])
         for t, edges in reversed(list(enumerate(self._edges(boxes)))):
@@ -344,12 +346,12 @@ class LeafJudge:
         final, largest = _box_minimum(end_slope, eta_C * self._problem.quadratic.P, end_low, end_high)
         size_x = np.abs(extremal.eta_before[-1]) + extremal.in_x_terms[-1]
         cost = self._cost if eta_C else 0.0
-        gaps = float(sum(one.gap.sum() + one.beyond for one in extremal.terms))
+        gaps = float(sum(term.gap.sum() + term.beyond for term in extremal.terms))
         at_centre = float((eta * centre.x[1:]).sum())
         at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())
         rounding += float(size_x.astype(np.float64) @ largest) + abs(float(final)) + abs(cost) + abs(gaps)
         rounding += float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
-        rounding += float(sum(one.gap_terms.sum() for one in extremal.terms))
+        rounding += float(sum(term.gap_terms.sum() for term in extremal.terms))
         return cost - gaps + at_centre + float(after.min()) + float(final) - ARITHMETIC_ROUNDING * rounding
 
     def minimisers(self, stages: Stages, proof: ModeMultipliers) -> Minimisers:
@@ -357,7 +359,7 @@ class LeafJudge:
         eta_C, n = proof.multipliers.eta_C, self._shape[2]
         extremal = extremal_at(self._problem, self._centre, proof.multipliers)
         with np.errstate(invalid="ignore"):
-            boxes = _boxes(stages, self._y, self._centre.x[-1])
+            boxes = _boxes_of_stages(stages, self._y, self._centre.x[-1])
         hessians, end = (eta_C * self._hessians)[:, None, None], eta_C * self._problem.quadratic.P
         slope, low, high = self._slopes(extremal, proof)[0], boxes.low[:, :, None], boxes.high[:, :, None]
         v = box_minimiser(slope, hessians, low[:-1], high[:-1])
@@ -383,8 +385,8 @@ class LeafJudge:
         """Return e_tij, v_{t-1,i} and lambda_tij."""
         T, _, n = self._shape
         parts = proof.paths or PathMultipliers(np.zeros((T, 1, n)), np.zeros((T, 1, 1, n)))
-        given = proof.region if proof.paths else proof.region[:, :, None]
-        region = np.where(np.isfinite(self._arrays.h)[:, :, None], np.maximum(given, 0.0), 0.0)
+        region_multipliers = proof.region if proof.paths else proof.region[:, :, None]
+        region = np.where(np.isfinite(self._arrays.h)[:, :, None], np.maximum(region_multipliers, 0.0), 0.0)
         ahead = proof.multipliers.eta[:, None, None] + parts.vertices[:, None] + parts.images
         behind = np.zeros((T, parts.vertices.shape[1], n))
         behind[1:] = parts.vertices[:-1]
@@ -397,7 +399,7 @@ class LeafJudge:
         slope, size = self._slopes(extremal, proof)
         hessians = (proof.multipliers.eta_C * self._hessians)[:, None, None]
         minima, spread = _box_minimum(slope, hessians, boxes.low[:-1, :, None], boxes.high[:-1, :, None])
-        after = np.zeros((1, 1, 1)) if proof.paths is None else _images(proof.paths.images, boxes, x)
+        after = np.zeros((1, 1, 1)) if proof.paths is None else _least_image_costs(proof.paths.images, boxes, x)
         constants = (region @ self._slack[..., None])[..., 0] - (ahead @ self._images[..., None])[..., 0]
         constants = constants + (behind @ x[:-1, :, None])[..., 0][:, :, None] + after
         sizes = (
@@ -431,7 +433,7 @@ class _Boxes:
     high: Array
 
 
-def _boxes(reached: Stages, y: Array, last: Array) -> _Boxes:
+def _boxes_of_stages(reached: Stages, y: Array, last: Array) -> _Boxes:
     allowed = _allowed_modes(reached)
     following = np.zeros_like(allowed)
     following[:-1], following[-1, 0] = allowed[1:], True
@@ -445,7 +447,7 @@ def _boxes(reached: Stages, y: Array, last: Array) -> _Boxes:
     return _Boxes(allowed, following, low, high)
 
 
-def _images(images: Array, boxes: _Boxes, x: Array) -> Array:
+def _least_image_costs(images: Array, boxes: _Boxes, x: Array) -> Array:
     """Return the least <nu, x> over the boxes of the modes that follow."""
     if not images.any():
         return np.zeros((1, 1, 1))
@@ -462,9 +464,9 @@ def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple
         return np.full(slope.shape[:-1], -np.inf), np.zeros_like(slope)
     diagonal = np.array_equal(curvature, np.diagonal(hessian, axis1=-2, axis2=-1))
     v = np.zeros_like(slope) if diagonal else box_minimiser(slope, hessian, low, high)  # any v gives a bound
-    moved = (hessian * v[..., None, :]).sum(-1)
-    there = (slope * v).sum(-1) + 0.5 * (v * moved).sum(-1)
-    minimum = there + box_minimum(slope + moved, curvature, low - v, high - v).sum(-1)
+    gradient = (hessian * v[..., None, :]).sum(-1)
+    there = (slope * v).sum(-1) + 0.5 * (v * gradient).sum(-1)
+    minimum = there + box_minimum(slope + gradient, curvature, low - v, high - v).sum(-1)
     reachable = np.where(np.isfinite(low) & np.isfinite(high), np.maximum(np.abs(low), np.abs(high)), 0.0)
     return minimum, reachable
 

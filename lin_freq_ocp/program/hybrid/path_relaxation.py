@@ -98,7 +98,7 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
     image = model.maps[t, i] @ y
     image[..., -2] += model.offsets[t, i]
     image[-1] = 0.0
-    C, places, count = _vertices(y[:, :n], image, t, i, j, T)
+    C, places, count = _vertex_rows(y[:, :n], image, t, i, j, T)
     used = model.coupled.any(axis=(0, 1))
     cost = (model.price[t, None] @ y)[:, 0]
     cost[:, -1] = 1.0
@@ -127,18 +127,18 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
     )
 
 
-def _vertices(x: Array, image: Array, t: Indices, i: Indices, j: Indices, T: int) -> tuple[Array, Indices, int]:
+def _vertex_rows(x: Array, image: Array, t: Indices, i: Indices, j: Indices, T: int) -> tuple[Array, Indices, int]:
     """Return the rows of vertices on each edge, their numbers, and how many there are; row 0 is that of t = 0."""
     edges, n, width = x.shape
     C = np.zeros((edges, 2 * n + 2, width))
     C[:, :n], C[:, n, -2], C[:, n + 1 : -1], C[:, -1, -2] = x, 1.0, -image, -1.0
-    own, modes = t > 0, int(max(i.max(), j.max())) + 1
+    after_start, modes = t > 0, int(max(i.max(), j.max())) + 1
     present = np.zeros((T + 1, modes), dtype=bool)
-    present[t[own], i[own]] = True
+    present[t[after_start], i[after_start]] = True
     number = (np.cumsum(present.ravel()) - 1).reshape(present.shape)
     places = np.full((edges, 2 * n + 2), -1)
-    places[own, : n + 1] = 1 + number[t, i][own, None] * (n + 1) + np.arange(n + 1)
-    places[~own, n] = 0
+    places[after_start, : n + 1] = 1 + number[t, i][after_start, None] * (n + 1) + np.arange(n + 1)
+    places[~after_start, n] = 0
     places[:-1, n + 1 :] = 1 + number[t[:-1] + 1, j[:-1]][:, None] * (n + 1) + np.arange(n + 1)
     return C, places, 1 + int(present.sum()) * (n + 1)
 
@@ -185,14 +185,17 @@ def path_form(program: PathProgram) -> StandardForm:
     )
     row = np.concatenate([np.broadcast_to(rows[..., None], values.shape).ravel() for rows, _, values in parts])
     column = np.concatenate(
-        [np.broadcast_to(own if values.ndim == 2 else own[:, None], values.shape).ravel() for _, own, values in parts]
+        [
+            np.broadcast_to(columns if values.ndim == 2 else columns[:, None], values.shape).ravel()
+            for _, columns, values in parts
+        ]
     )
     value = np.concatenate([values.ravel() for _, _, values in parts])
-    kept, count = np.flatnonzero(value), equations + linear + edges * size
+    nonzero, count = np.flatnonzero(value), equations + linear + edges * size
     return StandardForm(
         P=sp.csc_array((edges * width, edges * width)),
         q=program.cost.ravel(),
-        A=sp.csc_array((value[kept], (row[kept], column[kept])), shape=(count, edges * width)),
+        A=sp.csc_array((value[nonzero], (row[nonzero], column[nonzero])), shape=(count, edges * width)),
         b=np.concatenate([program.b, np.zeros(count - equations)]),
         equations=equations,
         inequalities=linear,

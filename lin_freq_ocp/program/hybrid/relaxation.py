@@ -88,9 +88,9 @@ class ModeRelaxation:
         stage_hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, n + m, n + m))
         roots = np.sqrt(units.cost) * symmetric_roots(stage_hessians * np.outer(sizes, sizes))
         self._rows = mode_rows(template, self._stages, self._at, roots)
-        own = self._rows.cone.rows
-        self._cone_heads = np.append(self._cone_heads, own[:, 0])
-        self._cone_sizes = np.append(self._cone_sizes, np.full(len(own), own.shape[1]))
+        cone_rows = self._rows.cone.rows
+        self._cone_heads = np.append(self._cone_heads, cone_rows[:, 0])
+        self._cone_sizes = np.append(self._cone_sizes, np.full(len(cone_rows), cone_rows.shape[1]))
         self._template = template.finished(self._at.count)
         hessian = sp.coo_array(sp.csc_array(sp.triu(self._program.P)))
         self._hessian = hessian.data, *(np.asarray(part, dtype=np.int32) for part in hessian.coords)
@@ -109,24 +109,26 @@ class ModeRelaxation:
         for part in self._host_rows:
             part.of(rows)[:] = True
         self._take_boxes(rows, right, reach, single | self.bounds_where_several)
-        one, finite = reach.allowed & single[:, None], np.isfinite(self._stages.limits)
-        self._rows.one_map.take(rows, one)
-        self._rows.one_region.take(rows, one, finite)
+        single_modes, finite = reach.allowed & single[:, None], np.isfinite(self._stages.limits)
+        self._rows.one_map.take(rows, single_modes)
+        self._rows.one_region.take(rows, single_modes, finite)
         self._rows.weight_sum.take(rows, ~single)
         self._rows.weight.take(rows, many)
         self._take_several(rows, values, right, reach, many)
         columns[self._at.delta] = columns[self._at.epsilon] = many
         columns[self._at.share] = many[..., None]
-        kept = np.flatnonzero(columns)
+        kept_columns = np.flatnonzero(columns)
         # the cost of variables without shares; the columns of the host come first, and are all kept
         hessian, row, column = self._hessian
         stage = self._stage[row]
         cost = (stage < 0) | single[stage]
-        pointers = np.append(np.int32(0), np.cumsum(np.bincount(column[cost], minlength=len(kept)), dtype=np.int32))
-        P = sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept), len(kept)))
+        pointers = np.append(
+            np.int32(0), np.cumsum(np.bincount(column[cost], minlength=len(kept_columns)), dtype=np.int32)
+        )
+        P = sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept_columns), len(kept_columns)))
         cones = tuple(self._cone_sizes[rows[self._cone_heads]].tolist())  # all rows of a cone are taken, or none
-        form = self._template.member(rows, columns, values, right, (P, self._price[kept]), cones)
-        return Member(form, reach, kept)
+        form = self._template.member(rows, columns, values, right, (P, self._price[kept_columns]), cones)
+        return Member(form, reach, kept_columns)
 
     def for_cost(self, cost: float) -> Self:
         """Return the same relaxations in units in which the objective of this cost is not far below 1.
@@ -142,9 +144,9 @@ class ModeRelaxation:
 
     def moved(self, problem: OptimalControlProblem) -> Self:
         """Return the relaxations of a problem that differs in the point where it starts alone."""
-        found = copy(self)
-        found.problem, found.reach = problem, ModeReach(problem)
-        return found
+        shifted = copy(self)
+        shifted.problem, shifted.reach = problem, ModeReach(problem)
+        return shifted
 
     @property
     def state_curvature(self) -> Array:
@@ -229,12 +231,12 @@ class ModeRelaxation:
         """
         z, stages, problem = self._scaling.scaled_primal(self._host.point(trajectory)), self._stages, self.problem
         at, y = (np.arange(len(sequence)), sequence), z[self._at.y][..., None]
-        missed = (stages.maps[at] @ y)[..., 0] + stages.offsets[at] - z[self._at.x[1:]]
+        defects = (stages.maps[at] @ y)[..., 0] + stages.offsets[at] - z[self._at.x[1:]]
         beyond = (stages.rows[at] @ y)[..., 0] - stages.limits[at]
         of_x = problem.state_tube.violation(trajectory.x) / stages.units[: self._n]
         of_u = problem.control_tube.violation(trajectory.u) / stages.units[self._n :]
         others = self._shared.residuals(z, np.zeros(len(self._shared.lower))).primal
-        largest = max(np.abs(missed).max(), beyond.max(initial=0.0), of_x.max(), of_u.max())
+        largest = max(np.abs(defects).max(), beyond.max(initial=0.0), of_x.max(), of_u.max())
         return float(max(largest / max(1.0, np.abs(z[: self._host.signals]).max()), others))
 
     def duals(self, member: Member, y: Array, z: Array | None) -> Duals:
@@ -249,15 +251,15 @@ class ModeRelaxation:
 
     def multipliers(self, duals: Duals) -> ModeMultipliers:
         """Return the multipliers of duals."""
-        own = self._own_multipliers(duals.sides, duals.adjoint, duals.eta_C)
+        host_multipliers = self._own_multipliers(duals.sides, duals.adjoint, duals.eta_C)
         if duals.vertices is None or duals.images is None:
-            return ModeMultipliers(own, duals.regions / self._stages.norms / self._scaling.cost)
-        moved = duals.vertices - duals.adjoint[:, None]
-        moved[-1] = 0.0  # a single vertex: its adjoint is the average
+            return ModeMultipliers(host_multipliers, duals.regions / self._stages.norms / self._scaling.cost)
+        vertex_changes = duals.vertices - duals.adjoint[:, None]
+        vertex_changes[-1] = 0.0  # a single vertex: its adjoint is the average
         units = self._adjoint_units
         region = duals.regions / self._stages.norms[:, :, None] / self._scaling.cost
-        paths = PathMultipliers(moved * units[:, None], duals.images * units[:, None, None])
-        return ModeMultipliers(own, region, paths)
+        paths = PathMultipliers(vertex_changes * units[:, None], duals.images * units[:, None, None])
+        return ModeMultipliers(host_multipliers, region, paths)
 
     def _own_multipliers(self, sides: Array, adjoint: Array, eta_C: float) -> Multipliers:
         """Return the multipliers of the theorem from duals of the host rows and the adjoint (T, n), natural units."""

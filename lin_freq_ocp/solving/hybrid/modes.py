@@ -22,7 +22,7 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.candidate import SolveOptions, require_convex
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch
-from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refined
+from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refine_leaves
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
 from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
@@ -263,7 +263,7 @@ def _judge_search(
     for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, the second is solved more accurately
         if not outcome.message and not proof.value >= needed:
             weak = np.flatnonzero(proof.bounds < needed)
-            better = refined(problem, outcome.tree, weak, end, kind)
+            better = refine_leaves(problem, outcome.tree, weak, end, kind)
             closer = tree_bound(problem, better, end)
             if closer.value > proof.value:
                 outcome, proof = replace(outcome, tree=better), closer

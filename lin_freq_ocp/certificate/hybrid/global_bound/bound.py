@@ -88,13 +88,13 @@ def value_bounds(
         count += 1
         lost = FIRST_LOSS * scale if best == -np.inf else cost - best
         tolerance = STEP_SHARE * (max(gap, lost) if np.isfinite(cost) else gap) / T
-        done = _backward(stages, level, tolerance, deadline, partial(progress, count) if progress else None)
+        done = _backward_pass(stages, level, tolerance, deadline, partial(progress, count) if progress else None)
         values = np.concatenate([np.abs(time.value.values[np.isfinite(time.value.values)]) for time in done])
         slack = ROUNDING * T * (costs.size + float(values.max(initial=0.0)))
         level = _next_level(done, cutoff)
         least = cutoff if level == [] else min(float(done[0].value.least.min(initial=np.inf)), cutoff)
         best = max(best, least + costs.constant - slack)
-        yield ValueBound(best, *_cheapest(done))
+        yield ValueBound(best, *_cheapest_path(done))
         if best >= cost - gap or least == np.inf:
             return
 
@@ -186,11 +186,11 @@ def _first_boxes(stages: PricedProblem, t: int, lattice: Lattice) -> Boxes:
     )
 
 
-def _backward(
+def _backward_pass(
     stages: PricedProblem, level: list[_Task], tolerance: float, deadline: float, progress: Progress
 ) -> list[_Done]:
     """Return V_t and boxes for all times."""
-    last = _last(stages.costs, level[-1].lattice)
+    last = _terminal_tangents(stages.costs, level[-1].lattice)
     none = level[-1].boxes.take(np.zeros(0, dtype=np.intp))
     done = [_Done(last, none, np.zeros(0), np.zeros(len(last.values)))]
     for t in range(stages.problem.horizon - 1, -1, -1):
@@ -211,7 +211,7 @@ def _backward(
     return done[::-1]
 
 
-def _last(costs: StageCosts, lattice: Lattice) -> CostToGo:
+def _terminal_tangents(costs: StageCosts, lattice: Lattice) -> CostToGo:
     """Return the tangents of the last cost at the centres: below it, as it is convex."""
     x = lattice.centres
     slopes = x @ costs.terminal_hessian + costs.terminal_linear
@@ -221,7 +221,7 @@ def _last(costs: StageCosts, lattice: Lattice) -> CostToGo:
     return CostToGo(lattice, values[:, None], slopes[:, None], -everything, everything)
 
 
-def _cheapest(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, None]:
+def _cheapest_path(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, None]:
     """Return the centres of cells, controls and modes of boxes with the least reduced cost-to-go."""
     cell = int(np.argmin(done[0].value.least))
     x, u, modes = [done[0].value.lattice.centres[cell]], list[Array](), list[int]()
@@ -280,9 +280,9 @@ def _halve_cells(boxes: Boxes, coarse: Lattice, fine: Lattice, alive: Mask) -> B
     for i, corner in enumerate(corners):
         rows = np.flatnonzero((whole | (side == corner.astype(bool)) | (split == 1)).all(axis=1))
         cell = rank[boxes.cell[rows]] * len(corners) + i
-        part, own = boxes.take(rows), whole[rows]
+        part, spans_cell = boxes.take(rows), whole[rows]
         half = fine.width / 2 * (1 + ROUNDING) + ROUNDING * np.abs(fine.centres[cell])
-        part.centre[:, :n] = np.where(own, fine.centres[cell], part.centre[:, :n])
-        part.radius[:, :n] = np.where(own, half, part.radius[:, :n])
+        part.centre[:, :n] = np.where(spans_cell, fine.centres[cell], part.centre[:, :n])
+        part.radius[:, :n] = np.where(spans_cell, half, part.radius[:, :n])
         parts.append(Boxes.unbounded(cell, part.mode, part.centre, part.radius, n))
     return Boxes.joined(parts)

@@ -66,7 +66,7 @@ def _unit_grid(points: int, m: int) -> Array:
     return np.linspace(-1, 1, each)[index_tuples(np.full(m, each))]
 
 
-def freed_slopes(gradient: Array, J: Array, weights: Array) -> Array:
+def free_slopes(gradient: Array, J: Array, weights: Array) -> Array:
     """Return what is added to slopes (p, n), so that the weighted gradient is smallest; J is (p, n, n + m)."""
     columns = np.nan_to_num(weights[:, :, None] * np.swapaxes(J, 1, 2), posinf=0.0, neginf=0.0)
     wanted = np.nan_to_num(weights * gradient, posinf=0.0, neginf=0.0)
@@ -91,8 +91,8 @@ class Samples:
         """Return slopes (cells, pieces, n), and of every piece the value at the centre that samples allow it."""
         lattice = self.lattice
         sides = np.outer(SIDES[self.stages.problem.state_dim] if lattice.width.any() else (0.0,), lattice.width / 2)
-        found = [self._sampled_at(lattice.centres + side) for side in sides]
-        values, slopes = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+        sampled = [self._sampled_at(lattice.centres + side) for side in sides]
+        values, slopes = (np.stack(parts, axis=1) for parts in zip(*sampled, strict=True))
         allowed = values[:, None] - np.einsum("cpn,sn->cps", slopes, sides)
         return slopes, allowed.min(axis=2)
 
@@ -106,17 +106,17 @@ class Samples:
         width = np.concatenate([np.zeros(n), (self.stages.upper - self.stages.lower)[self.t]])
         slopes, pole = np.zeros((len(x), n)), (after.lattice.width == 0).any()
         for i, mode in enumerate(piecewise_smooth(problem).modes):
-            here = (chosen == i) & np.isfinite(best)
-            if here.any():
-                jets = interval_jets(mode.f, at[here], at[here], curved=False)
+            in_mode = (chosen == i) & np.isfinite(best)
+            if in_mode.any():
+                jets = interval_jets(mode.f, at[in_mode], at[in_mode], curved=False)
                 y, J = (0.5 * (part[0] + part[1]) for part in (jets.values, jets.slopes))
-                gradient = at[here] @ costs.hessians[self.t] + costs.linear[self.t]
+                gradient = at[in_mode] @ costs.hessians[self.t] + costs.linear[self.t]
                 sigma = after.slopes_at(after.lattice.numbers(after.lattice.indices(y)), y)
-                inside = (at[here] > lowest[here]) & (at[here] < highest[here])
+                inside = (at[in_mode] > lowest[in_mode]) & (at[in_mode] < highest[in_mode])
                 weights = np.where(inside | pole, width, 0.0)
-                sigma = sigma + freed_slopes(gradient + np.einsum("pj,pji->pi", sigma, J), J, weights)
+                sigma = sigma + free_slopes(gradient + np.einsum("pj,pji->pi", sigma, J), J, weights)
                 slope = gradient + np.einsum("pj,pji->pi", sigma, J)
-                slopes[here] = np.nan_to_num(slope[:, :n], posinf=0.0, neginf=0.0)
+                slopes[in_mode] = np.nan_to_num(slope[:, :n], posinf=0.0, neginf=0.0)
         finite = np.isfinite(best)
         usual = MAX_SLOPE[n] * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
         return best, np.clip(slopes, -usual, usual)
@@ -149,9 +149,9 @@ class Samples:
             total = costs + self._value_at(np.where(inside[:, None], y, 0.0))
             total = np.where(inside, total, np.inf).reshape(len(x), count)
             least = total.argmin(axis=1)
-            found = total[np.arange(len(x)), least]
-            better = found < best
-            best[better], chosen[better] = found[better], i
+            totals = total[np.arange(len(x)), least]
+            better = totals < best
+            best[better], chosen[better] = totals[better], i
             at[better] = pairs.reshape(len(x), count, -1)[better, least[better]]
         return best, at, chosen
 
@@ -171,10 +171,10 @@ class Samples:
         range_, corners = high - low, np.stack([low, high])
         costs = np.abs(corners @ stages.costs.hessians[t] + stages.costs.linear[t]) * range_
         worth = float(costs.sum(axis=1).max()) or 1.0
-        moved = np.zeros(len(self.after.lattice.width))
+        effects = np.zeros(len(self.after.lattice.width))
         for mode in piecewise_smooth(stages.problem).modes:
             slopes = interval_jets(mode.f, corners, corners, curved=False).slopes[0]
             effect = (np.abs(slopes) * range_).sum(axis=2)
-            moved = np.maximum(moved, np.where(np.isfinite(effect), effect, 0.0).max(axis=0))
+            effects = np.maximum(effects, np.where(np.isfinite(effect), effect, 0.0).max(axis=0))
         with np.errstate(over="ignore", divide="ignore"):
-            return np.nan_to_num(FIXED_PRICE * worth / moved, posinf=0.0)  # 0 where nothing moves a state
+            return np.nan_to_num(FIXED_PRICE * worth / effects, posinf=0.0)  # 0 where nothing moves a state

@@ -29,11 +29,11 @@ from lin_freq_ocp.methods.hybrid.search.common import (
     SearchOutcome,
     SearchProgress,
     one_mode_each,
-    proven_tree,
-    relaxed,
+    solve_relaxation,
+    tree_with_proofs,
 )
 from lin_freq_ocp.methods.hybrid.search.level_rounding import level_rounding
-from lin_freq_ocp.methods.hybrid.search.node import Relaxed, compiled_is_loaded
+from lin_freq_ocp.methods.hybrid.search.node import NodeSolution, has_loaded_code
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
@@ -70,29 +70,30 @@ def shifted_cover(
     pending = [(0, -1, -1, np.ones_like(nodes[0].allowed))]
     while pending:
         index, parent, stage, mask = pending.pop()
-        own = children.get(index, [])
-        while own and nodes[own[0]].stage == 0:
-            followed = [child for child in own if nodes[child].allowed[0, first]]
+        descendants = children.get(index, [])
+        while descendants and nodes[descendants[0]].stage == 0:
+            followed = [child for child in descendants if nodes[child].allowed[0, first]]
             index = followed[0] if followed else -1  # -1: a leaf of which nothing is known
-            own = children.get(index, [])
-        kept = None if own or index < 0 else duals[index]
-        cover.append(CoverNode(parent, stage, mask, None if kept is None else shift(kept)))
-        if own:
-            split, here = nodes[own[0]].stage, len(cover) - 1
-            chosen = [nodes[child].allowed[split] for child in own]
+            descendants = children.get(index, [])
+        leaf_duals = None if descendants or index < 0 else duals[index]
+        cover.append(CoverNode(parent, stage, mask, None if leaf_duals is None else shift(leaf_duals)))
+        if descendants:
+            split, position = nodes[descendants[0]].stage, len(cover) - 1
+            chosen = [nodes[child].allowed[split] for child in descendants]
             pending += [
-                (child, here, split - 1, _cut_at(mask, split - 1, row)) for child, row in zip(own, chosen, strict=True)
+                (child, position, split - 1, _restrict_at(mask, split - 1, row))
+                for child, row in zip(descendants, chosen, strict=True)
             ]
             others = ~np.any(chosen, axis=0)
             if others.any():
-                pending.append((-1, here, split - 1, _cut_at(mask, split - 1, others)))
+                pending.append((-1, position, split - 1, _restrict_at(mask, split - 1, others)))
     return tuple(cover)
 
 
-def _cut_at(mask: Mask, t: int, row: Mask) -> Mask:
-    found = mask.copy()
-    found[t] &= row
-    return found
+def _restrict_at(mask: Mask, t: int, row: Mask) -> Mask:
+    restricted = mask.copy()
+    restricted[t] &= row
+    return restricted
 
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
@@ -100,7 +101,7 @@ ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a s
 COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
 CURVED_LOSS = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
 
-OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
+OpenNode = tuple[float, int, NodeSolution]  # bound, index, relaxation
 
 
 @dataclass
@@ -153,7 +154,7 @@ class TreeSearch:
             message = message or self._loop()
         except KeyboardInterrupt:
             message, interrupted = "interrupted", True
-        tree = proven_tree(self._relaxation, self._nodes, self._duals)
+        tree = tree_with_proofs(self._relaxation, self._nodes, self._duals)
         return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup)
 
     @property
@@ -163,10 +164,10 @@ class TreeSearch:
 
     def cover_after_step(self) -> tuple[CoverNode, ...]:
         """Return the cover that the tree leaves for the problem one time later; empty if nothing was found."""
-        one = self._relaxation
-        if self._best is None or not self._nodes or not isinstance(one, PathRelaxation) or not one.proves:
+        relaxation = self._relaxation
+        if self._best is None or not self._nodes or not isinstance(relaxation, PathRelaxation) or not relaxation.proves:
             return ()
-        return shifted_cover(self._nodes, self._duals, int(self._best[0]), one.later)
+        return shifted_cover(self._nodes, self._duals, int(self._best[0]), relaxation.later)
 
     def _loop(self) -> str:
         """Split the node with the least bound until none is open; return which limit stopped the search, or ""."""
@@ -199,10 +200,12 @@ class TreeSearch:
         nodes = [ModeNode(node.parent, node.stage, node.allowed, -np.inf, None) for node in cover]
         duals, open_ = list[Duals | None](None for _ in cover), list[tuple[float, int, Reach]]()
         for index, reach in zip(leaves, reaches, strict=True):
-            bound, given = np.inf if reach is None else -np.inf, cover[index].duals
-            if reach is not None and given is not None:
-                given = given.times(self._relaxation.level / self._first_level)  # the first answer may have changed it
-                bound, duals[index] = self._relaxation.proven(reach, given), given
+            bound, start_duals = np.inf if reach is None else -np.inf, cover[index].duals
+            if reach is not None and start_duals is not None:
+                start_duals = start_duals.times(
+                    self._relaxation.level / self._first_level
+                )  # the first answer may have changed it
+                bound, duals[index] = self._relaxation.proven(reach, start_duals), start_duals
             nodes[index] = replace(nodes[index], bound=bound)
             if reach is not None and bound < np.inf:
                 open_.append((bound, index, reach))
@@ -220,7 +223,7 @@ class TreeSearch:
                 self._consider(index, answer)
         return ""
 
-    def _split(self, bound: float, index: int, answer: Relaxed) -> None:
+    def _split(self, bound: float, index: int, answer: NodeSolution) -> None:
         """Replace a node by one for each of its modes at some time."""
         t = self._stage_to_split(answer)
         masks = one_mode_each(answer.reach.allowed, t)
@@ -231,7 +234,7 @@ class TreeSearch:
         answers = [None if reach is None else self._relax_node(reach, self._cutoff) for reach in reaches]
         self._open(list(zip(masks, answers, strict=True)), index, t, bound)
 
-    def _open(self, answers: list[tuple[Mask, Relaxed | None]], parent: int, stage: int, bound: float) -> None:
+    def _open(self, answers: list[tuple[Mask, NodeSolution | None]], parent: int, stage: int, bound: float) -> None:
         """Add nodes, all at once so that an interrupt leaves none out, and look in each for better sequences."""
         first, inherited = len(self._nodes), self._duals[parent] if parent >= 0 else None
         for allowed, answer in answers:
@@ -248,7 +251,7 @@ class TreeSearch:
             if answer is not None:
                 self._consider(index, answer)
 
-    def _consider(self, index: int, answer: Relaxed) -> None:
+    def _consider(self, index: int, answer: NodeSolution) -> None:
         """Try the sequences that a node suggests, and keep it for splitting unless its bound closes it."""
         bound = self._nodes[index].bound
         if bound == np.inf:
@@ -262,7 +265,7 @@ class TreeSearch:
                 self._try(self._round_answer(answer))
                 self._next_rounding = index + ROUNDING_EVERY
 
-    def _round_answer(self, answer: Relaxed) -> Iterator[Indices]:
+    def _round_answer(self, answer: NodeSolution) -> Iterator[Indices]:
         """Yield levels near the relaxed controls; without levels, the largest weights and the modes of a simulation."""
         if answer.trajectory is None or answer.weights is None:
             return
@@ -289,7 +292,7 @@ class TreeSearch:
                 if reach is not None:
                     self._accept(sequence, self._relax_node(reach, self._cost))
 
-    def _accept(self, sequence: Indices, answer: Relaxed) -> None:
+    def _accept(self, sequence: Indices, answer: NodeSolution) -> None:
         """Keep a sequence if it is the best so far, and try its flips."""
         if answer.trajectory is None or answer.duals is None or not answer.bound < self._cost:
             return
@@ -310,7 +313,7 @@ class TreeSearch:
                     flipped[t] = i
                     yield flipped
 
-    def _stage_to_split(self, answer: Relaxed) -> int:
+    def _stage_to_split(self, answer: NodeSolution) -> int:
         """Return the time, of those with several modes left, with the largest estimated loss of the relaxation.
 
         A relaxed step that misses the true dynamics by d changes the cost by about <|eta_t|, |d|> and a part of d'H d.
@@ -332,15 +335,15 @@ class TreeSearch:
             return np.inf
         return self._cost - SHARE_OF_GAP * self.limits.gap * self._scale
 
-    def _relax_node(self, reach: Reach, cutoff: float) -> Relaxed:
+    def _relax_node(self, reach: Reach, cutoff: float) -> NodeSolution:
         self._solved += 1
         end = self._started + self.limits.search_seconds
-        compiled = self._solved > self.compiled_from or compiled_is_loaded()
-        answer = relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+        compiled = self._solved > self.compiled_from or has_loaded_code()
+        answer = solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
         if self._solved == 1 and np.isfinite(answer.bound):
             first, self._relaxation = self._relaxation, self._relaxation.for_cost(answer.bound)
             if self._relaxation is not first:
                 factor = self._relaxation.level / first.level
                 self._duals = [None if one is None else one.times(factor) for one in self._duals]
-                return relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+                return solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
         return answer

@@ -10,7 +10,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.hybrid.search.node import Relaxed, relaxed_path, solve_by_clarabel
+from lin_freq_ocp.methods.hybrid.search.node import NodeSolution, solve_by_clarabel, solve_path_relaxation
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
@@ -86,14 +86,14 @@ class SearchOutcome:
     setup: float = 0.0
 
 
-def relaxed(
+def solve_relaxation(
     relaxation: ModeRelaxation,
     reach: Reach,
     tolerances: Sequence[float] = TOLERANCES,
     end: float = np.inf,
     cutoff: float | None = None,
     compiled: bool = False,
-) -> Relaxed:
+) -> NodeSolution:
     """Solve the relaxation of a reach to the first tolerance that the solver reaches until ``end``.
 
     With a cutoff, only as far as it takes to see on which side of it the node is; the relaxation of a single sequence
@@ -101,19 +101,19 @@ def relaxed(
     compiled code. Raises KeyboardInterrupt where the solver was interrupted.
     """
     if now() > end:
-        return Relaxed(reach, -np.inf)
+        return NodeSolution(reach, -np.inf)
     if isinstance(relaxation, PathRelaxation):
-        answer = relaxed_path(relaxation, reach, tolerances, end, cutoff, compiled)
-        checked = None if answer is None else _check_answer(relaxation, answer)
+        answer = solve_path_relaxation(relaxation, reach, tolerances, end, cutoff, compiled)
+        checked = None if answer is None else _check_solution(relaxation, answer)
         if checked is not None and (checked is answer or (cutoff is not None and checked.bound >= cutoff)):
             return checked
     member = relaxation.member(reach)
     duals_of, point_of = partial(relaxation.duals, member), partial(relaxation.point, member)
     answer = solve_by_clarabel(relaxation, reach, member.form, duals_of, point_of, tolerances, end, cutoff)
-    return _check_answer(relaxation, answer or Relaxed(reach, -np.inf))
+    return _check_solution(relaxation, answer or NodeSolution(reach, -np.inf))
 
 
-def _check_answer(relaxation: ModeRelaxation, answer: Relaxed) -> Relaxed:
+def _check_solution(relaxation: ModeRelaxation, answer: NodeSolution) -> NodeSolution:
     """Return an answer, without its trajectory if that is one of a single sequence and not feasible."""
     sequence, trajectory = answer.sequence, answer.trajectory
     if sequence is None or trajectory is None or relaxation.violation(trajectory, sequence) <= FEASIBLE:
@@ -121,15 +121,18 @@ def _check_answer(relaxation: ModeRelaxation, answer: Relaxed) -> Relaxed:
     return replace(answer, trajectory=None)
 
 
-def proven_tree(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | None]) -> ModeTree:
+def tree_with_proofs(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | None]) -> ModeTree:
     """Return the tree with the multipliers of every node that has duals."""
     pairs = zip(nodes, duals, strict=True)
     return ModeTree(
-        tuple(node if own is None else replace(node, proof=relaxation.multipliers(own)) for node, own in pairs)
+        tuple(
+            node if leaf_duals is None else replace(node, proof=relaxation.multipliers(leaf_duals))
+            for node, leaf_duals in pairs
+        )
     )
 
 
-def refined(
+def refine_leaves(
     problem: OptimalControlProblem,
     tree: ModeTree,
     leaves: Indices,
@@ -140,7 +143,7 @@ def refined(
     relaxation, nodes = kind(problem), list(tree.nodes)
     for index in leaves:
         reach = relaxation.reach.from_start(nodes[index].allowed)
-        answer = None if reach is None else relaxed(relaxation, reach, FINE, end)
+        answer = None if reach is None else solve_relaxation(relaxation, reach, FINE, end)
         if answer is not None and answer.duals is not None:
             nodes[index] = replace(nodes[index], bound=answer.bound, proof=relaxation.multipliers(answer.duals))
     return ModeTree(tuple(nodes))

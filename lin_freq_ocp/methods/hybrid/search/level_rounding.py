@@ -143,9 +143,9 @@ class Flips:
             values = self.values[first] + self.rows.matrix.T[columns] * changes[:, None]
             curved = self.hessian[self.columns[first], columns] * self.changes[first] * changes
             gains = self.gains[first] + self.gains[others] + curved
-            found = self._best_of(values, gains, np.column_stack([np.full(len(others), first), others]))
-            if found is not None:
-                return found
+            improvement = self._best_of(values, gains, np.column_stack([np.full(len(others), first), others]))
+            if improvement is not None:
+                return improvement
         return None
 
     def _best_of(self, values: Array, gains: Array, flips: Indices) -> Indices | None:
@@ -255,12 +255,12 @@ def level_rounding(problem: OptimalControlProblem) -> LevelRounding | None:
 def neighbouring_levels(choices: Array) -> Indices:
     """Return the modes with the next lower and the next higher level of each component, (modes, 2m); -1 for none."""
     modes, m = choices.shape
-    found = np.full((modes, 2 * m), -1)
-    for mode, side in np.ndindex(*found.shape):
+    neighbours = np.full((modes, 2 * m), -1)
+    for mode, side in np.ndindex(*neighbours.shape):
         i, sign = side // 2, 2 * (side % 2) - 1
         same = (np.delete(choices, i, axis=1) == np.delete(choices[mode], i)).all(axis=1)
         distance = sign * (choices[:, i] - choices[mode, i])
         further = np.flatnonzero(same & (distance > 0))
         if len(further):
-            found[mode, side] = further[np.argmin(distance[further])]
-    return found
+            neighbours[mode, side] = further[np.argmin(distance[further])]
+    return neighbours

@@ -41,7 +41,7 @@ class SolverClaim:
     seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
 
 
-def status_of(solution: Solution) -> tuple[str, str]:
+def solver_status(solution: Solution) -> tuple[str, str]:
     """Return the status of a solver's answer and its words; without a point, nothing is optimal."""
     if solution.claim is Claim.SOLVED and solution.z is None:
         return "failed", f"{solution.message}, without a point"
@@ -73,7 +73,7 @@ def solve_miqp(
     solution = solver(mixed.program, gap, left)
     seconds = {"setup": ready - started, "solve": now() - ready}
     bound = None if solution.bound is None else mixed.cost(solution.bound)
-    status, message = status_of(solution)
+    status, message = solver_status(solution)
     if status == "unbounded":  # with bounds on all states and controls, nothing is
         status = "failed"
     if solution.z is None:

@@ -19,8 +19,8 @@ directions into its region within the sets of the stage, and the remainder in th
 
 the convex hull of the map's directions. Stationarity in d_j is a_j - b_t = G_j' lambda_j + N nu_j.
 
-``weighted`` leads from the multipliers of a fixed mode sequence to those of the map (docs/borders.md). In the linear
-problem of a mode sequence s, stationarity at a stage reads  a_s - G_s' lambda = b + N nu  with the slopes
+``multipliers_with_weights`` turns the multipliers of a fixed mode sequence into those of the map (docs/borders.md). In
+the linear problem of a mode sequence s, stationarity at a stage reads  a_s - G_s' lambda = b + N nu  with the slopes
 a_i = (A_i' eta, B_i' eta), the region multipliers lambda, and the normals N nu of the sets of the stage. Clarke's rule
 for the map asks for  sum_i alpha_i a_i = b + N nu'  with weights alpha >= 0, sum alpha = 1: for two modes that share a
 facet lambda = alpha <g, eta>. So alpha, and nu' where nu does not fit, minimise
@@ -79,8 +79,8 @@ class Normal:
 
     def value(self, multipliers: Multipliers) -> float:
         """Return how much of the column the multipliers have; of a fixed component, both signs have it."""
-        own = {STATE: multipliers.mu, CONTROL: multipliers.nu}
-        array = own.get(self.family, multipliers.stage.get(self.family))
+        families = {STATE: multipliers.mu, CONTROL: multipliers.nu}
+        array = families.get(self.family, multipliers.stage.get(self.family))
         return 0.0 if array is None else max(self.sign * float(array[self.place]), 0.0)
 
 
@@ -89,7 +89,7 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
 
     Balls, cones and soft sets are not among them: their multipliers are kept.
     """
-    found: list[list[Normal]] = [[] for _ in range(problem.horizon)]
+    normals: list[list[Normal]] = [[] for _ in range(problem.horizon)]
     natural, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
     tubes, first = (problem.state_tube, problem.control_tube), 0
     for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, natural, strict=True):
@@ -99,7 +99,7 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
             for t, k in np.argwhere(active):
                 column = np.zeros(problem.state_dim + problem.control_dim)
                 column[first + k] = sign
-                found[t].append(Normal(family, (int(t), int(k)), sign, column))
+                normals[t].append(Normal(family, (int(t), int(k)), sign, column))
         first = problem.state_dim
     for term in problem.terms:
         rows = term.polyhedron(problem.state_dim, problem.control_dim)
@@ -111,14 +111,14 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
         for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
             if rows.times[group] < problem.horizon:
                 place = int(group), int(row)
-                found[rows.times[group]].append(Normal(term.name, place, 1.0, rows.matrix(int(group))[row]))
-    return found
+                normals[rows.times[group]].append(Normal(term.name, place, 1.0, rows.matrix(int(group))[row]))
+    return normals
 
 
 GOOD_FIT = 1e-8  # relative residual up to which normals stay as they are: solvers leave 1e-9, the judge allows 1e-6
 
 
-def weighted(
+def multipliers_with_weights(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
     sequence: Indices,
@@ -154,12 +154,12 @@ def weighted(
         if len(modes) == 1 and not (np.abs(across[t]) > GOOD_FIT * scale).any():
             continue
         differences = (slopes[t, modes] - slopes[t, s] + across[t]) / scale
-        held = np.array([normal.value(multipliers) for normal in normals[t]])
+        values = np.array([normal.value(multipliers) for normal in normals[t]])
         columns = np.array([normal.column / scale for normal in normals[t]]).reshape(-1, len(scale))
-        weights[t, modes], _, residual = _polytope(differences, columns[:0])
+        weights[t, modes], _, residual = _nearest_combination(differences, columns[:0])
         if residual <= GOOD_FIT or not normals[t]:
             continue  # the multipliers of the normals stay as they are
-        alpha, changed, with_normals = _polytope(differences + held @ columns, columns)
+        alpha, changed, with_normals = _nearest_combination(differences + values @ columns, columns)
         if with_normals < residual:
             weights[t, modes] = alpha
             for normal in normals[t]:
@@ -170,7 +170,7 @@ def weighted(
     return Multipliers(multipliers.eta_C, multipliers.eta, mu, nu, multipliers.rho_u, multipliers.rho_x, parts, weights)
 
 
-def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
+def _nearest_combination(points: Array, rays: Array) -> tuple[Array, Array, float]:
     """Return alpha, nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
     from scipy.optimize import nnls  # slow to import
 
@@ -178,9 +178,9 @@ def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
     norms = np.where(norms > 0, norms, 1.0)
     matrix = np.hstack([points.T, -(rays / norms[:, None]).T])
     total = np.concatenate([np.ones(len(points)), np.zeros(len(rays))])
-    found, _ = nnls(np.vstack([matrix, total]), np.append(np.zeros(len(matrix)), 1.0))
-    found = found / found[: len(points)].sum()
-    return found[: len(points)], found[len(points) :] / norms, float(np.abs(matrix @ found).max())
+    shares, _ = nnls(np.vstack([matrix, total]), np.append(np.zeros(len(matrix)), 1.0))
+    shares = shares / shares[: len(points)].sum()
+    return shares[: len(points)], shares[len(points) :] / norms, float(np.abs(matrix @ shares).max())
 
 
 WEIGHT_FITS = 12  # fits of weights, each with the adjoint of the last
@@ -191,26 +191,28 @@ SMALLEST_KINK = 1e-9  # difference of two maps' derivatives, relative to their l
 def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Multipliers]:
     """Yield multipliers with eta_C = 1, the best guess first; NumericalError if the first fit could not be solved."""
     point = _FitPoint.of(problem, trajectory)
-    common = weighted(problem, trajectory, point.sequence, point.multipliers(fitted_duals(*_hull(point))[0]))
+    common = multipliers_with_weights(
+        problem, trajectory, point.sequence, point.multipliers(fitted_duals(*_hull_program(point))[0])
+    )
     yield common
     if not point.stages:
         return
     try:
-        program, pushes = _on_kinks(point)
+        program, pushes = _kink_program(point)
         y, _ = fitted_duals(program, point.z)
         pushed = (y[len(point.program.lower) :] @ pushes).reshape(problem.horizon, -1)
-        on_kinks = weighted(problem, trajectory, point.sequence, point.multipliers(y), pushed)
+        on_kinks = multipliers_with_weights(problem, trajectory, point.sequence, point.multipliers(y), pushed)
         yield on_kinks
         with suppress(UnsupportedError):  # too many gradients
             if uniqueness(linear_along(problem, trajectory), trajectory).unique:
                 return  # the active gradients are independent: there are no other multipliers
         for start in (on_kinks, common):
-            yield from _with_weights_of(point, start.eta)
+            yield from _weight_fits(point, start.eta)
     except NumericalError:
         return
 
 
-def _with_weights_of(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
+def _weight_fits(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
     """Yield the fits with weights, starting from an adjoint; the judge finds the weights again."""
     for _ in range(WEIGHT_FITS):
         y, _ = fitted_duals(*_weight_program(point, eta))
@@ -275,7 +277,7 @@ class _FitPoint:
         return sorted({t for t, _ in self.stages})
 
 
-def _without_regions(point: _FitPoint) -> Program:
+def _free_regions(point: _FitPoint) -> Program:
     """Return the program without region rows where several modes are active."""
     upper = point.program.upper.copy()
     for t in point.times:
@@ -284,7 +286,7 @@ def _without_regions(point: _FitPoint) -> Program:
     return replace(point.program, upper=upper)
 
 
-def _on_kinks(point: _FitPoint) -> tuple[Program, Array]:
+def _kink_program(point: _FitPoint) -> tuple[Program, Array]:
     """Return the program on the kinks, and what a dual of each new row adds to stationarity, (rows, T * (n + m)).
 
     Where several modes are active, (x_t, u_t) is fixed in all directions in which their maps differ.
@@ -292,17 +294,17 @@ def _on_kinks(point: _FitPoint) -> tuple[Program, Array]:
     rows, pushes = list[sp.csc_array](), list[Array]()
     for t in point.times:
         signals, maps = point.signals[t], point.arrays.maps[t]
-        units, held = point.scaling.columns[signals], maps[point.active[t]]
-        differences = ((held - maps[point.sequence[t]]) * units).reshape(-1, len(signals))
+        units, active_maps = point.scaling.columns[signals], maps[point.active[t]]
+        differences = ((active_maps - maps[point.sequence[t]]) * units).reshape(-1, len(signals))
         _, sizes, across = np.linalg.svd(differences, full_matrices=False)
-        across = across[sizes > SMALLEST_KINK * np.abs(held * units).max()]
+        across = across[sizes > SMALLEST_KINK * np.abs(active_maps * units).max()]
         row, column = np.nonzero(np.ones_like(across))
         rows.append(sp.csc_array((across.ravel(), (row, signals[column])), shape=(len(across), len(point.z))))
         push = np.zeros((len(across), len(point.sequence), len(signals)))
         push[:, t] = across / units / point.scaling.cost
         pushes.append(push.reshape(len(across), len(point.sequence) * len(signals)))
     fixed = sp.csc_array(sp.vstack(rows))
-    return _augment(_without_regions(point), fixed, np.asarray(fixed @ point.z), equations=True), np.vstack(pushes)
+    return _augment(_free_regions(point), fixed, np.asarray(fixed @ point.z), equations=True), np.vstack(pushes)
 
 
 def _weight_program(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
@@ -320,10 +322,10 @@ def _weight_program(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
         rows[k, variables + times.index(t)] = -1.0
     rows[count:, variables:] = -np.eye(len(times))
     z, sparse = np.append(point.z, np.zeros(len(times))), sp.csc_array(rows)
-    return _augment(_without_regions(point), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
+    return _augment(_free_regions(point), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
 
 
-def _hull(point: _FitPoint) -> tuple[Program, Array]:
+def _hull_program(point: _FitPoint) -> tuple[Program, Array]:
     """Return the program with a direction d_j for every other active mode, and the point with d = 0."""
     program, width = point.program, point.signals.shape[1]
     further = width * len(point.stages)
@@ -332,7 +334,7 @@ def _hull(point: _FitPoint) -> tuple[Program, Array]:
     entries, cones = list[tuple[Indices, Indices, Array]](), list[sp.csc_array]()
     for k, (t, j) in enumerate(point.stages):
         units = point.scaling.columns[point.signals[t]]
-        rows, coefficients = _own_rows(point, t, j)
+        rows, coefficients = _direction_rows(point, t, j)
         scaled = point.scaling.rows[rows, None] * coefficients * units
         row, column = np.nonzero(scaled)
         entries.append((rows[row], k * width + column, scaled[row, column]))
@@ -348,20 +350,20 @@ def _hull(point: _FitPoint) -> tuple[Program, Array]:
     return extended, np.append(point.z, np.zeros(further))
 
 
-def _own_rows(point: _FitPoint, t: int, j: int) -> tuple[Indices, Array]:
+def _direction_rows(point: _FitPoint, t: int, j: int) -> tuple[Indices, Array]:
     """Return the program's rows with d_j, and its coefficients, (rows, n + m).
 
     These are F_j - F_s in the dynamics, and minus the rows of the own mode's region and of the stage's sets.
     """
-    own, maps, numbers = int(point.sequence[t]), point.arrays.maps[t], point.rows
-    found = {int(row): -line for row, line in zip(numbers.eta[t], maps[j] - maps[own], strict=True)}
-    for row in np.flatnonzero(point.facets[t, own]):
-        found[int(numbers.stage[REGION][t, row])] = -point.arrays.rows[t, own, row]
+    sequence_mode, maps, numbers = int(point.sequence[t]), point.arrays.maps[t], point.rows
+    coefficients = {int(row): -line for row, line in zip(numbers.eta[t], maps[j] - maps[sequence_mode], strict=True)}
+    for row in np.flatnonzero(point.facets[t, sequence_mode]):
+        coefficients[int(numbers.stage[REGION][t, row])] = -point.arrays.rows[t, sequence_mode, row]
     families = {STATE: numbers.mu, CONTROL: numbers.nu} | dict(numbers.stage)
     for normal in point.normals[t]:
-        found[int(families[normal.family][normal.place])] = -normal.sign * normal.column
-    found.pop(0, None)  # the program has no such row
-    return np.array(list(found), dtype=int) - 1, np.array(list(found.values()))
+        coefficients[int(families[normal.family][normal.place])] = -normal.sign * normal.column
+    coefficients.pop(0, None)  # the program has no such row
+    return np.array(list(coefficients), dtype=int) - 1, np.array(list(coefficients.values()))
 
 
 def _augment(

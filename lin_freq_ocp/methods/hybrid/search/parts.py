@@ -43,21 +43,21 @@ def search_in_parts(
         executor.submit(search_part, problem, reach, outcome.sequence, left): (root, reach)
         for root, reach in first.open_nodes
     }
-    found: dict[int, SearchOutcome] = {}
+    outcomes: dict[int, SearchOutcome] = {}
     message, interrupted = "", False
     try:
         for future in as_completed(futures):
             root, reach = futures[future]
             try:
-                found[root] = future.result()
+                outcomes[root] = future.result()
             except LOST:
-                found[root] = search_part(problem, reach, outcome.sequence, left)
+                outcomes[root] = search_part(problem, reach, outcome.sequence, left)
             if progress is not None:
-                cost = min(outcome.cost, *(part.cost for part in found.values()))
+                cost = min(outcome.cost, *(part.cost for part in outcomes.values()))
                 bound = min((node.bound for node in outcome.tree.nodes if node.proof is not None), default=-np.inf)
-                solved = outcome.nodes + sum(part.nodes for part in found.values())
+                solved = outcome.nodes + sum(part.nodes for part in outcomes.values())
                 seconds = now() - started
-                progress(SearchProgress(cost, min(bound, cost), solved, len(futures) - len(found), seconds))
+                progress(SearchProgress(cost, min(bound, cost), solved, len(futures) - len(outcomes), seconds))
     except KeyboardInterrupt:
         message, interrupted = "interrupted", True
         for future in futures:
@@ -65,15 +65,17 @@ def search_in_parts(
     # the first search with the trees of the parts in place of their roots, in the order of these
     nodes: list[ModeNode] = list(outcome.tree.nodes)
     best = outcome
-    for root in sorted(found):
-        part = found[root]
-        own, shift = part.tree.nodes, len(nodes) - 1
-        nodes[root] = replace(nodes[root], proof=own[0].proof or (nodes[root].proof if len(own) == 1 else None))
-        nodes += [replace(node, parent=root if node.parent == 0 else node.parent + shift) for node in own[1:]]
+    for root in sorted(outcomes):
+        part = outcomes[root]
+        part_nodes, shift = part.tree.nodes, len(nodes) - 1
+        nodes[root] = replace(
+            nodes[root], proof=part_nodes[0].proof or (nodes[root].proof if len(part_nodes) == 1 else None)
+        )
+        nodes += [replace(node, parent=root if node.parent == 0 else node.parent + shift) for node in part_nodes[1:]]
         best = part if part.cost < best.cost else best
         message = message or part.message
-    solved = outcome.nodes + sum(part.nodes for part in found.values())
-    interrupted = interrupted or any(part.interrupted for part in found.values())
+    solved = outcome.nodes + sum(part.nodes for part in outcomes.values())
+    interrupted = interrupted or any(part.interrupted for part in outcomes.values())
     return SearchOutcome(best.sequence, best.cost, ModeTree(tuple(nodes)), message, interrupted, solved, outcome.setup)
 
 

@@ -97,7 +97,7 @@ def shortest_path(data: PathData, phi: Array) -> float:
 
 
 @jit
-def path_proven(data: PathData, w: Array, p: Array, z: Array, tau: float) -> float:
+def proven_path_bound(data: PathData, w: Array, p: Array, z: Array, tau: float) -> float:
     """Return what (p, z)/tau prove of the objective."""
     phi = path_lengths(data, path_slopes(data, p, z, tau), w)
     return shortest_path(data, phi) - dot(data.b, p) / tau

@@ -76,20 +76,20 @@ class SmoothModel:
 
     def derivatives(self, y: Array) -> Derivatives:
         """Return c with its derivatives at a point; those by controls that are held are zero."""
-        found = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
+        map_jets = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
         units = self._units[:-1].copy()
         units[:, self.problem.state_dim :][self.assembly.fixed] = 0.0
         after = self._units[1:, : self.problem.state_dim]
-        slopes = found.slopes * units[:, None, :] / after[:, :, None]
-        curvatures = found.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]
-        return Derivatives(self._deviations(found.values), slopes, curvatures)
+        slopes = map_jets.slopes * units[:, None, :] / after[:, :, None]
+        curvatures = map_jets.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]
+        return Derivatives(self._deviations(map_jets.values), slopes, curvatures)
 
-    def linearised(self, y: Array, found: Derivatives) -> Stages:
+    def linearised(self, y: Array, derivatives: Derivatives) -> Stages:
         """Return the stages linearised at a point, with a copy of the Hessian of the cost."""
-        stages, n, count = self.stages, self.problem.state_dim, found.slopes.shape[2]
+        stages, n, count = self.stages, self.problem.state_dim, derivatives.slopes.shape[2]
         A, B, d = np.zeros_like(stages.A), np.zeros_like(stages.B), np.zeros_like(stages.d)
-        A[:-1], B[:-1, :, : count - n] = found.slopes[:, :, :n], found.slopes[:, :, n:]
-        d[:-1] = found.successors - np.einsum("tij,tj->ti", found.slopes, y[:-1, :count])
+        A[:-1], B[:-1, :, : count - n] = derivatives.slopes[:, :, :n], derivatives.slopes[:, :, n:]
+        d[:-1] = derivatives.successors - np.einsum("tij,tj->ti", derivatives.slopes, y[:-1, :count])
         return replace(stages, A=A, B=B, d=d, H=stages.H.copy())
 
     @property
