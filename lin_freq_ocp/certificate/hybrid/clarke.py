@@ -21,7 +21,7 @@ the linear problem with these dynamics, if the sum is a convex combination of ac
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -30,6 +30,7 @@ from scipy.linalg import block_diag
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import runs_in_words, runs_of
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, state_residual
 from lin_freq_ocp.certificate.sizes import Floors, floors, trajectory_sizes
@@ -147,13 +148,14 @@ class SwitchingFacts(Facts):
             first, second = (self.mode_names[i] for i in (self.jumping.first, self.jumping.second))
             parts.append(f"the map jumps between {first} and {second}: the theorem does not apply")
         if self.gaps:
-            where = ", ".join(map(str, self.gaps))
+            where = runs_in_words(runs_of(np.array(self.gaps)))
             parts.append(f"the trajectory touches a gap between regions at t = {where}: the theorem does not apply")
         parts += [kink.describe() for kink in self.norms]
         if not self.times and not self.norms:
             return "; ".join([*parts, "modes meet nowhere along the trajectory"])
         if self.times:
-            parts.append(f"modes meet{' or end' if self.gaps else ''} at t = {', '.join(map(str, self.times))}")
+            where = runs_in_words(runs_of(np.array(self.times)))
+            parts.append(f"modes meet{' or end' if self.gaps else ''} at t = {where}")
         parts.append(f"joint inclusion {'holds' if self.joint else 'fails'}")
         parts.append("flip-stationary" if self.flip_stationary else "not flip-stationary")
         flips = self.flips if self.elsewhere else tuple(flip for flip in self.flips if flip.improves)
@@ -234,16 +236,6 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
     return np.vstack(normals), np.maximum(np.concatenate(multipliers_of_normals), 0.0)
 
 
-def times_at_gaps(problem: OptimalControlProblem, trajectory: Trajectory, arrays: ModeArrays, active: Mask) -> Indices:
-    """Return the times at which the regions of the active modes (T, modes) leave a part of the sets out."""
-    if problem.gap is None:
-        return np.zeros(0, dtype=np.intp)
-    x, u, sets = trajectory.x, trajectory.u, problem.stage_sets
-    touched = (arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)
-    times = (t for t in np.flatnonzero(touched) if meets_gap(arrays, sets, int(t), np.append(x[t], u[t]), active[t]))
-    return np.fromiter(times, dtype=np.intp)
-
-
 def switching_stages(
     extremal: Extremal, least: Floors, arrays: ModeArrays, active: Mask, gaps: Indices
 ) -> list[SwitchingStage]:
@@ -302,7 +294,14 @@ def switching_facts(
 ) -> SwitchingFacts:
     """Return the facts; ``joint``: all conditions hold, ``elsewhere``: those that do not depend on weights do."""
     sizes = np.concatenate(trajectory_sizes(problem, trajectory))
-    flips = [flip for stage in stages for flip in _flips(stage, sizes)]
+    flips = list[Flip]()
+    for stage in stages:
+        for mode, residual in zip(stage.modes, _flip_residuals(stage), strict=True):
+            if np.abs(residual).max() > CONDITION_TOLERANCE:
+                # in the scaled metric the residual r is orthogonal to the part that was subtracted and makes no acute
+                # angle with the generators: d = r / scale leads into the mode within the sets, <a_i - b, d> = |r|^2
+                longest = float(np.abs(residual / stage.scale / sizes).max())
+                flips.append(Flip(stage.time, int(mode), float(residual @ residual) / longest))
     checks = (
         ("flip", "no mode towards which H rises", _flip_residuals),
         ("printed", "C-iii and C-iv as printed, in x alone", _printed_residuals_in_x),
@@ -335,19 +334,6 @@ def switching_facts(
         mode_names=piecewise_affine(problem).mode_names,
         gaps=tuple(gaps.tolist()),
     )
-
-
-def _flips(stage: SwitchingStage, sizes: Array) -> Iterator[Flip]:
-    """Yield the modes for which the residual r of the flip test is not zero.
-
-    In the scaled metric r is orthogonal to what was subtracted and makes no acute angle with the generators, so that
-    d = r / scale is a direction into the mode within the sets, and <a_i - b, d> = |r|^2.
-    """
-    for mode, residual in zip(stage.modes, _flip_residuals(stage), strict=True):
-        if np.abs(residual).max() > CONDITION_TOLERANCE:
-            direction = residual / stage.scale
-            rate = float(residual @ residual) / float(np.abs(direction / sizes).max())
-            yield Flip(stage.time, int(mode), rate)
 
 
 def _flip_residuals(stage: SwitchingStage) -> list[Array]:
@@ -413,7 +399,11 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
-    gaps = times_at_gaps(problem, trajectory, arrays, active)
+    gaps = np.zeros(0, dtype=np.intp)
+    if problem.gap is not None:  # where the regions of the active modes leave a part of the sets out
+        x, u, sets = trajectory.x, trajectory.u, problem.stage_sets
+        touched = np.flatnonzero((arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)).tolist()
+        gaps = np.array([t for t in touched if meets_gap(arrays, sets, t, np.append(x[t], u[t]), active[t])], np.intp)
     weights = _weights_along(problem, trajectory, multipliers, arrays, sequence, active)
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
@@ -425,12 +415,25 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
         dynamics_condition if condition.name == dynamics_condition.name else condition
         for condition in all_conditions(extremal, least)
     ]
-    active_mode, of_weights = _mode_condition(distance, sequence), _weight_condition(weights, active)
+    own_distance = distance[np.arange(len(sequence)), sequence]  # from the region of the mode that leads to x_{t+1}
+    t = int(np.argmax(own_distance))
+    mode, worst = int(sequence[t]), float(own_distance[t])
+    name = "a mode holds that leads to the next state"
+    active_mode = Condition("S-f", name, worst, 1.0, CONDITION_TOLERANCE, t, mode)
+    violation = np.maximum(-weights, np.where(active, 0.0, np.abs(weights)))
+    violation = np.maximum(violation, np.abs(weights.sum(axis=1, keepdims=True) - 1))
+    t, mode = (int(i) for i in np.unravel_index(np.argmax(violation), violation.shape))
+    name = "weights >= 0, sum 1, of modes that hold"
+    of_weights = Condition("N-f", name, float(violation[t, mode]), 1.0, CONDITION_TOLERANCE, t, mode)
     stages = switching_stages(extremal, least, arrays, active, gaps)
     others = all(condition.passed for condition in (*linear, active_mode) if condition.name not in OF_WEIGHTS)
-    elsewhere = others and _is_stationary(
-        extremal, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages])
-    )
+    # the adjoint equation and stationarity in u at all times with a single mode
+    n, scale, single = problem.state_dim, stationarity_scale(extremal, least), np.ones(problem.horizon, dtype=bool)
+    single[[stage.time for stage in stages]] = False
+    in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:n]
+    in_u = np.abs(extremal.in_u - extremal.multipliers.nu) / scale[n:]
+    residual = max(float(part[single].max(initial=0.0)) for part in (in_x, in_u))
+    elsewhere = others and residual <= CONDITION_TOLERANCE
     conditions = (*linear, active_mode, of_weights)
     joint = all(condition.passed for condition in conditions)
     facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere)
@@ -479,28 +482,3 @@ def _weights_along(
         weights[stage.time] = 0.0
         weights[stage.time, stage.modes] = nearest_weights(stage)
     return weights
-
-
-def _mode_condition(distance: Array, sequence: Indices) -> Condition:
-    """S-f: (x_t, u_t) lies in the region of the mode that leads to x_{t+1}; relative to the terms of its rows."""
-    distances = distance[np.arange(len(sequence)), sequence]
-    t = int(np.argmax(distances))
-    name = "a mode holds that leads to the next state"
-    return Condition("S-f", name, float(distances[t]), 1.0, CONDITION_TOLERANCE, t, int(sequence[t]))
-
-
-def _weight_condition(weights: Array, active: Mask) -> Condition:
-    """N-f: weights are >= 0, 0 for modes that are not active, and sum to 1."""
-    wrong = np.maximum(-weights, np.where(active, 0.0, np.abs(weights)))
-    wrong = np.maximum(wrong, np.abs(weights.sum(axis=1, keepdims=True) - 1))
-    t, mode = (int(i) for i in np.unravel_index(np.argmax(wrong), wrong.shape))
-    name = "weights >= 0, sum 1, of modes that hold"
-    return Condition("N-f", name, float(wrong[t, mode]), 1.0, CONDITION_TOLERANCE, t, mode)
-
-
-def _is_stationary(extremal: Extremal, least: Floors, times: Mask) -> bool:
-    """Whether the adjoint equation and stationarity in u hold at these of the times 0 .. T-1, and transversality."""
-    n, scale = extremal.problem.state_dim, stationarity_scale(extremal, least)
-    in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:n]
-    in_u = np.abs(extremal.in_u - extremal.multipliers.nu) / scale[n:]
-    return max(float(part[times].max(initial=0.0)) for part in (in_x, in_u)) <= CONDITION_TOLERANCE

@@ -131,7 +131,11 @@ class IntervalReach:
         np.maximum(low[..., :n], np.array([stage.lower for stage in now])[:, None], out=low[..., :n])
         np.minimum(high[..., :n], np.array([stage.upper for stage in now])[:, None], out=high[..., :n])
         low, high, possible = self._cut_boxes(t, low, high)
-        image_low, image_high = self._image(t, low, high)
+        # the images of the boxes, as intervals and as zonotopes
+        size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(self._offset[t])
+        rising, falling, rounding = self._rising[t], self._falling[t], INTERVAL_ROUNDING * size
+        image_low = (rising @ low[..., None] + falling @ high[..., None])[..., 0] + self._offset[t] - rounding
+        image_high = (rising @ high[..., None] + falling @ low[..., None])[..., 0] + self._offset[t] + rounding
         centres, generators, radius = self._zonotopes(t, now)
         image_low = np.maximum(np.maximum(image_low, centres - radius), np.array([s.lower for s in after])[:, None])
         image_high = np.minimum(np.minimum(image_high, centres + radius), np.array([s.upper for s in after])[:, None])
@@ -172,20 +176,12 @@ class IntervalReach:
         rows, limits, above = self._rows[t], self._limits[t], self._above[t]
         least = np.where(rows > 0, low[..., None, :], high[..., None, :])  # where a row is least
         terms = rows * least
-        room = limits - terms.sum(axis=-1)
-        room += INTERVAL_ROUNDING * (np.abs(terms).sum(axis=-1) + np.abs(limits))
-        ends = least + room[..., None] / self._divisors[t]
+        margin = limits - terms.sum(axis=-1)
+        margin += INTERVAL_ROUNDING * (np.abs(terms).sum(axis=-1) + np.abs(limits))
+        ends = least + margin[..., None] / self._divisors[t]
         high = np.minimum(high, np.where(above, ends, np.inf).min(axis=-2))
         low = np.maximum(low, np.where(self._below[t], ends, -np.inf).max(axis=-2))
-        return np.minimum(low, high), high, (room >= 0).all(axis=-1) & (low <= high).all(axis=-1)
-
-    def _image(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return boxes (..., modes, n) around the images of boxes (..., modes, k)."""
-        rising, falling, offset = self._rising[t], self._falling[t], self._offset[t]
-        size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(offset)
-        low, high, rounding = low[..., None], high[..., None], INTERVAL_ROUNDING * size
-        least, most = (rising @ low + falling @ high)[..., 0], (rising @ high + falling @ low)[..., 0]
-        return least + offset - rounding, most + offset + rounding
+        return np.minimum(low, high), high, (margin >= 0).all(axis=-1) & (low <= high).all(axis=-1)
 
 
 def _zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -324,18 +320,12 @@ class LeafJudge:
         self._rising, self._falling = np.maximum(self._maps, 0.0), np.minimum(self._maps, 0.0)
         self._shape = T, len(piecewise_affine(problem).modes), n
 
+    @np.errstate(over="ignore", invalid="ignore")
     def bound(self, stages: Stages, proof: ModeMultipliers) -> float:
         """Return D; for eta_C = 0, inf if it is above zero and -inf else."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            value = self._value(stages, proof)
-        if proof.multipliers.eta_C == 0:
-            return np.inf if value > 0 else -np.inf
-        return value if value == value else -np.inf
-
-    def _value(self, reached: Stages, proof: ModeMultipliers) -> float:
         extremal, centre = extremal_at(self._problem, self._centre, proof.multipliers), self._centre
         eta, eta_C = proof.multipliers.eta, proof.multipliers.eta_C
-        boxes, last = _boxes_of_stages(reached, self._y, centre.x[-1]), self._shape[2]
+        boxes, last = _boxes_of_stages(stages, self._y, centre.x[-1]), self._shape[2]
         lengths, sizes = self._lengths(extremal, proof, boxes)
         after = np.zeros(self._shape[1])
         for t, edges in reversed(list(enumerate(self._edges(boxes)))):
@@ -352,7 +342,10 @@ class LeafJudge:
         rounding += float(size_x.astype(np.float64) @ largest) + abs(float(final)) + abs(cost) + abs(gaps)
         rounding += float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
         rounding += float(sum(term.gap_terms.sum() for term in extremal.terms))
-        return cost - gaps + at_centre + float(after.min()) + float(final) - ARITHMETIC_ROUNDING * rounding
+        value = cost - gaps + at_centre + float(after.min()) + float(final) - ARITHMETIC_ROUNDING * rounding
+        if eta_C == 0:
+            return np.inf if value > 0 else -np.inf
+        return value if value == value else -np.inf
 
     def minimisers(self, stages: Stages, proof: ModeMultipliers) -> Minimisers:
         """Return the minimisers of the stages of D, as far as a box with infinite bounds has them."""
@@ -399,7 +392,11 @@ class LeafJudge:
         slope, size = self._slopes(extremal, proof)
         hessians = (proof.multipliers.eta_C * self._hessians)[:, None, None]
         minima, spread = _box_minimum(slope, hessians, boxes.low[:-1, :, None], boxes.high[:-1, :, None])
-        after = np.zeros((1, 1, 1)) if proof.paths is None else _least_image_costs(proof.paths.images, boxes, x)
+        after = np.zeros((1, 1, 1))
+        if proof.paths is not None and proof.paths.images.any():  # the least <nu, x> over the boxes that follow
+            images, n = proof.paths.images, self._shape[2]
+            low, high = (part[1:, None, :, :n] + x[1:, None, None] for part in (boxes.low, boxes.high))
+            after = (images * np.where(images > 0, low, np.where(images < 0, high, 0.0))).sum(axis=-1)
         constants = (region @ self._slack[..., None])[..., 0] - (ahead @ self._images[..., None])[..., 0]
         constants = constants + (behind @ x[:-1, :, None])[..., 0][:, :, None] + after
         sizes = (
@@ -445,16 +442,6 @@ def _boxes_of_stages(reached: Stages, y: Array, last: Array) -> _Boxes:
         part[:-1] = np.where(allowed[..., None], _with_infinities(np.stack(bounds)) - y[:, None], 0.0)
         part[-1, 0, :n] = _with_infinities(end) - last
     return _Boxes(allowed, following, low, high)
-
-
-def _least_image_costs(images: Array, boxes: _Boxes, x: Array) -> Array:
-    """Return the least <nu, x> over the boxes of the modes that follow."""
-    if not images.any():
-        return np.zeros((1, 1, 1))
-    n = images.shape[-1]
-    low, high = (part[1:, None, :, :n] + x[1:, None, None] for part in (boxes.low, boxes.high))
-    at = np.where(images > 0, low, np.where(images < 0, high, 0.0))
-    return (images * at).sum(axis=-1)
 
 
 def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple[Array, Array]:

@@ -317,10 +317,14 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
         y=signal_columns(T, n, m),
         delta=len(hosts[0].sparse.q) + np.arange(T * len(hosts)).reshape(T, len(hosts)),
     )
+    mode_rows = list[Row]()
+    for deltas, possible in zip(columns.delta, bounds.possible, strict=True):
+        mode_rows.append((deltas, np.ones(len(deltas)), 1.0, 1.0))
+        mode_rows += [(deltas[i : i + 1], np.ones(1), 0.0, float(holds)) for i, holds in enumerate(possible)]
     rows = {
         Block.DYNAMICS: list(_dynamics_rows(arrays, bounds, columns)),
         Block.REGIONS: list(_region_rows(arrays, bounds, columns)),
-        Block.MODES: list(_mode_rows(bounds, columns)),
+        Block.MODES: mode_rows,
     }
     require_time(end)
     joined, of_signals = _join_rows(rows, hosts[0], columns), common_scaling(hosts)
@@ -361,13 +365,6 @@ def _region_rows(arrays: ModeArrays, bounds: BigMBounds, columns: _Columns) -> I
             at = np.concatenate([columns.y[t], columns.delta[t, others]])
             row = np.append(arrays.rows[t, i, r], -bounds.regions[t, i, others, r])
             yield at, row, -np.inf, float(arrays.h[t, i, r])
-
-
-def _mode_rows(bounds: BigMBounds, columns: _Columns) -> Iterator[Row]:
-    for deltas, possible in zip(columns.delta, bounds.possible, strict=True):
-        yield deltas, np.ones(len(deltas)), 1.0, 1.0
-        for delta, can_hold in zip(deltas, possible, strict=True):
-            yield np.array([delta]), np.ones(1), 0.0, float(can_hold)
 
 
 def _equal_groups(chosen: Indices, *parts: Array) -> Iterator[Indices]:

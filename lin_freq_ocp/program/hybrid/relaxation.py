@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, LARGEST_BOUND, ModeReach, Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.rows import (
     Duals,
     Groups,
@@ -102,18 +102,32 @@ class ModeRelaxation:
 
     def member(self, reach: Reach) -> Member:
         """Return the relaxation of the modes that a reach allows; UnsupportedError if a signal is not bounded."""
+        groups, stages, n = self._rows, self._stages, self._n
         single = reach.allowed.sum(axis=1) == 1
-        many = reach.allowed & ~single[:, None]
+        many, only = reach.allowed & ~single[:, None], reach.allowed & single[:, None]
         values, right = self._template.values.copy(), self._template.right.copy()
         rows, columns = np.zeros(len(right), dtype=bool), np.ones(self._at.count, dtype=bool)
         for part in self._host_rows:
-            part.of(rows)[:] = True
-        self._take_boxes(rows, right, reach, single | self.bounds_where_several)
-        single_modes, finite = reach.allowed & single[:, None], np.isfinite(self._stages.limits)
-        self._rows.one_map.take(rows, single_modes)
-        self._rows.one_region.take(rows, single_modes, finite)
-        self._rows.weight_sum.take(rows, ~single)
-        self._rows.weight.take(rows, many)
+            part.view(rows)[:] = True
+        # the bounds of x_t and u_t where shares do not have them, and of x_T
+        bounded, tube = single | self.bounds_where_several, self.problem.control_tube
+        u_lower, u_upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
+        x_ref = np.vstack([stages.references[:, :n], stages.last_reference])
+        u_ref, of_x, of_u = stages.references[:, n:], stages.units[:n], stages.units[n:]
+        for boxes, low, high, times in (
+            (self._x_boxes, (reach.lower - x_ref) / of_x, (reach.upper - x_ref) / of_x, np.append(bounded, True)),
+            (self._u_boxes, (u_lower - u_ref) / of_u, (u_upper - u_ref) / of_u, bounded),
+        ):
+            equal = high - low <= FIXED
+            limits = high, -low, (low + high) / 2
+            masks = ~equal & (high < LARGEST_BOUND), ~equal & (low > -LARGEST_BOUND), equal
+            for group, limit, mask in zip(boxes, limits, masks, strict=True):
+                group.view(rows)[:] = mask & times[:, None]
+                group.view(right)[:] = limit
+        groups.one_map.take(rows, only)
+        groups.one_region.take(rows, only, np.isfinite(stages.limits))
+        groups.weight_sum.take(rows, ~single)
+        groups.weight.take(rows, many)
         self._take_several(rows, values, right, reach, many)
         columns[self._at.delta] = columns[self._at.epsilon] = many
         columns[self._at.share] = many[..., None]
@@ -122,13 +136,29 @@ class ModeRelaxation:
         hessian, row, column = self._hessian
         stage = self._stage[row]
         cost = (stage < 0) | single[stage]
-        pointers = np.append(
-            np.int32(0), np.cumsum(np.bincount(column[cost], minlength=len(kept_columns)), dtype=np.int32)
-        )
+        counts = np.bincount(column[cost], minlength=len(kept_columns))
+        pointers = np.append(np.int32(0), np.cumsum(counts, dtype=np.int32))
         P = sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept_columns), len(kept_columns)))
         cones = tuple(self._cone_sizes[rows[self._cone_heads]].tolist())  # all rows of a cone are taken, or none
         form = self._template.member(rows, columns, values, right, (P, self._price[kept_columns]), cones)
         return Member(form, reach, kept_columns)
+
+    def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
+        """Take the rows of shares and epigraphs of the modes ``many`` (T, modes), in the boxes of the reach."""
+        groups, several = self._rows, many.any(axis=1)
+        lower, upper = self._require_bounds(reach.mode_lower, many), self._require_bounds(reach.mode_upper, many)
+        equal, k = upper - lower <= FIXED, lower.shape[-1]
+        groups.share_sum.take(rows, several)
+        groups.share_map.take(rows, several)
+        groups.share_region.take(rows, many, np.isfinite(self._stages.limits))
+        for group, bound, mask in (
+            (groups.share_upper, -upper, ~equal),
+            (groups.share_lower, lower, ~equal),
+            (groups.share_equal, -(lower + upper) / 2, equal),
+        ):
+            group.take(rows, many, mask)
+            group.coefficients(values)[:, k:] = bound.reshape(-1, k)
+        groups.cone.take(rows, many)
 
     def for_cost(self, cost: float) -> Self:
         """Return the same relaxations in units in which the objective of this cost is not far below 1.
@@ -243,15 +273,18 @@ class ModeRelaxation:
         """Return the duals of a member's standard form, P z + q + A'y = 0, or those of a ray."""
         full, rows = np.zeros(len(self._template.right)), self._rows
         full[member.form.row] = member.form.sign * y
-        adjoint = rows.one_map.of(full).reshape(self._stages.offsets.shape).sum(axis=1) + rows.share_map.of(full)
-        regions = np.maximum(rows.one_region.of(full) + rows.share_region.of(full), 0.0)
-        of_equations, of_inequalities, of_cones = (part.of(full).ravel() for part in self._host_rows)
+        adjoint = rows.one_map.view(full).reshape(self._stages.offsets.shape).sum(axis=1) + rows.share_map.view(full)
+        regions = np.maximum(rows.one_region.view(full) + rows.share_region.view(full), 0.0)
+        of_equations, of_inequalities, of_cones = (part.view(full).ravel() for part in self._host_rows)
         sides = np.concatenate([of_equations, of_inequalities, -of_cones])
         return Duals(adjoint, sides, regions.reshape(self._stages.limits.shape), 0.0 if z is None else 1.0)
 
     def multipliers(self, duals: Duals) -> ModeMultipliers:
         """Return the multipliers of duals."""
-        host_multipliers = self._own_multipliers(duals.sides, duals.adjoint, duals.eta_C)
+        program = self._program
+        host = self._sides.dual(len(program.lower), duals.sides)
+        host[program.rows[Block.DYNAMICS]] = duals.adjoint.ravel()
+        host_multipliers = self._host.multipliers(self._scaling.dual(host), duals.eta_C)
         if duals.vertices is None or duals.images is None:
             return ModeMultipliers(host_multipliers, duals.regions / self._stages.norms / self._scaling.cost)
         vertex_changes = duals.vertices - duals.adjoint[:, None]
@@ -260,13 +293,6 @@ class ModeRelaxation:
         region = duals.regions / self._stages.norms[:, :, None] / self._scaling.cost
         paths = PathMultipliers(vertex_changes * units[:, None], duals.images * units[:, None, None])
         return ModeMultipliers(host_multipliers, region, paths)
-
-    def _own_multipliers(self, sides: Array, adjoint: Array, eta_C: float) -> Multipliers:
-        """Return the multipliers of the theorem from duals of the host rows and the adjoint (T, n), natural units."""
-        program = self._program
-        host = self._sides.dual(len(program.lower), sides)
-        host[program.rows[Block.DYNAMICS]] = adjoint.ravel()
-        return self._host.multipliers(self._scaling.dual(host), eta_C)
 
     def adjoint(self, duals: Duals) -> Array:
         """Return eta alone, (T, n)."""
@@ -296,44 +322,6 @@ class ModeRelaxation:
         self._host_rows = tuple(groups)
         self._cone_sizes = np.array(form.cones, dtype=np.intp)
         self._cone_heads = self._host_rows[2].rows.ravel()[np.cumsum(self._cone_sizes) - self._cone_sizes]
-
-    def _take_boxes(self, rows: Mask, right: Array, reach: Reach, bounded: Mask) -> None:
-        """Take the bounds of x_t and u_t at times ``bounded``, where shares do not have them, and of x_T."""
-        stages, n, tube = self._stages, self._n, self.problem.control_tube
-        u_lower, u_upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
-        x_ref = np.vstack([stages.references[:, :n], stages.last_reference])
-        u_ref, of_x, of_u = stages.references[:, n:], stages.units[:n], stages.units[n:]
-        for groups, low, high, taken in (
-            (self._x_boxes, (reach.lower - x_ref) / of_x, (reach.upper - x_ref) / of_x, np.append(bounded, True)),
-            (self._u_boxes, (u_lower - u_ref) / of_u, (u_upper - u_ref) / of_u, bounded),
-        ):
-            equal = high - low <= FIXED
-            for group, value, mask in zip(
-                groups,
-                (high, -low, (low + high) / 2),
-                (~equal & (high < LARGEST_BOUND), ~equal & (low > -LARGEST_BOUND), equal),
-                strict=True,
-            ):
-                group.of(rows)[:] = mask & taken[:, None]
-                group.of(right)[:] = value
-
-    def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
-        """Take the rows of modes where several are left, and fill in what depends on the reach."""
-        several, groups = np.asarray(many.any(axis=1)), self._rows
-        lower, upper = self._require_bounds(reach.mode_lower, many), self._require_bounds(reach.mode_upper, many)
-        equal = upper - lower <= FIXED
-        groups.share_sum.take(rows, several)
-        groups.share_map.take(rows, several)
-        groups.share_region.take(rows, many, np.isfinite(self._stages.limits))
-        k = lower.shape[-1]
-        for part, bound, mask in (
-            (groups.share_upper, -upper, ~equal),
-            (groups.share_lower, lower, ~equal),
-            (groups.share_equal, -(lower + upper) / 2, equal),
-        ):
-            part.take(rows, many, mask)
-            part.coefficients(values)[:, k:] = bound.reshape(-1, k)
-        groups.cone.take(rows, many)
 
     def _require_bounds(self, bounds: Array, needed: Mask) -> Array:
         """Return bounds (T, modes, k) in natural units; UnsupportedError where one is needed and missing."""

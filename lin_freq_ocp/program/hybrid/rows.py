@@ -46,12 +46,12 @@ class Groups:
 
     def take(self, rows: Mask, chosen: Mask, within: Mask | None = None) -> None:
         """Choose ``rows`` in the ``chosen`` groups (any shape of as many), of their rows only those ``within``."""
-        rows_of_groups = self.of(rows)
+        rows_of_groups = self.view(rows)
         rows_of_groups[:] = chosen.reshape(-1, 1)
         if within is not None:
             rows_of_groups &= within.reshape(rows_of_groups.shape)
 
-    def of(self, rows: NDArray[Scalar]) -> NDArray[Scalar]:
+    def view(self, rows: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return what belongs to these groups, (groups, size), as a view."""
         return _view(rows, self.rows)
 

@@ -67,17 +67,17 @@ class AngleBound:
         start, end = problem.ends
         self._offset = float(start.lower[ENERGY])
         self.low, self.high = end.lower[4:] - start.upper[4:], end.upper[4:] - start.lower[4:]
-        limits = problem.state_boxes.lower[0, LEVEL], problem.state_boxes.upper[0, LEVEL]
         d = problem.horizon - 1
         self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
         self.size = self._price * (2 * self._amplitude**2 + abs(self._offset))
-        patterns = [
-            pattern
-            for pattern in product((dynamics.step, -dynamics.step), repeat=d)
-            if _stays_in_limits(pattern, limits)
-        ]
-        steps, middle = np.array(patterns).reshape(len(patterns), d), np.full((len(patterns), d), QUARTER / 2)
-        whole = AngleBoxes(steps, middle, middle.copy(), np.full(len(patterns), -np.inf))
+        # all patterns of steps whose levels stay within their bounds
+        steps = np.array(list(product((dynamics.step, -dynamics.step), repeat=d))).reshape(2**d, d)
+        levels, limits = steps.cumsum(axis=1), problem.state_boxes
+        slack = ROUNDING * np.abs(levels).max(axis=1, initial=1.0, keepdims=True)
+        within = (levels >= limits.lower[0, LEVEL] - slack) & (levels <= limits.upper[0, LEVEL] + slack)
+        steps = steps[within.all(axis=1)]
+        middle = np.full(steps.shape, QUARTER / 2)
+        whole = AngleBoxes(steps, middle, middle.copy(), np.full(len(steps), -np.inf))
         self.boxes = self._bound_boxes(whole)
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
 
@@ -181,13 +181,6 @@ def _multipliers(slope: Array, slopes: Array, largest: float) -> Array:
         return np.zeros((len(slope), 0))
     multipliers = -np.einsum("nik,ni->nk", np.linalg.pinv(slopes, rcond=1e-6), slope)
     return np.where((np.abs(multipliers) < largest).all(axis=1, keepdims=True), multipliers, 0.0)
-
-
-def _stays_in_limits(pattern: tuple[float, ...], limits: tuple[float, float]) -> bool:
-    """Whether the levels of a pattern stay within limits."""
-    levels = np.cumsum(pattern)
-    slack = ROUNDING * np.abs(levels).max(initial=1.0)
-    return bool((levels >= limits[0] - slack).all() and (levels <= limits[1] + slack).all())
 
 
 def _require_form(problem: OptimalControlProblem, dynamics: PulseTrain) -> None:

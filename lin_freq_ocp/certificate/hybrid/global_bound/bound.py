@@ -31,7 +31,6 @@ from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
     CostToGo,
     Lattice,
     PricedProblem,
-    StageCosts,
     index_tuples,
     stage_costs,
 )
@@ -137,11 +136,26 @@ class _Done:
 
 
 def _first_level(stages: PricedProblem, cost: float, scale: float) -> list[_Task]:
-    lattices = _lattices(stages)
+    """Return the tasks of the first level: in every cell and mode, a grid of boxes of the controls."""
+    problem, m, lattices = stages.problem, stages.problem.control_dim, _lattices(stages)
+    each, modes = max(1, round(FIRST_BOXES ** (1 / m))), len(piecewise_smooth(problem).modes)
     tasks: list[_Task] = []
-    for t, (lattice, to_come) in enumerate(zip(lattices, costs_to_come(stages, lattices), strict=True)):
+    for time, (lattice, to_come) in enumerate(zip(lattices, costs_to_come(stages, lattices), strict=True)):
+        t, x = min(time, problem.horizon - 1), lattice.centres
+        width = (stages.upper[t] - stages.lower[t]) / each
+        u = stages.lower[t] + (index_tuples(np.full(m, each)) + 0.5) * width
+        centre = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
+        widths = np.concatenate([lattice.width, width])
+        radius = np.where(widths > 0, widths / 2 * (1 + ROUNDING) + ROUNDING * np.abs(centre), 0.0)
+        boxes = Boxes.unbounded(
+            np.tile(np.repeat(np.arange(len(x)), len(u)), modes),
+            np.repeat(np.arange(modes), len(centre)),
+            np.tile(centre, (modes, 1)),
+            np.tile(radius, (modes, 1)),
+            problem.state_dim,
+        )
         target = cost - to_come + CUTOFF_MARGIN * scale if np.isfinite(cost) else np.full(len(to_come), np.inf)
-        tasks.append(_Task(lattice, _first_boxes(stages, min(t, stages.problem.horizon - 1), lattice), target))
+        tasks.append(_Task(lattice, boxes, target))
     return tasks
 
 
@@ -168,29 +182,16 @@ def _lattices(stages: PricedProblem) -> list[Lattice]:
     return [Lattice.full(lower, upper, finest, FIRST_CELLS[n]) for lower, upper in bounds]
 
 
-def _first_boxes(stages: PricedProblem, t: int, lattice: Lattice) -> Boxes:
-    problem, m = stages.problem, stages.problem.control_dim
-    each = max(1, round(FIRST_BOXES ** (1 / m)))
-    width = (stages.upper[t] - stages.lower[t]) / each
-    u = stages.lower[t] + (index_tuples(np.full(m, each)) + 0.5) * width
-    x, modes = lattice.centres, len(piecewise_smooth(problem).modes)
-    centre = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
-    widths = np.concatenate([lattice.width, width])
-    radius = np.where(widths > 0, widths / 2 * (1 + ROUNDING) + ROUNDING * np.abs(centre), 0.0)
-    return Boxes.unbounded(
-        np.tile(np.repeat(np.arange(len(x)), len(u)), modes),
-        np.repeat(np.arange(modes), len(centre)),
-        np.tile(centre, (modes, 1)),
-        np.tile(radius, (modes, 1)),
-        problem.state_dim,
-    )
-
-
 def _backward_pass(
     stages: PricedProblem, level: list[_Task], tolerance: float, deadline: float, progress: Progress
 ) -> list[_Done]:
     """Return V_t and boxes for all times."""
-    last = _terminal_tangents(stages.costs, level[-1].lattice)
+    # of the terminal cost, the tangents at the centres: below it, as it is convex
+    x, P = level[-1].lattice.centres, stages.costs.terminal_hessian
+    linear, everywhere = stages.costs.terminal_linear, np.full(x.shape, np.inf)
+    values = 0.5 * np.einsum("ci,ij,cj->c", x, P, x) + x @ linear
+    values, slopes = values - ROUNDING * np.abs(values), x @ P + linear
+    last = CostToGo(level[-1].lattice, values[:, None], slopes[:, None], -everywhere, everywhere)
     none = level[-1].boxes.take(np.zeros(0, dtype=np.intp))
     done = [_Done(last, none, np.zeros(0), np.zeros(len(last.values)))]
     for t in range(stages.problem.horizon - 1, -1, -1):
@@ -209,16 +210,6 @@ def _backward_pass(
         if progress is not None:
             progress(1 - t / stages.problem.horizon)
     return done[::-1]
-
-
-def _terminal_tangents(costs: StageCosts, lattice: Lattice) -> CostToGo:
-    """Return the tangents of the last cost at the centres: below it, as it is convex."""
-    x = lattice.centres
-    slopes = x @ costs.terminal_hessian + costs.terminal_linear
-    values = 0.5 * np.einsum("ci,ij,cj->c", x, costs.terminal_hessian, x) + x @ costs.terminal_linear
-    everything = np.full(x.shape, np.inf)
-    values = values - ROUNDING * np.abs(values)
-    return CostToGo(lattice, values[:, None], slopes[:, None], -everything, everything)
 
 
 def _cheapest_path(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, None]:

@@ -274,24 +274,18 @@ class BackwardStep:
                 np.minimum.at(closer[:, s], pair, pair_bounds)
             bounds[rows] = np.fmax(bounds[rows], closer[rows])
         steep = change.max(axis=1) * r
-        steep += self._losses_after(boxes, whole, float(steep.sum(axis=1).max(initial=0.0)))
-        reached = np.where(holds(mode, y), self._after.at(0.5 * (centre.values[0] + centre.values[1])), np.inf)
-        return boxes, bounds, offset + reached[:, None], steep
-
-    def _losses_after(self, boxes: Boxes, whole: IntervalJets, cost: float) -> Array:
-        """Return about how much of V the image of a box leaves open, by its directions, (boxes, n + m).
-
-        Along a state where V is flat, as where an end is fixed, an image over everything is worth the spread of V, or
-        a cost.
-        """
-        after, r = self._after.lattice, boxes.radius
+        # about how much of V the image of a box leaves open, by its directions: along a state where V is flat, as where
+        # an end is fixed, an image over everything is worth the spread of V, or a cost
         widths = np.where(np.isfinite(boxes.high - boxes.low), boxes.high - boxes.low, 0.0)
         extent = np.maximum(after.upper - after.lower, widths.max(axis=0, initial=0.0))
         extent = np.where(extent > 0, extent, 1.0)
+        cost = float(steep.sum(axis=1).max(initial=0.0))
         worth = self._minima.steepest + (self._minima.spread or cost or 1.0) / extent
         largest = np.maximum(np.abs(whole.slopes[0]), np.abs(whole.slopes[1])) * r[:, None]
         everywhere = np.where(r[:, None] > 0, extent[:, None], 0.0)
-        return np.einsum("i,pij->pj", worth, np.where(np.isfinite(largest), largest, everywhere))
+        steep += np.einsum("i,pij->pj", worth, np.where(np.isfinite(largest), largest, everywhere))
+        reached = np.where(holds(mode, y), self._after.at(0.5 * (centre.values[0] + centre.values[1])), np.inf)
+        return boxes, bounds, offset + reached[:, None], steep
 
     def _second_order(
         self,

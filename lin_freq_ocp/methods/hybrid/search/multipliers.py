@@ -207,21 +207,17 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterat
             if uniqueness(linear_along(problem, trajectory), trajectory).unique:
                 return  # the active gradients are independent: there are no other multipliers
         for start in (on_kinks, common):
-            yield from _weight_fits(point, start.eta)
+            eta = start.eta
+            for _ in range(WEIGHT_FITS):
+                fit = point.multipliers(fitted_duals(*_weight_program(point, eta))[0])
+                # without weights: the judge fits them again
+                stage = {name: values for name, values in fit.stage.items() if name != REGION}
+                yield Multipliers(1.0, fit.eta, fit.mu, fit.nu, fit.rho_u, fit.rho_x, stage)
+                if np.abs(fit.eta - eta).max() <= SAME_ADJOINT * np.abs(fit.eta).max():
+                    break
+                eta = fit.eta
     except NumericalError:
         return
-
-
-def _weight_fits(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
-    """Yield the fits with weights, starting from an adjoint; the judge finds the weights again."""
-    for _ in range(WEIGHT_FITS):
-        y, _ = fitted_duals(*_weight_program(point, eta))
-        fit = point.multipliers(y)
-        stage = {name: weights for name, weights in fit.stage.items() if name != REGION}
-        yield Multipliers(1.0, fit.eta, fit.mu, fit.nu, fit.rho_u, fit.rho_x, stage)
-        if np.abs(fit.eta - eta).max() <= SAME_ADJOINT * np.abs(fit.eta).max():
-            return
-        eta = fit.eta
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,7 +330,18 @@ def _hull_program(point: _FitPoint) -> tuple[Program, Array]:
     entries, cones = list[tuple[Indices, Indices, Array]](), list[sp.csc_array]()
     for k, (t, j) in enumerate(point.stages):
         units = point.scaling.columns[point.signals[t]]
-        rows, coefficients = _direction_rows(point, t, j)
+        # the rows with d_j: F_j - F_s in the dynamics, and minus the rows of the region of mode s and of the sets
+        s, maps, numbers = int(point.sequence[t]), point.arrays.maps[t], point.rows
+        lines = {int(row): -line for row, line in zip(numbers.eta[t], maps[j] - maps[s], strict=True)}
+        lines |= {
+            int(numbers.stage[REGION][t, row]): -point.arrays.rows[t, s, row]
+            for row in np.flatnonzero(point.facets[t, s])
+        }
+        families = {STATE: numbers.mu, CONTROL: numbers.nu} | dict(numbers.stage)
+        for normal in point.normals[t]:
+            lines[int(families[normal.family][normal.place])] = -normal.sign * normal.column
+        lines.pop(0, None)  # the program has no such row
+        rows, coefficients = np.array(list(lines), dtype=int) - 1, np.array(list(lines.values()))
         scaled = point.scaling.rows[rows, None] * coefficients * units
         row, column = np.nonzero(scaled)
         entries.append((rows[row], k * width + column, scaled[row, column]))
@@ -348,22 +355,6 @@ def _hull_program(point: _FitPoint) -> tuple[Program, Array]:
     rows = sp.csc_array(sp.hstack([sp.csc_array((cone.shape[0], len(point.z))), cone]))
     extended = _augment(program, rows, np.zeros(cone.shape[0]), prices=np.zeros(further), beside=beside)
     return extended, np.append(point.z, np.zeros(further))
-
-
-def _direction_rows(point: _FitPoint, t: int, j: int) -> tuple[Indices, Array]:
-    """Return the program's rows with d_j, and its coefficients, (rows, n + m).
-
-    These are F_j - F_s in the dynamics, and minus the rows of the own mode's region and of the stage's sets.
-    """
-    sequence_mode, maps, numbers = int(point.sequence[t]), point.arrays.maps[t], point.rows
-    coefficients = {int(row): -line for row, line in zip(numbers.eta[t], maps[j] - maps[sequence_mode], strict=True)}
-    for row in np.flatnonzero(point.facets[t, sequence_mode]):
-        coefficients[int(numbers.stage[REGION][t, row])] = -point.arrays.rows[t, sequence_mode, row]
-    families = {STATE: numbers.mu, CONTROL: numbers.nu} | dict(numbers.stage)
-    for normal in point.normals[t]:
-        coefficients[int(families[normal.family][normal.place])] = -normal.sign * normal.column
-    coefficients.pop(0, None)  # the program has no such row
-    return np.array(list(coefficients), dtype=int) - 1, np.array(list(coefficients.values()))
 
 
 def _augment(

@@ -33,7 +33,6 @@ from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
 from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, STAGES, KKTSolver, StepSystem, System, Values, largest
-from lin_freq_ocp.methods.structured.stages import Stages
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -91,7 +90,7 @@ class Filter:
 MARGIN = 1e-2  # distance of the first point to the boundary, in units in which limits are of order 1
 
 
-NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second side to know that a step is convex
+NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second solver to know that a step is convex
 FRACTION = 0.99  # of the way to the boundary, at least
 
 
@@ -120,7 +119,13 @@ class BarrierPoint:
     def __init__(
         self, model: SmoothModel, objective: Objective, loops: Loops, point: EmbeddedPoint, derivatives: Derivatives
     ):
-        self._model, self._objective, self._loops, self.point, self._found = model, objective, loops, point, derivatives
+        self._model, self._objective, self._loops, self.point, self._derivatives = (
+            model,
+            objective,
+            loops,
+            point,
+            derivatives,
+        )
         self.system = System(model.linearised(point.y, derivatives), loops)
         rows = zip(self.system.rows(point.y), self.system.b, strict=True)
         self.left: Values = [values - right for values, right in rows]
@@ -151,36 +156,35 @@ class BarrierPoint:
         """Return the infeasibility and the objective here."""
         return Measure(self.theta, self.phi(self.point.y, self.point.s, mu))
 
-    def factor(self, mu: float, sides: Sequence[KKTSolver]) -> None:
+    def factor(self, mu: float, solvers: Sequence[KKTSolver]) -> None:
         """Factor the system of a step, with the curvature of the dynamics if the problem stays convex.
 
-        Convexity is that on the dynamics or, where a side sees it, on the rows that couple times. The first side is
-        taken unless only another one sees it.
+        Convexity is that on the dynamics or, if a solver can detect it, on the rows that couple times. The first solver
+        is taken unless only another one detects it.
         """
         stages, self.mu = self.system.stages, mu
         for i, cone in self.cones.items():
             cone.scale(self.point.s[i], self.point.z[i])
-        if not (self._objective.curved and self.point.z[DYNAMICS].any() and self._exact(sides)):
+        convex = False
+        if self._objective.curved and self.point.z[DYNAMICS].any():
+            curved = -np.einsum("ti,tijk->tjk", self.point.z[DYNAMICS][:-1], self._derivatives.curvatures)
+            count, cone = curved.shape[1], self.cones[STAGES]
+            stages.H[:-1, :count, :count] += curved
+            Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
+            if self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed):  # on the dynamics
+                self._factor_system(solvers[0])
+                convex = True
+            elif self.theta <= NEAR:
+                convex = any(solver.indefinite and self._factor_system(solver) for solver in solvers)
+        if not convex:
             stages.H[:] = self._objective.H
-            self._factor_system(sides[0])
+            self._factor_system(solvers[0])
         squares = {i: cone.product(cone.lam, cone.lam) - mu * cone.identity for i, cone in self.cones.items()}
         self._centred = {i: cone.scaled(cone.quotient(squares[i]), 1) for i, cone in self.cones.items()}
 
-    def _exact(self, sides: Sequence[KKTSolver]) -> bool:
-        """Factor the system with the curvature of the dynamics; return whether the problem is convex with it."""
-        stages, cone = self.system.stages, self.cones[STAGES]
-        curved = -np.einsum("ti,tijk->tjk", self.point.z[DYNAMICS][:-1], self._found.curvatures)
-        count = curved.shape[1]
-        stages.H[:-1, :count, :count] += curved
-        Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
-        if self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed):  # on the dynamics
-            self._factor_system(sides[0])
-            return True
-        return self.theta <= NEAR and any(side.indefinite and self._factor_system(side) for side in sides)
-
-    def _factor_system(self, side: KKTSolver) -> bool:
-        """Factor the system by a side; return what it sees of convexity."""
-        self._step = StepSystem(self.system, side.exchanged(self.system.stages))
+    def _factor_system(self, solver: KKTSolver) -> bool:
+        """Factor the system; return whether the solver finds the problem convex."""
+        self._step = StepSystem(self.system, solver.exchanged(self.system.stages))
         return self._step.factor()
 
     def step(self, left: Values | None = None) -> tuple[Array, Values, dict[int, Array]]:
@@ -252,7 +256,11 @@ class Barrier:
     def __post_init__(self):
         stages = self.model.stages
         self._cost = Objective(stages.H, stages.h, stages.constant, curved=True)
-        self._sides = kkt_solvers(stages, self.loops)
+        self._solvers: tuple[KKTSolver, ...] = (choose_kkt_solver(stages, self.loops),)
+        if stages.coupling.count <= FEW_ROWS:
+            # the null-space solver, which detects convexity on stop bands, is slower with few rows: it comes second
+            null_space = (NullSpaceSolver(stages, self.loops, DenseReduced),) if sort_rows(stages)[0] else ()
+            self._solvers = range_space_solver(stages, self.loops), *null_space
         self._steps = 0
         self._last: BarrierPoint | None = None
 
@@ -309,7 +317,7 @@ class Barrier:
 
     def _filter_step(self, local: BarrierPoint, entries: Filter, mu: float) -> BarrierPoint | None:
         """Return the next point by a step that the filter takes; None if it takes none."""
-        local.factor(mu, self._sides)
+        local.factor(mu, self._solvers)
         y, z, s = local.step()
         current, slope = local.measure(mu), local.slope(y, s)
         of_duals = local.longest({i: z[i] for i in s}, 1)
@@ -364,7 +372,7 @@ class Barrier:
                 after = self._at(restoring.point)
                 if after is not None and entries.accepts(after.measure(mu)):
                     return after
-            restoring.factor(mu, self._sides)
+            restoring.factor(mu, self._solvers)
             y, z, s = restoring.step()
             of_duals, length = restoring.longest({i: z[i] for i in s}, 1), restoring.longest(s, -1)
             while length > SHORTEST:
@@ -378,17 +386,6 @@ class Barrier:
         return None
 
 
-def kkt_solvers(stages: Stages, loops: Loops) -> tuple[KKTSolver, ...]:
-    """Return the side of steps and, beside it, that of what stop bands keep, which sees if they make a problem convex.
-
-    With few rows the latter is slower, as more of it depends on the dynamics.
-    """
-    if stages.coupling.count > FEW_ROWS:
-        return (choose_kkt_solver(stages, loops),)
-    null_space = (NullSpaceSolver(stages, loops, DenseReduced),) if sort_rows(stages)[0] else ()
-    return range_space_solver(stages, loops), *null_space
-
-
 def _point_after(point: EmbeddedPoint, trial: Trial, z: list[Array], length: float, of_duals: float) -> EmbeddedPoint:
     """Return a point with new variables, and its duals moved: those of cones by a length of their own."""
     lengths = [of_duals if i in trial.s else length for i in range(len(z))]
@@ -396,7 +393,7 @@ def _point_after(point: EmbeddedPoint, trial: Trial, z: list[Array], length: flo
     return EmbeddedPoint(trial.y, duals, trial.s)
 
 
-WARM_MU = 1e-3  # first weight of the barrier at a start that is believed to be near
+WARM_MU = 1e-3  # first weight of the barrier at a start that is taken to be near
 FEW_STEPS = 60  # from others: 15 to 50 are common, and another start is better than many more
 
 
@@ -411,8 +408,8 @@ def smooth_optimum(
 ) -> tuple[LocalOptimum | None, End]:
     """Return the local optimum near a trajectory, or the last point, and how the iteration ended.
 
-    None if the map is not defined at the start. ``end`` is by ``clock.now``. ``warm``: the start is believed to
-    be near, and worth many steps.
+    None if the map is not defined at the start. ``end`` is by ``clock.now``. ``warm``: the start is taken to be
+    near an optimum, and worth many steps.
     """
     model = SmoothModel.at(problem, start)
     first = (WARM_MU, MOST_STEPS) if warm else (FIRST_MU, FEW_STEPS)

@@ -297,7 +297,13 @@ class LocalSearch:
                 self._smooth = False
         if not self._smooth:
             optimum = local_optimum(self.problem, start, sequence, prices, self._end)
-        if optimum is not None and (self.best is None or _is_better(self.problem, optimum, self.best)):
+        best = self.best
+        if optimum is not None and best is not None and optimum.feasible == best.feasible:
+            # both are trajectories: the cheaper one; else the one with the smaller violation
+            decrease = DECREASE * search_scale(self.problem, best.trajectory)
+            better = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
+            self.best = optimum if better else best
+        elif optimum is not None and (best is None or optimum.feasible):
             self.best = optimum
         if self.progress is not None:
             known = self.best is not None and self.best.feasible
@@ -346,11 +352,3 @@ def _middle(box: Box, share: Array) -> Array:
     low = np.where(np.isfinite(lower), lower, np.minimum(np.where(np.isfinite(upper), upper, 0.0), 0.0))
     high = np.where(np.isfinite(upper), upper, np.maximum(low, 0.0))
     return low + share * (high - low)
-
-
-def _is_better(problem: OptimalControlProblem, candidate: LocalOptimum, best: LocalOptimum) -> bool:
-    if candidate.feasible != best.feasible:
-        return candidate.feasible
-    if not candidate.feasible:
-        return candidate.violation < best.violation
-    return candidate.cost < best.cost - DECREASE * search_scale(problem, best.trajectory)

@@ -50,7 +50,14 @@ class SmoothModel:
     def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
         """Return the model with units that follow from the linearisation at a trajectory."""
         assembly = stages_of(replace(problem, dynamics=problem.dynamics_along(trajectory)))
-        return cls(problem, replace(assembly, stages=_with_terminal_weight(assembly.stages)))
+        stages = assembly.stages
+        H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
+        largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
+        weight = TERMINAL_WEIGHT * max(LEAST_CURVATURE, largest)  # of the distance of x_T from its fixed components
+        H[-1, terminal, terminal] += weight
+        h[-1, terminal] -= weight * end
+        constant = stages.constant + 0.5 * weight * float(end @ end)
+        return cls(problem, replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)))
 
     @property
     def stages(self) -> Stages:
@@ -102,13 +109,3 @@ class SmoothModel:
 
     def _deviations(self, values: Array) -> Array:
         return (values - self.assembly.program.origin.x[1:]) / self._units[1:, : self.problem.state_dim]
-
-
-def _with_terminal_weight(stages: Stages) -> Stages:
-    """Return the stages with the weight of the distance from what x_T is fixed to."""
-    H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
-    largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
-    weight = TERMINAL_WEIGHT * max(LEAST_CURVATURE, largest)
-    H[-1, terminal, terminal] += weight
-    h[-1, terminal] -= weight * end
-    return replace(stages, H=H, h=h, constant=stages.constant + 0.5 * weight * float(end @ end))
