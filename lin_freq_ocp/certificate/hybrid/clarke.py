@@ -404,7 +404,16 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
         x, u, sets = trajectory.x, trajectory.u, problem.stage_sets
         touched = np.flatnonzero((arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)).tolist()
         gaps = np.array([t for t in touched if meets_gap(arrays, sets, t, np.append(x[t], u[t]), active[t])], np.intp)
-    weights = _weights_along(problem, trajectory, multipliers, arrays, sequence, active)
+    weights = multipliers.weights
+    if weights is not None and weights.shape != active.shape:
+        raise ProblemError("multipliers.weights", f"shape {weights.shape}", f"shape {active.shape}")
+    if weights is None:  # those that fit best
+        weights = np.eye(active.shape[1])[sequence]
+        extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
+        least, none = floors(extremal, sizes), np.zeros(0, dtype=np.intp)
+        for stage in switching_stages(extremal, least, arrays, active, none):
+            weights[stage.time] = 0.0
+            weights[stage.time, stage.modes] = nearest_weights(stage)
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
     least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
@@ -459,26 +468,3 @@ def _averaged_problem(problem: OptimalControlProblem, weights: Array, sequence: 
     """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
     dynamics, fixed = piecewise_affine(problem).averaged(weights), problem.dynamics.controls_of(sequence)
     return replace(problem, dynamics=dynamics, control_set=held(problem.control_set, fixed))
-
-
-def _weights_along(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    multipliers: Multipliers,
-    arrays: ModeArrays,
-    sequence: Indices,
-    active: Mask,
-) -> Array:
-    """Return the weights that were given, or those that fit best, (T, modes)."""
-    T, modes = active.shape
-    if multipliers.weights is not None:
-        if multipliers.weights.shape != (T, modes):
-            raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", f"shape {(T, modes)}")
-        return multipliers.weights
-    weights = np.eye(modes)[sequence]
-    extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
-    least, none = floors(extremal, trajectory_sizes(problem, trajectory)), np.zeros(0, dtype=np.intp)
-    for stage in switching_stages(extremal, least, arrays, active, none):
-        weights[stage.time] = 0.0
-        weights[stage.time, stage.modes] = nearest_weights(stage)
-    return weights

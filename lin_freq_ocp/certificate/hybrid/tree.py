@@ -136,7 +136,13 @@ class IntervalReach:
         rising, falling, rounding = self._rising[t], self._falling[t], INTERVAL_ROUNDING * size
         image_low = (rising @ low[..., None] + falling @ high[..., None])[..., 0] + self._offset[t] - rounding
         image_high = (rising @ high[..., None] + falling @ low[..., None])[..., 0] + self._offset[t] + rounding
-        centres, generators, radius = self._zonotopes(t, now)
+        generators = np.zeros((len(now), 1, n, max(stage.generators.shape[1] for stage in now)))
+        for i, stage in enumerate(now):
+            generators[i, 0, :, : stage.generators.shape[1]] = stage.generators
+        generators, pushes = self._A[t] @ generators, np.abs(self._pushes[t]).sum(axis=-1)
+        centres = (self._A[t] @ np.array([stage.centre for stage in now])[:, None, :, None])[..., 0] + self._pushed[t]
+        radius = np.abs(generators).sum(axis=-1) + pushes
+        radius = radius + INTERVAL_ROUNDING * (np.abs(centres) + radius)
         image_low = np.maximum(np.maximum(image_low, centres - radius), np.array([s.lower for s in after])[:, None])
         image_high = np.minimum(np.minimum(image_high, centres + radius), np.array([s.upper for s in after])[:, None])
         possible_modes = np.array([stage.modes for stage in now]) & possible & (image_low <= image_high).all(axis=-1)
@@ -158,18 +164,6 @@ class IntervalReach:
             pairs = following.pair_lower, following.pair_upper
             steps.append((stage_now, Stage(lower[i], upper[i], *sets, following.modes, *pairs)))
         return steps
-
-    def _zonotopes(self, t: int, now: Sequence[Stage]) -> tuple[Array, Array, Array]:
-        """Return centres, generators without those of controls, and radii of the images, (stages, modes, n, ...)."""
-        n, most = len(now[0].lower), max(stage.generators.shape[1] for stage in now)
-        generators = np.zeros((len(now), 1, n, most))
-        for i, stage in enumerate(now):
-            generators[i, 0, :, : stage.generators.shape[1]] = stage.generators
-        generators = self._A[t] @ generators
-        centres = np.array([stage.centre for stage in now])[:, None, :, None]
-        centres = (self._A[t] @ centres)[..., 0] + self._pushed[t]
-        radius = np.abs(generators).sum(axis=-1) + np.abs(self._pushes[t]).sum(axis=-1)
-        return centres, generators, radius + INTERVAL_ROUNDING * (np.abs(centres) + radius)
 
     def _cut_boxes(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
         """Return boxes (..., modes, k) cut by the rows of the regions, and which of them have a point."""

@@ -155,8 +155,15 @@ def _stage_bounds(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
     """Return possible (modes,), and below, above and regions for each pair (modes i, modes j, ...)."""
     modes, n = stage.c.shape
     domains = [stage.domain(j) for j in range(modes)]
-    excess = _least_relaxations(domains)
-    possible, limited = excess <= RELAXATION, np.isfinite(stage.h)
+    # the least relaxation of the rows of each domain for which it is not empty, all by one linear program
+    blocks = [np.column_stack([rows, np.full(len(rows), -1.0)]) for rows, _ in domains]
+    columns, limits = blocks[0].shape[1], np.concatenate([limits for _, limits in domains])
+    cost = np.tile(np.append(np.zeros(columns - 1), 1.0), modes)
+    lower = np.tile(np.append(-np.ones(columns - 1), 0.0), modes)
+    upper = np.tile(np.append(np.ones(columns - 1), np.inf), modes)
+    matrix = sp.csr_array(sp.block_diag(blocks, format="csr"))
+    relaxations = _require_minimiser(minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
+    possible, limited = relaxations <= RELAXATION, np.isfinite(stage.h)
     below, above = np.zeros((2, modes, modes, n))
     regions = np.zeros((modes, modes, stage.h.shape[1]))
     asked: list[tuple[int, Array, Rows]] = []
@@ -164,7 +171,7 @@ def _stage_bounds(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
         rows, limits = domains[j]
         differences = (stage.F[j] - stage.F).reshape(-1, stage.F.shape[-1])
         objectives = np.vstack([differences, -differences, stage.G.reshape(-1, stage.G.shape[-1])])
-        asked.append((int(j), objectives, (rows, limits + RELAXATION + excess[j])))
+        asked.append((int(j), objectives, (rows, limits + RELAXATION + relaxations[j])))
     if not asked:  # no mode can hold: the rows of MODES say so
         return possible, below, above, regions
     for (j, _, _), largest in zip(asked, _largest_values(stage, asked), strict=True):
@@ -174,18 +181,6 @@ def _stage_bounds(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
         region = region.reshape(stage.h.shape) - np.where(limited, stage.h, 0.0)
         regions[:, j] = np.where(limited, region, 0.0)
     return possible, below, above, regions
-
-
-def _least_relaxations(domains: Sequence[Rows]) -> Array:
-    """Return the least relaxation of the rows of each domain for which it is not empty, (modes,)."""
-    blocks = [np.column_stack([rows, np.full(len(rows), -1.0)]) for rows, _ in domains]
-    columns = blocks[0].shape[1]
-    cost = np.tile(np.append(np.zeros(columns - 1), 1.0), len(blocks))
-    limits = np.concatenate([limits for _, limits in domains])
-    upper = np.tile(np.append(np.ones(columns - 1), np.inf), len(blocks))
-    lower = np.tile(np.append(-np.ones(columns - 1), 0.0), len(blocks))
-    matrix = sp.csr_array(sp.block_diag(blocks, format="csr"))
-    return _require_minimiser(minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
 
 
 def _largest_values(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Array]:

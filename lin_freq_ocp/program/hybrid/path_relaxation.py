@@ -98,7 +98,17 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
     image = model.maps[t, i] @ y
     image[..., -2] += model.offsets[t, i]
     image[-1] = 0.0
-    C, places, count = _vertex_rows(y[:, :n], image, t, i, j, T)
+    # the rows of the vertices that each edge leaves and enters, and their numbers; row 0 is that of t = 0
+    edges, modes, after_start = len(t), int(max(i.max(), j.max())) + 1, t > 0
+    C = np.zeros((edges, 2 * n + 2, k + 2))
+    C[:, :n], C[:, n, -2], C[:, n + 1 : -1], C[:, -1, -2] = y[:, :n], 1.0, -image, -1.0
+    present_vertices = np.zeros((T + 1, modes), dtype=bool)
+    present_vertices[t[after_start], i[after_start]] = True
+    number = (np.cumsum(present_vertices.ravel()) - 1).reshape(present_vertices.shape)
+    places = np.full((edges, 2 * n + 2), -1)
+    places[after_start, : n + 1] = 1 + number[t, i][after_start, None] * (n + 1) + np.arange(n + 1)
+    places[~after_start, n] = 0
+    places[:-1, n + 1 :] = 1 + number[t[:-1] + 1, j[:-1]][:, None] * (n + 1) + np.arange(n + 1)
     used = model.coupled.any(axis=(0, 1))
     cost = (model.price[t, None] @ y)[:, 0]
     cost[:, -1] = 1.0
@@ -106,7 +116,7 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
     linear, sizes, present = _linear_rows(model, y, image, t, i, low[after][:, :n], high[after][:, :n], images)
     cone = np.concatenate([np.zeros((len(t), 2, y.shape[-1])), -np.sqrt(2.0) * (model.roots[t] @ y)], axis=1)
     cone[:, :2, -1], cone[:, 0, -2], cone[:, 1, -2] = -1.0, -1.0, 1.0
-    first = np.zeros(count)
+    first = np.zeros(1 + int(present_vertices.sum()) * (n + 1))
     first[0] = 1.0
     return PathProgram(
         t=t,
@@ -125,22 +135,6 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
         present=present,
         cone=cone,
     )
-
-
-def _vertex_rows(x: Array, image: Array, t: Indices, i: Indices, j: Indices, T: int) -> tuple[Array, Indices, int]:
-    """Return the rows of vertices on each edge, their numbers, and how many there are; row 0 is that of t = 0."""
-    edges, n, width = x.shape
-    C = np.zeros((edges, 2 * n + 2, width))
-    C[:, :n], C[:, n, -2], C[:, n + 1 : -1], C[:, -1, -2] = x, 1.0, -image, -1.0
-    after_start, modes = t > 0, int(max(i.max(), j.max())) + 1
-    present = np.zeros((T + 1, modes), dtype=bool)
-    present[t[after_start], i[after_start]] = True
-    number = (np.cumsum(present.ravel()) - 1).reshape(present.shape)
-    places = np.full((edges, 2 * n + 2), -1)
-    places[after_start, : n + 1] = 1 + number[t, i][after_start, None] * (n + 1) + np.arange(n + 1)
-    places[~after_start, n] = 0
-    places[:-1, n + 1 :] = 1 + number[t[:-1] + 1, j[:-1]][:, None] * (n + 1) + np.arange(n + 1)
-    return C, places, 1 + int(present.sum()) * (n + 1)
 
 
 def _linear_rows(

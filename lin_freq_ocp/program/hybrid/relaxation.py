@@ -83,14 +83,31 @@ class ModeRelaxation:
         self._stages, self._n = mode_stages(problem, sizes), n
         self._at = ModeColumns(T, modes, n, m, len(self._program.q))
         template = RowTemplate()
-        self._add_host_rows(template)
+        # the rows of the host program beyond dynamics and boxes: spectra and terms
+        others = np.ones(len(self._program.lower), dtype=bool)
+        for block in (Block.DYNAMICS, Block.STATE_SET, Block.CONTROL_SET):
+            others[self._program.rows[block]] = False
+        lower, upper = self._program.lower, self._program.upper
+        lower, upper = np.where(others, lower, -np.inf), np.where(others, upper, np.inf)
+        self._shared = replace(self._program, lower=lower, upper=upper)
+        form = self._sides = self._shared.standard()
+        ends = form.equations, form.equations + form.inequalities
+        A, b = sp.csr_array(form.A), np.split(form.b, ends)
+        parts = (Sense.EQUATION, A[: ends[0]]), (Sense.INEQUALITY, A[ends[0] : ends[1]]), (Sense.CONE, -A[ends[1] :])
+        groups: list[Groups] = []
+        for (sense, matrix), right in zip(parts, (b[0], b[1], -b[2]), strict=True):
+            entries = sp.coo_array(matrix)
+            row, column = (np.asarray(part, dtype=np.intp) for part in entries.coords)
+            groups.append(template.add(sense, right[None], (row, column[None], entries.data[None])))
+        self._host_rows = tuple(groups)
         self._x_boxes, self._u_boxes = _box_rows(template, self._at.x), _box_rows(template, self._at.y[:, n:])
         stage_hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, n + m, n + m))
         roots = np.sqrt(units.cost) * symmetric_roots(stage_hessians * np.outer(sizes, sizes))
         self._rows = mode_rows(template, self._stages, self._at, roots)
-        cone_rows = self._rows.cone.rows
-        self._cone_heads = np.append(self._cone_heads, cone_rows[:, 0])
-        self._cone_sizes = np.append(self._cone_sizes, np.full(len(cone_rows), cone_rows.shape[1]))
+        mode_cones, host_sizes = self._rows.cone.rows, np.array(form.cones, dtype=np.intp)
+        host_heads = groups[2].rows.ravel()[np.cumsum(host_sizes) - host_sizes]
+        self._cone_heads = np.append(host_heads, mode_cones[:, 0])
+        self._cone_sizes = np.append(host_sizes, np.full(len(mode_cones), mode_cones.shape[1]))
         self._template = template.finished(self._at.count)
         hessian = sp.coo_array(sp.csc_array(sp.triu(self._program.P)))
         self._hessian = hessian.data, *(np.asarray(part, dtype=np.int32) for part in hessian.coords)
@@ -145,7 +162,7 @@ class ModeRelaxation:
 
     def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
         """Take the rows of shares and epigraphs of the modes ``many`` (T, modes), in the boxes of the reach."""
-        groups, several = self._rows, many.any(axis=1)
+        groups, several = self._rows, np.asarray(many.any(axis=1))
         lower, upper = self._require_bounds(reach.mode_lower, many), self._require_bounds(reach.mode_upper, many)
         equal, k = upper - lower <= FIXED, lower.shape[-1]
         groups.share_sum.take(rows, several)
@@ -302,26 +319,6 @@ class ModeRelaxation:
     def _adjoint_units(self) -> Array:
         of_dynamics = self._scaling.rows[self._program.rows[Block.DYNAMICS]]
         return of_dynamics.reshape(self.problem.horizon, self._n) / self._scaling.cost
-
-    def _add_host_rows(self, template: RowTemplate) -> None:
-        """Add the rows of the host program beyond dynamics and boxes: spectra and terms."""
-        program, others = self._program, np.ones(len(self._program.lower), dtype=bool)
-        for block in (Block.DYNAMICS, Block.STATE_SET, Block.CONTROL_SET):
-            others[program.rows[block]] = False
-        lower, upper = np.where(others, program.lower, -np.inf), np.where(others, program.upper, np.inf)
-        self._shared = replace(program, lower=lower, upper=upper)
-        form = self._sides = self._shared.standard()
-        ends = form.equations, form.equations + form.inequalities
-        A, b = sp.csr_array(form.A), np.split(form.b, ends)
-        parts = (Sense.EQUATION, A[: ends[0]]), (Sense.INEQUALITY, A[ends[0] : ends[1]]), (Sense.CONE, -A[ends[1] :])
-        groups: list[Groups] = []
-        for (sense, matrix), right in zip(parts, (b[0], b[1], -b[2]), strict=True):
-            entries = sp.coo_array(matrix)
-            row, column = (np.asarray(part, dtype=np.intp) for part in entries.coords)
-            groups.append(template.add(sense, right[None], (row, column[None], entries.data[None])))
-        self._host_rows = tuple(groups)
-        self._cone_sizes = np.array(form.cones, dtype=np.intp)
-        self._cone_heads = self._host_rows[2].rows.ravel()[np.cumsum(self._cone_sizes) - self._cone_sizes]
 
     def _require_bounds(self, bounds: Array, needed: Mask) -> Array:
         """Return bounds (T, modes, k) in natural units; UnsupportedError where one is needed and missing."""

@@ -141,7 +141,12 @@ class AngleBound:
         cost, slope, most, least = self._cost(s, c, r)
         bound = boxes.bound
         for active in (0, 1, len(self._orders)):
-            weights = _multipliers(slope, slopes[:, :active], STEEPEST * self.size / self._amplitude)
+            # lambda that makes the slope at the centre small; zero where it would be large
+            weights = np.zeros((len(slope), active))
+            if active:
+                weights = -np.einsum("nik,ni->nk", np.linalg.pinv(slopes[:, :active], rcond=1e-6), slope)
+                small = (np.abs(weights) < STEEPEST * self.size / self._amplitude).all(axis=1, keepdims=True)
+                weights = np.where(small, weights, 0.0)
             value = cost + (weights * values[:, :active]).sum(1)
             limits = np.where(weights > 0, self.high[:active], self.low[:active])
             ends = weights * np.where(weights == 0, 0.0, limits)  # there may be no limit where there is no multiplier
@@ -173,14 +178,6 @@ class AngleBound:
         mixed = -2 * both * np.where(both > 0, low + widest, np.maximum(low - widest, 0.0))
         alone = np.diagonal(both, axis1=1, axis2=2) * (np.pi - 4 * a - 4 * r)
         return cost, slope, most, alone + np.where(others, mixed, 0.0).sum(2)
-
-
-def _multipliers(slope: Array, slopes: Array, largest: float) -> Array:
-    """Return lambda, (boxes, k), that makes slope + sum_k lambda_k slopes_k small; zero where it would be large."""
-    if not slopes.shape[1]:
-        return np.zeros((len(slope), 0))
-    multipliers = -np.einsum("nik,ni->nk", np.linalg.pinv(slopes, rcond=1e-6), slope)
-    return np.where((np.abs(multipliers) < largest).all(axis=1, keepdims=True), multipliers, 0.0)
 
 
 def _require_form(problem: OptimalControlProblem, dynamics: PulseTrain) -> None:

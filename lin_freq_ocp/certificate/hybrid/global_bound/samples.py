@@ -139,14 +139,21 @@ class Samples:
 
     def _best_of(self, x: Array, u: Array) -> tuple[Array, Array, Indices]:
         """Return the least of c + V(f) over controls u (states, controls, m), where it is, and in which mode."""
-        count = u.shape[1]
+        count, lattice = u.shape[1], self.after.lattice
+        pole = lattice.width == 0
         pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
         costs = self.stages.cost(self.t, pairs)
         best, at, chosen = np.full(len(x), np.inf), pairs[::count].copy(), np.zeros(len(x), dtype=np.intp)
         for i, mode in enumerate(piecewise_smooth(self.stages.problem).modes):
             y = values_of(mode.f, pairs)
             inside = holds(mode, pairs) & np.isfinite(y).all(axis=1)
-            total = costs + self._value_at(np.where(inside[:, None], y, 0.0))
+            y = np.where(inside[:, None], y, 0.0)
+            cell = lattice.numbers(lattice.indices(y))
+            within = (y >= lattice.lower) & (y <= lattice.upper) & (cell >= 0)[:, None]
+            # V_{t+1}, with the distance to fixed states priced
+            far = np.where(pole, self._prices * np.abs(y - lattice.lower), np.where(within, 0.0, np.inf)).sum(axis=1)
+            value = self.after.pieces_at(cell, np.where(pole, lattice.centres[cell], y)).max(axis=1)
+            total = costs + value + far
             total = np.where(inside, total, np.inf).reshape(len(x), count)
             least = total.argmin(axis=1)
             totals = total[np.arange(len(x)), least]
@@ -154,14 +161,6 @@ class Samples:
             best[better], chosen[better] = totals[better], i
             at[better] = pairs.reshape(len(x), count, -1)[better, least[better]]
         return best, at, chosen
-
-    def _value_at(self, y: Array) -> Array:
-        """Return V_{t+1}, with the distance to fixed states priced."""
-        after, lattice = self.after, self.after.lattice
-        cell, pole = lattice.numbers(lattice.indices(y)), lattice.width == 0
-        inside = (y >= lattice.lower) & (y <= lattice.upper) & (cell >= 0)[:, None]
-        far = np.where(pole, self._prices * np.abs(y - lattice.lower), np.where(inside, 0.0, np.inf)).sum(axis=1)
-        return after.pieces_at(cell, np.where(pole, lattice.centres[cell], y)).max(axis=1) + far
 
     @cached_property
     def _prices(self) -> Array:

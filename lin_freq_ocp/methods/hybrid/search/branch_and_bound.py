@@ -40,7 +40,6 @@ from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import search_scale
-from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
@@ -177,11 +176,19 @@ class TreeSearch:
                 return message
             if self._best is None:  # dive: split the newest node until a sequence is found
                 newest = max(range(len(self._heap)), key=lambda position: self._heap[position][1])
-                taken = self._heap.pop(newest)
+                bound, index, answer = self._heap.pop(newest)
                 heapq.heapify(self._heap)
             else:
-                taken = heapq.heappop(self._heap)
-            self._split(*taken)
+                bound, index, answer = heapq.heappop(self._heap)
+            if self.progress is not None:
+                least, seconds = min(bound, self._heap[0][0]) if self._heap else bound, now() - self._started
+                self.progress(SearchProgress(self._cost, least, self._solved, len(self._heap), seconds))
+            # a child for each of the modes left at some time
+            t = self._stage_to_split(answer)
+            masks = one_mode_each(answer.reach.allowed, t)
+            reaches = self._relaxation.reach.after(answer.reach, t, [mask[t] for mask in masks])
+            solutions = [None if reach is None else self._relax_node(reach, self._cutoff) for reach in reaches]
+            self._open(list(zip(masks, solutions, strict=True)), index, t, bound)
         leaves = (node for node in self._nodes if (node.allowed.sum(axis=1) == 1).all())
         if any(node.bound == -np.inf for node in leaves):  # the time was over before one was solved
             return self.limits.reached(now() - self._started, self._solved)
@@ -222,17 +229,6 @@ class TreeSearch:
                 self._nodes[index] = replace(self._nodes[index], allowed=reach.allowed, bound=bound)
                 self._consider(index, answer)
         return ""
-
-    def _split(self, bound: float, index: int, answer: NodeSolution) -> None:
-        """Replace a node by one for each of its modes at some time."""
-        t = self._stage_to_split(answer)
-        masks = one_mode_each(answer.reach.allowed, t)
-        if self.progress is not None:
-            least, seconds = min(bound, self._heap[0][0]) if self._heap else bound, now() - self._started
-            self.progress(SearchProgress(self._cost, least, self._solved, len(self._heap), seconds))
-        reaches = self._relaxation.reach.after(answer.reach, t, [mask[t] for mask in masks])
-        answers = [None if reach is None else self._relax_node(reach, self._cutoff) for reach in reaches]
-        self._open(list(zip(masks, answers, strict=True)), index, t, bound)
 
     def _open(self, answers: list[tuple[Mask, NodeSolution | None]], parent: int, stage: int, bound: float) -> None:
         """Add nodes, all at once so that an interrupt leaves none out, and look in each for better sequences."""
@@ -293,25 +289,22 @@ class TreeSearch:
                     self._accept(sequence, self._relax_node(reach, self._cost))
 
     def _accept(self, sequence: Indices, answer: NodeSolution) -> None:
-        """Keep a sequence if it is the best so far, and try its flips."""
+        """Keep a sequence if it is the best so far, and try those with one mode flipped across a facet.
+
+        The facets with the largest multipliers come first.
+        """
         if answer.trajectory is None or answer.duals is None or not answer.bound < self._cost:
             return
         self._cost, self._best = answer.bound, sequence
         self._scale = search_scale(self.problem, answer.trajectory)
-        self._try(self._flips(sequence, answer.trajectory, answer.duals))
-
-    def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals) -> Iterator[Indices]:
-        """Yield the sequences with one mode flipped across a facet with a positive multiplier, the largest first."""
-        largest = self._relaxation.multipliers(duals).region_along(sequence).max(axis=1, initial=0.0)
-        near = self._arrays.active(trajectory.x, trajectory.u)
-        for t in np.argsort(-largest):
-            if largest[t] <= 0:
-                break
-            for i in np.flatnonzero(near[t]):
-                if i != sequence[t]:
-                    flipped = sequence.copy()
-                    flipped[t] = i
-                    yield flipped
+        largest = self._relaxation.multipliers(answer.duals).region_along(sequence).max(axis=1, initial=0.0)
+        active = self._arrays.active(answer.trajectory.x, answer.trajectory.u)
+        flips = list[Indices]()
+        for t in (t for t in np.argsort(-largest) if largest[t] > 0):
+            for mode in np.flatnonzero(active[t]):
+                flips.append(sequence.copy())
+                flips[-1][t] = mode
+        self._try(flip for flip in flips if (flip != sequence).any())
 
     def _stage_to_split(self, answer: NodeSolution) -> int:
         """Return the time, of those with several modes left, with the largest estimated loss of the relaxation.
