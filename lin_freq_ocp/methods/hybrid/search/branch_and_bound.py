@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -138,23 +139,35 @@ class TreeSearch:
 
         With a cover of all sequences, begin at its leaves.
         """
-        message, interrupted = "", False
         self._until_open = until_open
-        try:
+
+        def begin() -> str:
             if start is not None:
                 self._try([start])
             if cover:
-                message = self._open_cover(cover)
-            else:
-                everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
-                reach = self._relaxation.reach.from_start(everything) if within is None else within
-                root = None if reach is None else self._relax_node(reach, self._cutoff)
-                self._open([(everything, root)], -1, -1, -np.inf)
-            message = message or self._loop()
-        except KeyboardInterrupt:
-            message, interrupted = "interrupted", True
+                return self._open_cover(cover) or self._loop()
+            everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
+            reach = self._relaxation.reach.from_start(everything) if within is None else within
+            root = None if reach is None else self._relax_node(reach, self._cutoff)
+            self._open([(everything, root)], -1, -1, -np.inf)
+            return self._loop()
+
+        return self._outcome(begin)
+
+    def resume(self, seconds: float) -> SearchOutcome:
+        """Continue a search that stopped at its time limit, for so many more seconds."""
+        share = (now() - self._started + seconds) / self.limits.seconds
+        self.limits = replace(self.limits, share=share)
+        return self._outcome(self._loop)
+
+    def _outcome(self, search: Callable[[], str]) -> SearchOutcome:
+        """Return the outcome of a search, which returns the limit that stopped it; also if it is interrupted."""
+        message, interrupted = "interrupted", True
+        with suppress(KeyboardInterrupt):
+            message, interrupted = search(), False
         tree = tree_with_proofs(self._relaxation, self._nodes, self._duals)
-        return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup)
+        resume = self.resume if message == self.limits.out_of_time and self._heap else None
+        return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup, resume)
 
     @property
     def final_relaxation(self) -> ModeRelaxation:
@@ -191,7 +204,7 @@ class TreeSearch:
             self._open(list(zip(masks, solutions, strict=True)), index, t, bound)
         leaves = (node for node in self._nodes if (node.allowed.sum(axis=1) == 1).all())
         if any(node.bound == -np.inf for node in leaves):  # the time was over before one was solved
-            return self.limits.reached(now() - self._started, self._solved)
+            return self.limits.reached(now() - self._started, self._solved) or self.limits.out_of_time
         return ""
 
     @property

@@ -20,7 +20,7 @@ from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
-SEARCH_SHARE = 0.6  # of the time: in the rest the leaves are checked, each about as long as a node takes
+SEARCH_SHARE = 0.6  # of the time, at first: in the rest the leaves are checked, each at most as long as a node takes
 # Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance,
 # whose bound is weaker but checked all the same
 TOLERANCES = (1e-8, 1e-6)
@@ -32,21 +32,27 @@ FEASIBLE = 1e-5
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """When to stop: relative gap, seconds in all, and relaxations solved."""
+    """When to stop: relative gap, seconds in all, relaxations solved, and the share of the seconds for the search."""
 
     gap: float = GAP
     seconds: float = np.inf
     nodes: int = 10**9
+    share: float = SEARCH_SHARE
 
     @property
     def search_seconds(self) -> float:
         """Return the time for solving relaxations; the rest is for the proof."""
-        return SEARCH_SHARE * self.seconds
+        return self.share * self.seconds
+
+    @property
+    def out_of_time(self) -> str:
+        """Return the message of a search that stopped at its time limit."""
+        return f"time limit of {self.seconds:g} s"
 
     def reached(self, seconds: float, nodes: int) -> str:
         """Return which limit of time or nodes is reached, or an empty string."""
         if seconds > self.search_seconds:
-            return f"time limit of {self.seconds:g} s"
+            return self.out_of_time
         return f"limit of {self.nodes} nodes" if nodes >= self.nodes else ""
 
 
@@ -74,7 +80,8 @@ class SearchProgress(Progress):
 class SearchOutcome:
     """The best sequence (T,) with its relaxed cost (inf: none was found), the tree, and why the search stopped early.
 
-    ``nodes`` relaxations were solved, after ``setup`` seconds.
+    ``nodes`` relaxations were solved, after ``setup`` seconds. ``resume`` continues a search that stopped at its time
+    limit, for so many more seconds; None if it cannot be continued.
     """
 
     sequence: Indices | None
@@ -84,6 +91,7 @@ class SearchOutcome:
     interrupted: bool
     nodes: int
     setup: float = 0.0
+    resume: Callable[[float], SearchOutcome] | None = None
 
 
 def solve_relaxation(
