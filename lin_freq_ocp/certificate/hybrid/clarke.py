@@ -1,6 +1,6 @@
-"""What the maximum principle says of piecewise-affine dynamics where several modes are active (docs/borders.md).
+"""The maximum principle for piecewise-affine dynamics at points where several modes are active (docs/borders.md).
 
-Where the trajectory touches a gap between regions, a single mode may be active, and its region ends there.
+A point at a gap between regions may have a single active mode, whose region ends there.
 
 At (x_t, u_t), with I the active modes, a_i = (A_i' eta_t, B_i' eta_t), G_i d <= 0 the region of mode i to first order,
 p_t what the adjoint equation and stationarity in u require of the derivative of <eta_t, f_t>, and b_t the same without
@@ -91,13 +91,13 @@ class NormKink(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SwitchingFacts(Facts):
-    """What holds where several modes are active, with the multipliers that were judged.
+    """The conditions where several modes are active, for the multipliers that were judged.
 
     Attributes
     ----------
     elsewhere : bool
-        Whether all conditions that do not depend on weights hold, and stationarity where a single mode is active. The
-        following facts but ``regular`` include it; without it, flips mean nothing.
+        Whether all conditions without weights hold, and stationarity where a single mode is active. All following facts
+        except ``regular`` presuppose it; without it, flips have no meaning.
     joint : bool
         Clarke's multiplier rule, the necessary condition.
     flip_stationary : bool
@@ -113,7 +113,7 @@ class SwitchingFacts(Facts):
     weights : (len(times), modes)
         alpha there.
     jumping : SwitchingFacet or None
-        Where the map jumps most, if it does: then the theorem does not apply.
+        The facet with the largest jump of the map, if there is one: then the theorem does not apply.
     conditions : tuple of Condition
         "flip", "printed" (in x, in u) and "regular" at their worst; of each, the component is a mode.
     norms : tuple of NormKink
@@ -139,7 +139,7 @@ class SwitchingFacts(Facts):
 
     @property
     def applicable(self) -> bool:
-        """Whether the theorem says anything: the map does not jump, and is defined around the trajectory."""
+        """Whether the theorem applies: the map does not jump, and is defined around the trajectory."""
         return self.jumping is None and not self.gaps
 
     def __str__(self) -> str:
@@ -188,8 +188,8 @@ class SwitchingStage:
     """A time at which several modes are active; vectors are in (x, u), n + m entries.
 
     ``slopes`` (k, n + m) are the a_i of the modes and ``required`` is p_t. ``normals`` (count, n + m) are the active
-    bounds and rows of the stage, ``held`` their multipliers in p_t. ``facets`` are, per mode, the active rows of its
-    region as columns; ``scale`` is what a residual is compared with, and ``states`` is n.
+    bounds and rows of the stage, ``multipliers`` (count,) theirs in p_t. ``facets`` are, per mode, the active rows
+    of its region as columns; ``scale`` is the unit of residuals, and ``states`` is n.
     """
 
     time: int
@@ -197,7 +197,7 @@ class SwitchingStage:
     slopes: Array
     required: Array
     normals: Array
-    held: Array
+    multipliers: Array
     facets: tuple[Array, ...]
     scale: Array
     states: int
@@ -210,7 +210,7 @@ class SwitchingStage:
 
     def without(self, chosen: Mask) -> Array:
         """Return p_t without some of the normals."""
-        return self.required - self.held[chosen] @ self.normals[chosen]
+        return self.required - self.multipliers[chosen] @ self.normals[chosen]
 
 
 def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Array]:
@@ -248,14 +248,14 @@ def switching_stages(
     scale = np.maximum(stationarity_scale(extremal, least), np.where(active[..., None], terms, 0.0).max(axis=(0, 1)))
     stages = list[SwitchingStage]()
     for t in np.union1d(np.flatnonzero(active.sum(axis=1) > 1), gaps):
-        modes, (normals, held) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
+        modes, (normals, weights) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
         facets = tuple(arrays.rows[t, i, active_facets[t, i]].T for i in modes)
-        stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, held, facets, scale, n))
+        stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, weights, facets, scale, n))
     return stages
 
 
 def required_slopes(extremal: Extremal) -> Array:
-    """Return p_t, (T, n + m): what D <eta_t, f_t> must be, for the extremal of any dynamics."""
+    """Return p_t, (T, n + m), the derivative of <eta_t, f_t> that an extremal of any dynamics requires."""
     through_x, through_u = extremal.problem.linear.pull_back(extended(extremal.multipliers.eta))
     in_x = (extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] + through_x
     return np.hstack([in_x, extremal.multipliers.nu - extremal.in_u + through_u]).astype(np.float64)
@@ -337,7 +337,7 @@ def switching_facts(
 
 
 def _flip_residuals(stage: SwitchingStage) -> list[Array]:
-    base = stage.without(np.ones(len(stage.held), dtype=bool))
+    base = stage.without(np.ones(len(stage.multipliers), dtype=bool))
     return [
         _cone_residual(slope - base, np.hstack([facets, stage.normals.T]), stage.scale)
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)

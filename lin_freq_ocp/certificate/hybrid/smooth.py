@@ -2,9 +2,9 @@
 
 To first order at a trajectory the problem is one with affine modes (``OptimalControlProblem.affine_at``), and the
 conditions of the maximum principle, all of first order, are the same. Where the arguments q of a norm are zero, its
-derivative may be any xi' Dq with |xi| <= 1: one selection xi for states and controls alike, the nearest to what the
-adjoint equation and stationarity in u require. With c the derivative of <eta_t, f_t> by the norm, -<eta_t, f_t> is
-regular there iff c <= 0; with c > 0 the printed form has no solution, and a step away from the kink raises H.
+derivative may be any xi' Dq with |xi| <= 1: one selection xi for states and controls alike, the nearest to the one
+that the adjoint equation and stationarity in u require. With c the derivative of <eta_t, f_t> by the norm, -<eta_t,
+f_t> is regular there iff c <= 0; with c > 0 the printed form has no solution, and a step away from the kink raises H.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _norm_slopes(
 
 
 def nearest_in_ball(columns: Array, wanted: Array) -> Array:
-    """Return xi with |xi| <= 1 for which columns @ xi is nearest to what is wanted; the shortest of those."""
+    """Return the shortest xi with |xi| <= 1 for which columns @ xi is nearest to ``wanted``."""
     from scipy.optimize import brentq  # slow to import
 
     xi = np.asarray(np.linalg.lstsq(columns, wanted, rcond=1e-12)[0], dtype=np.float64)
@@ -142,7 +142,7 @@ class Kink:
         The least and the largest of each component of D_x <eta_t, f_i> over the active modes i and, at the zero of a
         norm, over all its selections |xi| <= 1.
     required : (n,)
-        p_t in x: what the adjoint equation requires.
+        p_t in x, as the adjoint equation requires.
     """
 
     time: int

@@ -13,8 +13,8 @@ edges whose image misses the next box are none. The leaves of a tree cover all s
 bounds the cost of every trajectory. Only masks and multipliers are taken from the search.
 
 The boxes are those that every trajectory of a mask stays in, computed apart from the reach of the search. Intervals go
-forward in time through the region and the map of each mode. Beside them, zonotopes hold what only one mode leads to:
-they do not grow where the map turns.
+forward in time through the region and the map of each mode. As long as a single mode is possible, zonotopes enclose its
+images as well: unlike intervals they do not grow under rotations.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What can be reached at a time: the state lies in lower .. upper, and in centre + generators [-1, 1]^count, too.
+    """The reachable set at a time: the state lies in lower .. upper, and in centre + generators [-1, 1]^count.
 
     ``modes`` (modes,) can be active; pair_lower, pair_upper (modes, n + m) bound (x, u) in their regions.
     """
@@ -60,7 +60,7 @@ class Stage:
     pair_upper: Array
 
 
-SIDE_BY_SIDE = 64  # paths: beyond, arrays are no longer small
+SIDE_BY_SIDE = 64  # paths in one array: with more, arrays do not fit into the cache
 Stages = tuple[Stage, ...]  # T + 1 of them; the last has no modes
 
 
@@ -95,7 +95,7 @@ class IntervalReach:
     def restricted_each(self, choices: Sequence[tuple[Stages, int, Mask]]) -> list[Stages | None]:
         """Return, for each choice, its stages with only these modes (modes,) at a time, or None if they are empty.
 
-        All go forward side by side, which takes less time.
+        All are propagated in one array, which takes less time.
         """
         paths = [list(before) for before, _, _ in choices]
         for stages, (_, t, modes) in zip(paths, choices, strict=True):
@@ -104,7 +104,7 @@ class IntervalReach:
         return [None if index in empty else tuple(stages) for index, stages in enumerate(paths)]
 
     def _forward(self, paths: list[list[Stage]], firsts: Sequence[int], known: bool) -> set[int]:
-        """Go forward from the first times, in place; return the numbers of those that are empty."""
+        """Propagate paths forward from the first times, in place; return the numbers of empty paths."""
         empty, settled = set[int](), set[int]()
         for t in range(min(firsts, default=0), self._problem.horizon):
             going = [i for i, first in enumerate(firsts) if first <= t and i not in empty and i not in settled]
@@ -125,7 +125,7 @@ class IntervalReach:
         return empty
 
     def _step(self, t: int, now: Sequence[Stage], after: Sequence[Stage]) -> list[tuple[Stage, Stage] | None]:
-        """Return stages without modes that lead nowhere, and the next stages cut to what the others lead to."""
+        """Return the stages without modes whose image is empty, and the next stages within the other images."""
         n = len(now[0].lower)
         low, high = (np.array([getattr(stage, side) for stage in now]) for side in ("pair_lower", "pair_upper"))
         np.maximum(low[..., :n], np.array([stage.lower for stage in now])[:, None], out=low[..., :n])
@@ -184,7 +184,7 @@ def _zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class TreeBound:
-    """What a search tree proves.
+    """The bound that a search tree proves.
 
     Attributes
     ----------
@@ -219,9 +219,9 @@ class TreeBound:
 
 
 def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
-    """Check a tree: that its leaves cover all sequences, and what each leaf's multipliers prove.
+    """Check that the leaves of a tree cover all sequences, and compute the bound of the multipliers of each leaf.
 
-    Leaves that are not reached until ``end``, by ``clock.now``, prove nothing.
+    Leaves that are not checked before ``end``, by ``clock.now``, have no bound.
     """
     reached, covers = reached_nodes(problem, tree)
     parents = {node.parent for node in tree.nodes}
@@ -239,7 +239,7 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
 
 
 def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Stages | None], bool]:
-    """Return what each node can reach (None: nothing), and whether no sequence is missing."""
+    """Return the reachable stages of each node (None: empty), and whether the leaves cover all sequences."""
     reach = IntervalReach(problem)
     T, modes = problem.horizon, len(piecewise_affine(problem).modes)
     children: dict[int, list[int]] = {}
@@ -293,7 +293,7 @@ class Minimisers:
 
 
 class LeafJudge:
-    """Evaluates D; what does not depend on the leaf is kept."""
+    """Evaluates D for many leaves: data that do not depend on the leaf are computed once."""
 
     def __init__(self, problem: OptimalControlProblem):
         T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
@@ -401,7 +401,7 @@ class LeafJudge:
         return minima + constants, sizes
 
     def _edges(self, boxes: _Boxes) -> Mask:
-        """Return which modes can follow each other, (T, modes, modes); after the last, only mode 0 stands for x_T."""
+        """Return which modes can follow each other, (T, modes, modes); after the last time, mode 0 represents x_T."""
         n = self._shape[2]
         low, high = (np.clip(part[:-1, ..., None], -INFINITE, INFINITE) for part in (boxes.low, boxes.high))
         least = (self._rising @ low + self._falling @ high)[..., 0] + self._images

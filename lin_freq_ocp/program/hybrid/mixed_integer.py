@@ -95,13 +95,13 @@ class _Stage:
 
 
 def require_time(end: float) -> None:
-    """Raise TimeoutError if ``clock.now`` is beyond the end."""
+    """Raise TimeoutError if ``clock.now`` is after the end."""
     if now() > end:
         raise TimeoutError
 
 
 def big_m_bounds(problem: OptimalControlProblem, end: float = np.inf) -> BigMBounds:
-    """Return the excesses of a problem with piecewise-affine dynamics; TimeoutError at ``end`` (``clock.now``).
+    """Return the big-M bounds of a problem with piecewise-affine dynamics; TimeoutError at ``end`` (``clock.now``).
 
     Raises UnsupportedError, naming the signal, if it has no bound at a time at which several modes are possible.
     """
@@ -237,7 +237,7 @@ def _with_implied_bounds(
 
 
 def _further_rows(problem: OptimalControlProblem) -> list[Rows]:
-    """Return, for every t < T, the hard rows on (x_t, u_t) beside bounds and modes."""
+    """Return, for every t < T, the hard rows on (x_t, u_t) other than bounds and modes."""
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     parts: list[list[Rows]] = [[(np.zeros((0, n + m)), np.zeros(0))] for _ in range(T)]
     for term in problem.terms:

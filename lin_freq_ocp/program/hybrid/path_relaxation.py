@@ -1,4 +1,4 @@
-"""The relaxation of a mode sequence as a path, what its duals prove, and the way back to trajectories and multipliers.
+"""The relaxation of a mode sequence as a path, the bound of its duals, and the recovery of its solutions.
 
 The path leads through a graph whose vertices are the modes at every time.
 
@@ -22,7 +22,7 @@ vertex of mode j at t + 1, in natural units y = (x, u), and lambda >= 0, nu, rho
                                   + <rho, F_t y>  +  min over box_{t+1,j} of <nu_tij, x>,
     J within the mask >= min over paths of sum_t phi_{t, i_t, i_{t+1}} + phi_T - <rho, right>,
 
-be the duals those of a solution or not: along a trajectory, what is added is at most zero or cancels.
+for any duals, of a solution or not: along a trajectory, the added terms are at most zero or cancel.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PathProgram:
     b : (vertex rows + q,), cost : (E, W)
     linear : (E, R, W), sizes : (E, R), present : (E, R)
         G for s >= 0, each row divided by its size: k upper and k lower bounds, regions, n upper and n lower images.
-        Rows that are not present, as they are never active, are delta >= 0.
+        Rows that can never be active are not present; delta >= 0 replaces them.
     cone : (E, rank + 2, W)
         G for the second-order cone.
     """
@@ -233,8 +233,8 @@ class PathRelaxation(ModeRelaxation):
     def later(self, duals: Duals) -> Duals | None:
         """Return duals of paths moved to the time before, for a problem that begins one time later; None of others.
 
-        What comes in at the end has the adjoint of the end before, and no other multipliers. Rows over all times keep
-        what is nearest to their sum, shifted in a circle.
+        The new last time has the adjoint of the former end, and no other multipliers. The multipliers of rows over all
+        times are those whose sum is nearest to the former one, shifted cyclically.
         """
         if self._bounds is None or duals.vertices is None or duals.images is None:
             return None
@@ -282,7 +282,7 @@ class PathRelaxation(ModeRelaxation):
         return Duals(adjoint, sides, regions, eta_C, vertices, images)
 
     def no_path(self) -> Duals:
-        """Return the duals of modes that no path leads through."""
+        """Return the duals that prove that no path leads through the modes."""
         T, modes, n, _ = self._stages.maps.shape
         regions = np.zeros((T, modes, *self._stages.limits.shape[1:]))
         vertices, images = np.zeros((T, modes, n)), np.zeros((T, modes, modes, n))

@@ -69,7 +69,7 @@ class ModeRelaxation:
 
     def __init__(self, problem: OptimalControlProblem, level: float = 1.0):
         self.problem, self.reach = problem, ModeReach(problem)
-        self.level = level  # by how much the objective of members is larger than it would be of itself
+        self.level = level  # factor by which the objective of members is enlarged
         T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(piecewise_affine(problem).modes)
         hosts = [
             LinearProgram(replace(problem, dynamics=piecewise_affine(problem).along(np.full(T, mode))))
@@ -83,7 +83,7 @@ class ModeRelaxation:
         self._stages, self._n = mode_stages(problem, sizes), n
         self._at = ModeColumns(T, modes, n, m, len(self._program.q))
         template = RowTemplate()
-        # the rows of the host program beyond dynamics and boxes: spectra and terms
+        # the rows of the host program other than dynamics and boxes: spectra and terms
         others = np.ones(len(self._program.lower), dtype=bool)
         for block in (Block.DYNAMICS, Block.STATE_SET, Block.CONTROL_SET):
             others[self._program.rows[block]] = False
@@ -149,7 +149,7 @@ class ModeRelaxation:
         columns[self._at.delta] = columns[self._at.epsilon] = many
         columns[self._at.share] = many[..., None]
         kept_columns = np.flatnonzero(columns)
-        # the cost of variables without shares; the columns of the host come first, and are all kept
+        # the cost of variables without shares; the columns of the host come first, and all belong to it
         hessian, row, column = self._hessian
         stage = self._stage[row]
         cost = (stage < 0) | single[stage]
@@ -180,7 +180,7 @@ class ModeRelaxation:
     def for_cost(self, cost: float) -> Self:
         """Return the same relaxations in units in which the objective of this cost is not far below 1.
 
-        Units of a smaller cost, kept from an earlier solve, are left as well.
+        Units for a smaller cost, cached by an earlier solve, are replaced as well.
         """
         objective = abs(self.objective(cost))
         small, large = self.level < LARGEST_LEVEL, self.level > 1
@@ -247,7 +247,7 @@ class ModeRelaxation:
         return self._bounds is not None
 
     def proven(self, reach: Reach, duals: Duals) -> float:
-        """Return what any duals prove of a reach: as a bound on the cost, inf if that it has no trajectory."""
+        """Return the bound on the cost within a reach that any duals prove; inf if it has no trajectory."""
         if self._bounds is None:
             return -np.inf
         bound = self._bounds.bound(*self._boxes(self._bounds.model, reach), duals)

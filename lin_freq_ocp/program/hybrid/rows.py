@@ -1,12 +1,11 @@
-"""The rows of mode relaxations (see relaxation.py), and what their duals prove stage by stage.
+"""The rows of mode relaxations (see relaxation.py), and the bound that their duals prove stage by stage.
 
 A template has all rows that a family of programs may have; each member takes some of them. Rows come in groups, one for
 each time and mode, all of a kind having the same size: so a member is chosen by masks and assembled by a few vector
-operations. A search over modes asks for thousands of programs that differ in little.
+operations. A search over modes solves thousands of programs that differ little.
 
-Duals prove a shortest path through the modes, as in path_relaxation.py, be they those of a solution or not. With duals
-of shares, which do not depend on the mode that follows, the length of an edge is the least Lagrangian of its mode over
-its box.
+Any duals, of a solution or not, prove a shortest path through the modes, as in path_relaxation.py. Duals of shares do
+not depend on the mode that follows: the length of an edge is then the least Lagrangian of its mode over its box.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class Groups:
             rows_of_groups &= within.reshape(rows_of_groups.shape)
 
     def view(self, rows: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Return what belongs to these groups, (groups, size), as a view."""
+        """Return the values of these groups, (groups, size), as a view."""
         return _view(rows, self.rows)
 
     def coefficients(self, values: Array) -> Array:
@@ -100,7 +99,7 @@ class RowTemplate:
         return Groups(rows, positions)
 
     def finished(self, columns: int) -> Assembler:
-        """Return what makes members of it."""
+        """Return the assembler of its members."""
         row, column, senses = (np.concatenate(part) for part in (self._rows, self._columns, self._senses))
         return Assembler(row, column, np.concatenate(self._values), np.concatenate(self._right), senses, columns)
 
@@ -386,7 +385,7 @@ class PathBounds:
         self._limits = np.where(np.isfinite(model.limits), model.limits, 0.0)
 
     def bound(self, pairs: Mask, low: Array, high: Array, duals: Duals) -> float:
-        """Return what duals prove of edges (T, modes, modes) and boxes (T+1, modes, k): inf where there is no path."""
+        """Return the bound of duals for edges (T, modes, modes) and boxes (T+1, modes, k); inf without a path."""
         value = np.zeros(pairs.shape[1])
         for length in self.lengths(pairs, low, high, duals)[::-1]:
             value = (length + value).min(axis=1)

@@ -35,7 +35,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, DWELL, ENERGY, LEVEL, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-ROUNDING = 1e-12  # of the sizes of J and b_k: what their terms add up to, so that some 10^3 roundings are below it
+ROUNDING = 1e-12  # of the sums of the absolute terms of J and b_k: some 10^3 rounding errors are smaller
 MOST_BOXES = 2_000_000  # at once: some seconds and a gigabyte
 STEEPEST = 100.0  # largest multiplier, in sizes of J over those of b_k: its terms' rounding is below that of J
 
@@ -57,7 +57,7 @@ class AngleBoxes:
 class AngleBound:
     """The boxes of one problem; ``halve`` them until ``value`` is the bound wanted.
 
-    ``low`` and ``high`` are the bounds on the amplitudes, and ``size`` is what the terms of J add up to.
+    ``low`` and ``high`` are the bounds on the amplitudes, and ``size`` is the sum of the absolute terms of J.
     """
 
     def __init__(self, problem: OptimalControlProblem, dynamics: PulseTrain):

@@ -100,7 +100,7 @@ def value_bounds(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What is to be bounded at a time: boxes, not bisected above ``target`` (cells,), an estimate of c + V.
+    """The boxes to be bounded at a time; those above ``target`` (cells,), an estimate of c + V, are not bisected.
 
     ``left`` (cells,) is the cutoff less the least cost-to-come of the level before, None on the first level; ``before``
     is V_t of that level and ``parents`` (cells,) its cells, None at t = 0.
@@ -160,7 +160,7 @@ def _first_level(stages: PricedProblem, cost: float, scale: float) -> list[_Task
 
 
 def _lattices(stages: PricedProblem) -> list[Lattice]:
-    """Return cells over what can be reached at each time."""
+    """Return the lattice of cells over the reachable set at each time."""
     problem, n = stages.problem, stages.problem.state_dim
     if n > MAX_STATES:
         raise UnsupportedError(f"a global bound: got {n} states; expected at most {MAX_STATES}.")

@@ -30,7 +30,7 @@ class StageCosts:
     """Quadratics 1/2 y'H y + b'y of y = (x_t, u_t), with a constant for all of them together.
 
     hessians : (T, n + m, n + m), linear : (T, n + m), terminal_hessian : (n, n), terminal_linear : (n,);
-    ``size`` is the sum of the absolute values of what the constant is summed from.
+    ``size`` is the sum of the absolute terms of the constant.
     """
 
     hessians: Array
@@ -118,7 +118,7 @@ class QuadraticForm:
         self.least = -0.5 * float((along[curved] ** 2 / values[curved]).sum()) if flat else -np.inf
 
     def shadow(self, above: float) -> Array:
-        """Return bounds of y where the form is ``above`` its least at most, (2, n + m)."""
+        """Return bounds of all y at which the form exceeds its least by at most ``above``, (2, n + m)."""
         if above == np.inf:
             return np.stack([np.full(len(self._centre), -np.inf), np.full(len(self._centre), np.inf)])
         radius = np.sqrt(2 * above * self._inverse)

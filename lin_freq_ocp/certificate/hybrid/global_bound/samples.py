@@ -1,4 +1,4 @@
-"""Estimates that steer the global bound, from samples of controls: nothing is proven by them."""
+"""Estimates from samples of controls that steer the global bound, without proving anything."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ ARRIVAL_SAMPLES = 256  # controls at which the cost-to-come is estimated
 SLOPE_SAMPLES = 128  # controls at which slopes are estimated
 ZOOM_SAMPLES = 25  # controls around the best sample, each time closer
 ZOOMS, ZOOMS_TO_END = 2, 5  # refinements; more where a state is met exactly, until its distance is negligible
-ARRIVAL_SPREAD = 5  # cells around a sample that count as reached, beside a fortieth of all of them
-FIXED_PRICE = 20.0  # multiple of what a stage costs per change of a state, for the distance to where it is fixed
+ARRIVAL_SPREAD = 5  # cells around a sample that count as reached, plus a fortieth of all cells
+FIXED_PRICE = 20.0  # multiple of the stage cost per change of a state, for the distance to a fixed state
 # Parts of half a cell at which slopes are sampled, by states: kinks in 1-D only
 SIDES = {1: (-0.999, 0.999), 2: (0.0,), 3: (0.0,)}
 # Multiple of the median slope, by states: slopes next to infeasible states are poor
@@ -67,7 +67,7 @@ def _unit_grid(points: int, m: int) -> Array:
 
 
 def free_slopes(gradient: Array, J: Array, weights: Array) -> Array:
-    """Return what is added to slopes (p, n), so that the weighted gradient is smallest; J is (p, n, n + m)."""
+    """Return the change of slopes (p, n) that makes the weighted gradient smallest; J is (p, n, n + m)."""
     columns = np.nan_to_num(weights[:, :, None] * np.swapaxes(J, 1, 2), posinf=0.0, neginf=0.0)
     wanted = np.nan_to_num(weights * gradient, posinf=0.0, neginf=0.0)
     squares = np.einsum("pij,pik->pjk", columns, columns)
@@ -97,7 +97,7 @@ class Samples:
         return slopes, allowed.min(axis=2)
 
     def _sampled_at(self, x: Array) -> tuple[Array, Array]:
-        """Return what samples reach from states, and the slopes of that, (states,) and (states, n)."""
+        """Return the least cost-to-go of samples from states, and its slopes, (states,) and (states, n)."""
         best, at, chosen, spacing = self._best(x)
         problem, costs, after = self.stages.problem, self.stages.costs, self.after
         n, free = problem.state_dim, np.full((len(x), problem.state_dim), np.inf)
@@ -164,7 +164,7 @@ class Samples:
 
     @cached_property
     def _prices(self) -> Array:
-        """Prices of distances to fixed states, (n,): some ten times what they cost at the slopes of the stage."""
+        """Prices of distances to fixed states, (n,): some ten times their cost at the slopes of the stage."""
         lattice, stages, t = self.lattice, self.stages, self.t
         low, high = np.append(lattice.lower, stages.lower[t]), np.append(lattice.upper, stages.upper[t])
         range_, corners = high - low, np.stack([low, high])

@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
 
 BISECTIONS = 10  # bisections at one time of a level; boxes that are still weak are the next level's work
 SMALL_BATCH = 2000  # boxes that are bounded in the time a round needs to start: fewer are cut into four
-BOXES_PER_CELL = 100  # boxes bounded at one time of a level, beside SMALL_BATCH
+BOXES_PER_CELL = 100  # boxes bounded at one time of a level, in addition to SMALL_BATCH
 MAX_SPAN = {1: 12, 2: 12, 3: 5}  # cells along a state that an image may meet to be bounded by each, by states
 MAX_PAIRS = 400_000  # pairs of boxes and cells bounded at once: some hundred megabytes
 
@@ -320,7 +320,7 @@ class BackwardStep:
 
 
 def _batches(rows: Indices, first: Indices, final: Indices) -> Iterator[Indices]:
-    """Yield rows whose pairs are at most MAX_PAIRS each time."""
+    """Yield batches of rows with at most MAX_PAIRS pairs each."""
     counts = np.cumsum((final[rows] - first[rows] + 1).prod(axis=1)) // MAX_PAIRS
     for k in np.unique(counts):
         yield rows[counts == k]

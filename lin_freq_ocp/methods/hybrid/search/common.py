@@ -1,4 +1,4 @@
-"""What searches over modes share: limits, progress, outcome, and the solve of one node's relaxation."""
+"""The parts common to searches over modes: limits, progress, outcome, and the solution of a node's relaxation."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from lin_freq_ocp.program.hybrid.rows import Duals
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
 SEARCH_SHARE = 0.6  # of the time, at first: in the rest the leaves are checked, each at most as long as a node takes
-# Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance,
-# whose bound is weaker but checked all the same
+# Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance.
+# Its bound is weaker, but checked as well
 TOLERANCES = (1e-8, 1e-6)
-FINE = (1e-11, 1e-9)  # for leaves whose proof turned out too weak
+FINE = (1e-11, 1e-9)  # for leaves with too weak a proof
 # Violation, in natural units, up to which the point of a single sequence is feasible: ten times the looser tolerance.
 # A row that a program or its solver has lost is violated by far more.
 FEASIBLE = 1e-5
@@ -78,7 +78,7 @@ class SearchProgress(Progress):
 
 @dataclass(frozen=True, eq=False)
 class SearchOutcome:
-    """The best sequence (T,) with its relaxed cost (inf: none was found), the tree, and why the search stopped early.
+    """The best sequence (T,) with its relaxed cost (inf: none found), the tree, and the reason for an early stop.
 
     ``nodes`` relaxations were solved, after ``setup`` seconds. ``resume`` continues a search that stopped at its time
     limit, for so many more seconds; None if it cannot be continued.
@@ -104,9 +104,9 @@ def solve_relaxation(
 ) -> NodeSolution:
     """Solve the relaxation of a reach to the first tolerance that the solver reaches until ``end``.
 
-    With a cutoff, only as far as it takes to see on which side of it the node is; the relaxation of a single sequence
-    below it is solved. Its trajectory is None unless it is feasible: then only its bound holds. ``compiled`` allows
-    compiled code. Raises KeyboardInterrupt where the solver was interrupted.
+    With a cutoff, the solver stops as soon as it knows on which side of it the node lies; a single sequence below the
+    cutoff is solved to the end. The trajectory is None if it is not feasible: then only the bound holds. ``compiled``
+    allows compiled code. Raises KeyboardInterrupt if the solver was interrupted.
     """
     if now() > end:
         return NodeSolution(reach, -np.inf)
@@ -122,7 +122,7 @@ def solve_relaxation(
 
 
 def _check_solution(relaxation: ModeRelaxation, answer: NodeSolution) -> NodeSolution:
-    """Return an answer, without its trajectory if that is one of a single sequence and not feasible."""
+    """Return a solution; without its trajectory if that belongs to a single sequence and is not feasible."""
     sequence, trajectory = answer.sequence, answer.trajectory
     if sequence is None or trajectory is None or relaxation.violation(trajectory, sequence) <= FEASIBLE:
         return answer

@@ -1,4 +1,4 @@
-"""All mode sequences that can be reached, each solved: an oracle for short horizons."""
+"""All reachable mode sequences, solved one by one: an oracle for short horizons."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MOST_SEQUENCES = 10_000  # solved within minutes
 def enumerate_sequences(
     problem: OptimalControlProblem, limits: SearchLimits, progress: Callable[[SearchProgress], None] | None = None
 ) -> SearchOutcome:
-    """Solve every sequence that the forward reach leaves.
+    """Solve every sequence in the forward reach.
 
     Raises
     ------

@@ -52,7 +52,7 @@ from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import scaled_program
 
-ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: what the judge accepts
+ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: the tolerance of the judge
 STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms
 
 
@@ -64,30 +64,30 @@ class Normal:
     ----------
     family : str
         STATE, CONTROL, or the name of a term.
-    place : (int, int)
+    location : (int, int)
         Index of its multiplier in the array of the family.
     sign : float
         1, or -1 for a lower bound, whose multiplier is negative.
     column : (n + m,)
-        What a multiplier of ``sign`` adds to the normal (in x, in u).
+        The contribution of a multiplier of ``sign`` to the normal (in x, in u).
     """
 
     family: str
-    place: tuple[int, int]
+    location: tuple[int, int]
     sign: float
     column: Array
 
     def value(self, multipliers: Multipliers) -> float:
-        """Return how much of the column the multipliers have; of a fixed component, both signs have it."""
+        """Return the multiplier of the column, >= 0; that of a fixed component counts for both signs."""
         families = {STATE: multipliers.mu, CONTROL: multipliers.nu}
         array = families.get(self.family, multipliers.stage.get(self.family))
-        return 0.0 if array is None else max(self.sign * float(array[self.place]), 0.0)
+        return 0.0 if array is None else max(self.sign * float(array[self.location]), 0.0)
 
 
 def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> list[list[Normal]]:
     """Return the active bounds of x_t and u_t and the active hard rows of t alone, for t = 0 .. T-1.
 
-    Balls, cones and soft sets are not among them: their multipliers are kept.
+    Balls, cones and soft sets are left out: their multipliers do not change.
     """
     normals: list[list[Normal]] = [[] for _ in range(problem.horizon)]
     natural, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
@@ -110,12 +110,12 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
         near = ACTIVE_DISTANCE * np.where(sizes > 0, sizes, 1.0)
         for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
             if rows.times[group] < problem.horizon:
-                place = int(group), int(row)
-                normals[rows.times[group]].append(Normal(term.name, place, 1.0, rows.matrix(int(group))[row]))
+                location = int(group), int(row)
+                normals[rows.times[group]].append(Normal(term.name, location, 1.0, rows.matrix(int(group))[row]))
     return normals
 
 
-GOOD_FIT = 1e-8  # relative residual up to which normals stay as they are: solvers leave 1e-9, the judge allows 1e-6
+GOOD_FIT = 1e-8  # relative residual up to which normals do not change: solvers leave 1e-9, the judge allows 1e-6
 
 
 def multipliers_with_weights(
@@ -128,7 +128,7 @@ def multipliers_with_weights(
     """Return the multipliers of the map, with weights of active modes, from those of ``problem.with_modes(sequence)``.
 
     The latter have region multipliers under the name REGION (zero by default); ``pushed`` (T, n + m) is added to
-    G_s' lambda. The result is the best fit to Clarke's rule with this adjoint, be it good or not.
+    G_s' lambda. The result is the best fit to Clarke's rule with this adjoint; it may be a poor one.
     """
     arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
     times, active = np.arange(problem.horizon), arrays.active_modes(x, u)
@@ -158,14 +158,14 @@ def multipliers_with_weights(
         columns = np.array([normal.column / scale for normal in normals[t]]).reshape(-1, len(scale))
         weights[t, modes], _, residual = _nearest_combination(differences, columns[:0])
         if residual <= GOOD_FIT or not normals[t]:
-            continue  # the multipliers of the normals stay as they are
+            continue  # the multipliers of the normals do not change
         alpha, changed, with_normals = _nearest_combination(differences + values @ columns, columns)
         if with_normals < residual:
             weights[t, modes] = alpha
             for normal in normals[t]:
-                parts[normal.family][normal.place] = 0.0
+                parts[normal.family][normal.location] = 0.0
             for normal, value in zip(normals[t], changed, strict=True):  # of a fixed component, both signs add up
-                parts[normal.family][normal.place] += normal.sign * value
+                parts[normal.family][normal.location] += normal.sign * value
     mu, nu = parts.pop(STATE), parts.pop(CONTROL)
     return Multipliers(multipliers.eta_C, multipliers.eta, mu, nu, multipliers.rho_u, multipliers.rho_x, parts, weights)
 
@@ -225,8 +225,8 @@ class _FitPoint:
     """A trajectory as a point z of the scaled program of its mode sequence, with the active modes and facets.
 
     ``signals`` (T, n + m) are the variables of (x_t, u_t). ``rows`` has, for each multiplier, the number of its row in
-    the program, counted from 1 (0: no row); ``stages`` are the (time, mode) of active modes other than the sequence's
-    own.
+    the program, counted from 1 (0: no row). ``stages`` are (time, mode) of all active modes that are not in the
+    sequence.
     """
 
     arrays: ModeArrays
@@ -283,7 +283,7 @@ def _free_regions(point: _FitPoint) -> Program:
 
 
 def _kink_program(point: _FitPoint) -> tuple[Program, Array]:
-    """Return the program on the kinks, and what a dual of each new row adds to stationarity, (rows, T * (n + m)).
+    """Return the program on the kinks, and the share of each new row's dual in stationarity, (rows, T (n + m)).
 
     Where several modes are active, (x_t, u_t) is fixed in all directions in which their maps differ.
     """
@@ -339,7 +339,7 @@ def _hull_program(point: _FitPoint) -> tuple[Program, Array]:
         }
         families = {STATE: numbers.mu, CONTROL: numbers.nu} | dict(numbers.stage)
         for normal in point.normals[t]:
-            lines[int(families[normal.family][normal.place])] = -normal.sign * normal.column
+            lines[int(families[normal.family][normal.location])] = -normal.sign * normal.column
         lines.pop(0, None)  # the program has no such row
         rows, coefficients = np.array(list(lines), dtype=int) - 1, np.array(list(lines.values()))
         scaled = point.scaling.rows[rows, None] * coefficients * units
@@ -350,10 +350,10 @@ def _hull_program(point: _FitPoint) -> tuple[Program, Array]:
         norms = np.linalg.norm(cone, axis=1)
         cones.append(sp.csc_array(cone[norms > 0] / norms[norms > 0, None]))
     row, column, value = (np.concatenate(part) for part in zip(*entries, strict=True))
-    beside = sp.csc_array((value, (row, column)), shape=(program.A.shape[0], further))
+    new_columns = sp.csc_array((value, (row, column)), shape=(program.A.shape[0], further))
     cone = sp.block_diag(cones)
     rows = sp.csc_array(sp.hstack([sp.csc_array((cone.shape[0], len(point.z))), cone]))
-    extended = _augment(program, rows, np.zeros(cone.shape[0]), prices=np.zeros(further), beside=beside)
+    extended = _augment(program, rows, np.zeros(cone.shape[0]), prices=np.zeros(further), new_columns=new_columns)
     return extended, np.append(point.z, np.zeros(further))
 
 
@@ -363,20 +363,20 @@ def _augment(
     limits: Array,
     equations: bool = False,
     prices: Array | None = None,
-    beside: sp.csc_array | None = None,
+    new_columns: sp.csc_array | None = None,
 ) -> Program:
     """Return the program with new rows <= limits (or equations) and new variables.
 
-    The variables have these prices, and the coefficients ``beside`` in the rows of the program.
+    The variables have these prices, and the coefficients ``new_columns`` in the rows of the program.
     """
     prices = np.zeros(0) if prices is None else prices
     count = program.A.shape[0], len(prices)
-    beside = sp.csc_array(count) if beside is None else beside
+    new_columns = sp.csc_array(count) if new_columns is None else new_columns
     return replace(
         program,
         P=sp.csc_array(sp.block_diag([program.P, sp.csc_array((len(prices), len(prices)))])),
         q=np.append(program.q, prices),
-        A=sp.csc_array(sp.vstack([sp.hstack([program.A, beside]), rows])),
+        A=sp.csc_array(sp.vstack([sp.hstack([program.A, new_columns]), rows])),
         lower=np.append(program.lower, limits if equations else np.full(len(limits), -np.inf)),
         upper=np.append(program.upper, limits),
     )

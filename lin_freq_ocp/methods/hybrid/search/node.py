@@ -1,4 +1,4 @@
-"""One node of a search over modes: its relaxation is solved as well as the search needs it.
+"""One node of a search over modes: its relaxation is solved as accurately as the search needs it.
 
 Path relaxations are solved by compiled code if available; by Clarabel otherwise, or if it stalls. The duals of either
 enter the bound over boxes (program/hybrid/path_relaxation.py), and only that bound closes a node.
@@ -24,7 +24,7 @@ from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
 from lin_freq_ocp.program.program import StandardForm
 
-# Relative residual and gap of a point that is good enough to say that a node must be split
+# Relative residual and gap of a point at which a node is known to need a split
 CLEAR_RESIDUAL, CLEAR_GAP = 1e-3, 3e-5
 
 
@@ -47,16 +47,16 @@ class NodeSolution:
 
 @dataclass(frozen=True)
 class Decision:
-    """When the relaxation of a node with several sequences is known well enough, with the cutoff in its objective.
+    """The test by which a solver stops early at a node with several sequences, with the cutoff in its objective.
 
-    Its bound is computed anew from the duals (``ModeRelaxation.proven``), so that they need not be those of a solution.
+    The bound is computed anew from the duals (``ModeRelaxation.proven``), so that these need not solve the relaxation.
     """
 
     cutoff: float
     several: bool
 
     def __call__(self, cost: float, dual: float, residual: float) -> bool:
-        """Return whether the bound is above the cutoff, or the node must be split, as far as a solver can tell."""
+        """Return whether, by the solver's values, the bound is above the cutoff or the node must be split."""
         gap = cost - dual
         if residual > CLEAR_RESIDUAL or gap < 0:
             return False
@@ -64,11 +64,11 @@ class Decision:
         return split or dual - gap > self.cutoff
 
 
-COMPILED_TOLERANCE = 5e-8  # residual and gap: a tenth of what leaves leave of the gap to be proven
-# Part of what is left to the cutoff by which the bound of a node that is split may miss its cost: points within give
+COMPILED_TOLERANCE = 5e-8  # residual and gap: a tenth of the half of the gap that closed leaves do not use
+# A node is split as soon as its bound misses its cost by this part of the distance to the cutoff: interior points give
 # better splits than solutions, and take fewer steps
 CLEAR = 0.7
-PROVEN = 2e-7  # a bound this close to the cost, relative to it, is that of a solution
+PROVEN = 2e-7  # distance of bound and cost, relative to the cost, at which a node is solved
 
 
 def solve_path_relaxation(
@@ -79,9 +79,9 @@ def solve_path_relaxation(
     cutoff: float | None,
     compiled: bool,
 ) -> NodeSolution | None:
-    """Solve the path relaxation of a reach, as ``solve_relaxation``; None where there is none, or no solver solves it.
+    """Solve the path relaxation of a reach, as ``solve_relaxation``; None if there is none, or no solver solves it.
 
-    ``compiled`` allows compiled code, which takes longer to be loaded than a few nodes take without.
+    ``compiled`` allows compiled code: loading it takes longer than a few nodes without it.
     """
     member = relaxation.path_member(reach)
     if member is None:
@@ -115,7 +115,7 @@ def has_loaded_code() -> bool:
 def _by_compiled_code(
     relaxation: PathRelaxation, reach: Reach, program: PathProgram, cutoff: float | None
 ) -> NodeSolution | None:
-    """Return the node if compiled code decides it, and its bound holds."""
+    """Return the solution of a node if compiled code decides it, and its bound is proven."""
     from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
 
     paths.KERNELS.prepare()
@@ -162,9 +162,9 @@ def solve_by_clarabel(
     end: float,
     cutoff: float | None,
 ) -> NodeSolution | None:
-    """Return the node if Clarabel solves its form to a tolerance, or a rough solution decides; None where neither.
+    """Return the solution of a node: to a tolerance, or a rough one that decides; None if Clarabel finds neither.
 
-    ``duals_of`` makes duals of (y, z), or of the ray y; ``point_of`` makes trajectory and weights of z.
+    ``duals_of`` turns (y, z), or the ray y, into duals; ``point_of`` turns z into trajectory and weights.
     """
     from lin_freq_ocp.program.backends.clarabel_ import solve_form  # slow to import
 

@@ -1,8 +1,8 @@
 """Branch and bound whose sub-trees are searched by the workers of any executor of ``concurrent.futures``.
 
 The first nodes are searched here, until PARTS are open; each is then a search of its own, which begins with the best
-sequence known, and its tree replaces its root. The tree does not depend on the number or order of the workers; a part
-whose worker was lost is searched here.
+sequence known, and its tree replaces its root. The tree does not depend on the number or order of the workers. If a
+worker is lost, its part is searched here.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 LOST = (BrokenExecutor, CancelledError, ConnectionError)  # raised by a future whose worker died or was cut off
-PARTS = 32  # enough to keep a few workers busy to the end; few, as parts do not share better sequences
+PARTS = 32  # enough to keep a few workers busy to the end; not more, as parts do not share better sequences
 
 
 def search_in_parts(
@@ -62,7 +62,7 @@ def search_in_parts(
         message, interrupted = "interrupted", True
         for future in futures:
             future.cancel()
-    # the first search with the trees of the parts in place of their roots, in the order of these
+    # the first tree, with the trees of the parts instead of their roots, in the order of the roots
     nodes: list[ModeNode] = list(outcome.tree.nodes)
     best = outcome
     for root in sorted(outcomes):
@@ -82,5 +82,5 @@ def search_in_parts(
 def search_part(
     problem: OptimalControlProblem, reach: Reach, start: Indices | None, limits: SearchLimits
 ) -> SearchOutcome:
-    """Search the sequences within a reach, in the same way be compiled code loaded or not."""
+    """Search the sequences within a reach, with compiled code at once: so a part does not depend on its worker."""
     return TreeSearch(problem, limits, compiled_from=0).run(start, reach)

@@ -35,12 +35,13 @@ class PathData(NamedTuple):
 
 
 PathFactors = tuple[Array, Array, Array, Array, Array]
-"""L (W, W, E), X (R + a, W, E), the factor of the band (rows, width), the border beyond it, the factor of the rest."""
+"""L (W, W, E), X (R + a, W, E), the factor of the band (rows, width), the bordering rows, the factor of the Schur
+complement of the band."""
 
 
 @jit
 def band_width(places: Indices) -> int:
-    """Return how many entries a row of the band has, its diagonal included."""
+    """Return the number of entries of a row of the band, with the diagonal."""
     width = 1
     for e in range(places.shape[1]):
         least, most = -1, -1
@@ -180,7 +181,7 @@ def factor_path(data: PathData, L: Array, width: int) -> PathFactors:
 
 @jit
 def factor_remainder(coupled: Array, moments: Array, S: Array, border: Array, rest: Array) -> None:
-    """Replace the border by L^-1 border, and write the factor of what is left."""
+    """Replace the border by L^-1 border, and write the factor of the Schur complement."""
     q, times, a = coupled.shape
     for r in range(q):
         for c in range(r + 1):

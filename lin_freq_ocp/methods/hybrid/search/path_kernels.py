@@ -1,4 +1,4 @@
-"""The embedding of path relaxations, compiled as a whole: nodes of a search take some ten steps of it.
+"""The embedding of path relaxations, compiled as a whole: a node of a search takes some ten steps.
 
 minimise cost'w subject to C w = b, G w + s = 0, s in K. With multipliers p and z, and homogeneous in tau,
 
@@ -36,7 +36,7 @@ from lin_freq_ocp.methods.structured.kkt.kernels import dot, largest
 
 @overload(cones.inner, jit_options={"fastmath": FASTMATH, "error_model": "numpy"})
 def sum_products(a: Array, b: Array) -> Callable[[Array, Array], Array]:
-    """Return what stands for ``cones.inner`` in compiled code: loops that need no array of the products."""
+    """Return the compiled version of ``cones.inner``: loops, without an array of the products."""
 
     def inner(a: Array, b: Array) -> Array:
         out = np.zeros(a.shape[1])
@@ -50,7 +50,7 @@ def sum_products(a: Array, b: Array) -> Callable[[Array, Array], Array]:
 
 @overload(cones.largest, jit_options={"fastmath": FASTMATH, "error_model": "numpy"})
 def compare_entries(v: Array) -> Callable[[Array], float]:
-    """Return what stands for ``cones.largest`` in compiled code: one maximum for each member first, side by side."""
+    """Return the compiled version of ``cones.largest``: first one maximum for each member, vectorised over members."""
 
     def largest_entry(v: Array) -> float:
         most, value = np.zeros(v.shape[1]), 0.0
@@ -76,15 +76,15 @@ OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
 
 MOST_STEPS = 60
 SHORTEST_PATH_STEP = 1e-5  # a step that makes no progress
-VANISHED_TAU = 1e-2  # tau, relative to kappa, below which a ray is looked for; who uses it checks it
+VANISHED_TAU = 1e-2  # tau, relative to kappa, below which a ray is tried; the search verifies it
 PATH_RAY = 1e-7  # residual of a ray relative to -b'p
-CLEAR_RESIDUAL = 1e-3  # of a point whose cost is good enough to say that a node must be split
+CLEAR_RESIDUAL = 1e-3  # of a point accurate enough to decide that a node must be split
 BOUNDED_FROM = 4  # steps: the bounds of points before prove nothing of use
 
 NUMBERS = 10
 TAU, KAPPA, COST, BOUND, OF_PRIMAL, OF_DUAL, OF_RAY, MU, STEPS, PROVEN = range(NUMBERS)
-"""What is known of a point: cost and bound of (w, p)/tau, relative residuals, that of (p, z) as a ray, the bound that
-its multipliers prove by a shortest path."""
+"""Numbers of a point: cost and bound of (w, p)/tau, relative residuals, that of (p, z) as a ray, the bound that its
+multipliers prove by a shortest path."""
 
 Point = tuple[Array, Array, Array, Array]
 """w (W, E), p, z (rows, E), s."""
@@ -113,7 +113,7 @@ def subtract_cone_adjoint(G: Array, z: Array, out: Array) -> None:
 
 @inlined
 def measure_path(data: PathData, point: Point, residuals: Residuals, numbers: Array) -> None:
-    """Write the residuals of a point and the numbers beside tau, kappa and the steps."""
+    """Write the residuals of a point, and all its numbers except tau, kappa and the steps."""
     (w, p, z, s), (r_w, r_p, r_s), tau = point, residuals, numbers[TAU]
     r_w[:], r_p[:], r_s[:] = 0.0, 0.0, s
     add_rows(data, data.rows, w, r_p)
@@ -133,9 +133,9 @@ def measure_path(data: PathData, point: Point, residuals: Residuals, numbers: Ar
 
 @inlined
 def end_of_run(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear: float) -> int:
-    """Return how the run ends at a point, or -1; tolerances of the point, and of the bound that it proves.
+    """Return how the run ends at a point, or -1; the tolerances are those of the point and of its proven bound.
 
-    A node is to be split where the bound misses the cost by less than ``clear`` times what is left to the cutoff.
+    A node must be split if the bound misses the cost by less than ``clear`` times the distance to the cutoff.
     """
     cost, proven = numbers[COST], numbers[PROVEN]
     gap, size = abs(cost - numbers[BOUND]), max(1.0, min(abs(cost), abs(proven)))
@@ -163,7 +163,7 @@ def path_direction(
 ) -> tuple[Array, Array, Array, Array, Array, tuple[float, float, float]]:
     """Return dw, dp, dz, ds, W^-1 ds o W dz; dtau, dkappa, and 1/a for the longest step a.
 
-    inverse: (w, eta) of W^-1. scaled_rows: W^-1 r_s. aim: what is taken from lam o lam. numbers: sigma, r_tau, tau,
+    inverse: (w, eta) of W^-1. scaled_rows: W^-1 r_s. aim: subtracted from lam o lam. numbers: sigma, r_tau, tau,
     kappa, d_kappa.
     """
     (r_w, r_p, r_s), (w, eta), ends = residuals, inverse, (data.linear, len(data.G))

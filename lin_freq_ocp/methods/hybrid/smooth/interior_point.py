@@ -2,12 +2,12 @@
 
     minimise J(y) - mu log det s   subject to   x_{t+1} = c_t(y_t),   other rows of y:  A y + s = b,  s in the cone
 
-Newton's method on the conditions of this problem, with the scalings of Nesterov and Todd for z o s = mu e, while mu
-falls to zero: each step is one system of the structured method. Its Hessian is that of the Lagrangian where the reduced
-problem is convex with it, else that of the cost: then multipliers stay those of a convex problem. Steps are shortened
-until a filter takes them (Waechter and Biegler, 2006: pairs of infeasibility theta and objective phi), and corrected
-where the curvature of the dynamics is what it rejects. Where even short steps fail, the infeasibility alone is reduced
-first, by steps to the nearest point of the linearised constraints.
+Newton's method solves the conditions of this problem, with the scalings of Nesterov and Todd for z o s = mu e, while mu
+falls to zero. Each step is one system of the structured method. Its Hessian is that of the Lagrangian if the reduced
+problem is convex with it, otherwise that of the cost: the multipliers are then those of a convex problem. Steps are
+shortened until a filter accepts them (Waechter and Biegler, 2006: pairs of infeasibility theta and objective phi), and
+corrected if the filter rejects them for the curvature of the dynamics. If even short steps fail, steps to the nearest
+point of the linearised constraints first reduce the infeasibility alone.
 
 The file has, in this order: the filter, the barrier problem at a point, the iteration, and the local optimum of a
 problem from a trajectory that need not be feasible.
@@ -54,7 +54,7 @@ class Measure:
 
 @dataclass(eq=False)
 class Filter:
-    """What trial points are compared with; ``first`` is the infeasibility of the first point."""
+    """The points with which trial points are compared; ``first`` is the infeasibility of the first point."""
 
     first: float
     entries: list[Measure] = field(default_factory=list[Measure])
@@ -83,7 +83,7 @@ class Filter:
         return True
 
     def add(self, current: Measure) -> None:
-        """Exclude what does not improve on a point."""
+        """Exclude all points that do not improve on this one."""
         self.entries.append(Measure((1 - IMPROVED) * current.theta, current.phi - IMPROVED * current.theta))
 
 
@@ -188,7 +188,7 @@ class BarrierPoint:
         return self._step.factor()
 
     def step(self, left: Values | None = None) -> tuple[Array, Values, dict[int, Array]]:
-        """Return the change of y, z and s that takes away residuals of the rows, by default those here."""
+        """Return the change of y, z and s that removes residuals of the rows, by default those at this point."""
         left = self.left if left is None else left
         right = [-part for part in left]
         for i, centred in self._centred.items():
@@ -203,7 +203,7 @@ class BarrierPoint:
         return float(np.vdot(self._gradient, y)) - self.mu * barrier
 
     def longest(self, change: dict[int, Array], power: int) -> float:
-        """Return the part of a step of slacks (power -1) or duals (1) that stays inside, at most 1."""
+        """Return the largest part of a step, up to 1, with slacks (power -1) or duals (1) inside the cone."""
         lengths = [cone.longest(cone.scaled(change[i], power)) for i, cone in self.cones.items()]
         return min([1.0, *(max(FRACTION, 1 - self.mu) * length for length in lengths)])
 
@@ -307,7 +307,7 @@ class Barrier:
         return End.STALLED
 
     def _at(self, point: EmbeddedPoint, objective: Objective | None = None) -> BarrierPoint | None:
-        """Return what there is at a point; None if the map is not defined there."""
+        """Return the barrier problem at a point; None if the map is not defined there."""
         derivatives = self.model.derivatives(point.y)
         return (
             BarrierPoint(self.model, objective or self._cost, self.loops, point, derivatives)
@@ -387,7 +387,7 @@ class Barrier:
 
 
 def _point_after(point: EmbeddedPoint, trial: Trial, z: list[Array], length: float, of_duals: float) -> EmbeddedPoint:
-    """Return a point with new variables, and its duals moved: those of cones by a length of their own."""
+    """Return the point after a step; the duals of cones have a step length of their own."""
     lengths = [of_duals if i in trial.s else length for i in range(len(z))]
     duals = [dual + part * change for dual, part, change in zip(point.z, lengths, z, strict=True)]
     return EmbeddedPoint(trial.y, duals, trial.s)

@@ -1,8 +1,8 @@
 """A problem with one smooth map over stages: all but the dynamics is that of the structured method, in its units.
 
 With y_t = (x_t, w_t), the dynamics are x_{t+1} = c_t(y_t); c_t is the map f in deviations from an origin and in units.
-What the end is fixed to has a weight in the cost, too, which changes no answer: without it, a reduced Hessian that is
-positive definite only because of the fixed end would be none for the recursion, which does not know of the end.
+The distance from a fixed end has a weight in the cost, too, which changes no solution. Without it, the recursion, which
+ignores the end, would reject a reduced Hessian that is positive definite only because of the fixed end.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 
 TERMINAL_WEIGHT = 1e2  # of the distance from a fixed end, relative to the largest curvature of the cost
-LEAST_CURVATURE = 1e-3  # of order 1 are the units
+LEAST_CURVATURE = 1e-3  # in units of order 1
 
 
 class Derivatives(NamedTuple):
@@ -61,7 +61,7 @@ class SmoothModel:
 
     @property
     def stages(self) -> Stages:
-        """Return the stages, of which A, B and d are those of the first trajectory."""
+        """Return the stages; A, B and d are linearised at the first trajectory."""
         return self.assembly.stages
 
     def trajectory(self, y: Array) -> Trajectory:
@@ -82,7 +82,7 @@ class SmoothModel:
         return y[1:, : self.problem.state_dim] - self._deviations(values)
 
     def derivatives(self, y: Array) -> Derivatives:
-        """Return c with its derivatives at a point; those by controls that are held are zero."""
+        """Return c with its derivatives at a point; those with respect to fixed controls are zero."""
         map_jets = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
         units = self._units[:-1].copy()
         units[:, self.problem.state_dim :][self.assembly.fixed] = 0.0

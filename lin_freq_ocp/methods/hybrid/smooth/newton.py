@@ -253,7 +253,7 @@ def _switches_near(
 
 
 NEAR_KINK = 1e-3  # distance in natural units at which a switching surface or zero of a norm gets a selection
-CONVERGED = 1e-12  # |Phi| of equations of order 1 at which nothing is left to gain
+CONVERGED = 1e-12  # |Phi| of equations of order 1: a further step gains nothing
 SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14  # Armijo's constant, and the shortest step
 SMALL_NORMALS = 1e-2  # weight of multipliers of bounds in the fit of multipliers: the others come first
 SINGULAR = 1e-13  # reciprocal condition number of the linearised equations below which a step is damped
