@@ -270,19 +270,6 @@ def stationarity_scale(extremal: Extremal, least: Floors) -> Array:
     return np.where(scale > 0, scale, 1.0)  # without any terms there is no residual
 
 
-def nearest_weights(stage: SwitchingStage) -> Array:
-    """Return alpha >= 0, sum alpha = 1, with sum alpha_i a_i nearest to p_t, (k,).
-
-    The nearest point of a polytope V alpha to 0: beta >= 0 with the least |V beta|^2 + (sum beta - 1)^2 is a multiple
-    of alpha, as the sum s enters that as s^2 |V alpha|^2 + (s - 1)^2, which rises with |V alpha| for the best s.
-    """
-    from scipy.optimize import nnls  # slow to import
-
-    columns = ((stage.slopes - stage.required) / stage.scale).T
-    beta, _ = nnls(np.vstack([columns, np.ones(len(stage.modes))]), np.append(np.zeros(len(columns)), 1.0))
-    return beta / beta.sum()
-
-
 def switching_facts(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
@@ -407,13 +394,20 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     weights = multipliers.weights
     if weights is not None and weights.shape != active.shape:
         raise ProblemError("multipliers.weights", f"shape {weights.shape}", f"shape {active.shape}")
-    if weights is None:  # those that fit best
+    if weights is None:
+        # alpha >= 0, sum alpha = 1, with sum alpha_i a_i nearest to p_t: the nearest point of a polytope V alpha to 0.
+        # beta >= 0 with the least |V beta|^2 + (sum beta - 1)^2 is a multiple of alpha, as the sum s enters that as
+        # s^2 |V alpha|^2 + (s - 1)^2, which rises with |V alpha| for the best s
+        from scipy.optimize import nnls  # slow to import
+
         weights = np.eye(active.shape[1])[sequence]
         extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
         least, none = floors(extremal, sizes), np.zeros(0, dtype=np.intp)
         for stage in switching_stages(extremal, least, arrays, active, none):
             weights[stage.time] = 0.0
-            weights[stage.time, stage.modes] = nearest_weights(stage)
+            V = ((stage.slopes - stage.required) / stage.scale).T
+            beta, _ = nnls(np.vstack([V, np.ones(len(stage.modes))]), np.append(np.zeros(len(V)), 1.0))
+            weights[stage.time, stage.modes] = beta / beta.sum()
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
     least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not

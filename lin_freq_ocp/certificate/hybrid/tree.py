@@ -320,7 +320,25 @@ class LeafJudge:
         extremal, centre = extremal_at(self._problem, self._centre, proof.multipliers), self._centre
         eta, eta_C = proof.multipliers.eta, proof.multipliers.eta_C
         boxes, last = _boxes_of_stages(stages, self._y, centre.x[-1]), self._shape[2]
-        lengths, sizes = self._lengths(extremal, proof, boxes)
+        # phi_t(i, j) for every pair of modes, and the sizes of its terms, (T, modes, modes or 1)
+        x = centre.x
+        ahead, behind, region = self._parts(proof)
+        slope, size = self._slopes(extremal, proof)
+        hessians = (proof.multipliers.eta_C * self._hessians)[:, None, None]
+        minima, spread = _box_minimum(slope, hessians, boxes.low[:-1, :, None], boxes.high[:-1, :, None])
+        after = np.zeros((1, 1, 1))
+        if proof.paths is not None and proof.paths.images.any():  # the least <nu, x> over the boxes that follow
+            images, n = proof.paths.images, self._shape[2]
+            low, high = (part[1:, None, :, :n] + x[1:, None, None] for part in (boxes.low, boxes.high))
+            after = (images * np.where(images > 0, low, np.where(images < 0, high, 0.0))).sum(axis=-1)
+        constants = (region @ self._slack[..., None])[..., 0] - (ahead @ self._images[..., None])[..., 0]
+        constants = constants + (behind @ x[:-1, :, None])[..., 0][:, :, None] + after
+        sizes = (
+            (size * spread).sum(-1) + (region @ np.abs(self._slack)[..., None])[..., 0] + np.abs(minima) + np.abs(after)
+        )
+        sizes += (np.abs(ahead) @ np.abs(self._images)[..., None])[..., 0]
+        sizes += (np.abs(behind) @ np.abs(x[:-1, :, None]))[..., 0][:, :, None]
+        lengths = minima + constants
         after = np.zeros(self._shape[1])
         for t, edges in reversed(list(enumerate(self._edges(boxes)))):
             after = np.where(edges, lengths[t] + after, np.inf).min(axis=1)
@@ -378,27 +396,6 @@ class LeafJudge:
         behind = np.zeros((T, parts.vertices.shape[1], n))
         behind[1:] = parts.vertices[:-1]
         return ahead, behind, region
-
-    def _lengths(self, extremal: Extremal, proof: ModeMultipliers, boxes: _Boxes) -> tuple[Array, Array]:
-        """Return phi_t(i, j) for every pair of modes, and the sizes of its terms, (T, modes, modes or 1)."""
-        x = self._centre.x
-        ahead, behind, region = self._parts(proof)
-        slope, size = self._slopes(extremal, proof)
-        hessians = (proof.multipliers.eta_C * self._hessians)[:, None, None]
-        minima, spread = _box_minimum(slope, hessians, boxes.low[:-1, :, None], boxes.high[:-1, :, None])
-        after = np.zeros((1, 1, 1))
-        if proof.paths is not None and proof.paths.images.any():  # the least <nu, x> over the boxes that follow
-            images, n = proof.paths.images, self._shape[2]
-            low, high = (part[1:, None, :, :n] + x[1:, None, None] for part in (boxes.low, boxes.high))
-            after = (images * np.where(images > 0, low, np.where(images < 0, high, 0.0))).sum(axis=-1)
-        constants = (region @ self._slack[..., None])[..., 0] - (ahead @ self._images[..., None])[..., 0]
-        constants = constants + (behind @ x[:-1, :, None])[..., 0][:, :, None] + after
-        sizes = (
-            (size * spread).sum(-1) + (region @ np.abs(self._slack)[..., None])[..., 0] + np.abs(minima) + np.abs(after)
-        )
-        sizes += (np.abs(ahead) @ np.abs(self._images)[..., None])[..., 0]
-        sizes += (np.abs(behind) @ np.abs(x[:-1, :, None]))[..., 0][:, :, None]
-        return minima + constants, sizes
 
     def _edges(self, boxes: _Boxes) -> Mask:
         """Return which modes can follow each other, (T, modes, modes); after the last time, mode 0 represents x_T."""

@@ -105,8 +105,16 @@ def big_m_bounds(problem: OptimalControlProblem, end: float = np.inf) -> BigMBou
 
     Raises UnsupportedError, naming the signal, if it has no bound at a time at which several modes are possible.
     """
-    T, n = problem.horizon, problem.state_dim
-    further, units = _further_rows(problem), np.concatenate(stated_sizes(problem))
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    # for every t < T, the hard rows on (x_t, u_t) other than bounds and modes
+    parts: list[list[Rows]] = [[(np.zeros((0, n + m)), np.zeros(0))] for _ in range(T)]
+    for term in problem.terms:
+        implied = term.implied_rows(n, m)
+        for group, t in enumerate(() if implied is None else implied.times):
+            if implied is not None and t < T and (finite := np.isfinite(implied.e[group])).any():
+                parts[t].append((implied.matrix(group)[finite], implied.e[group][finite]))
+    further = [(np.vstack([rows for rows, _ in part]), np.concatenate([limit for _, limit in part])) for part in parts]
+    units = np.concatenate(stated_sizes(problem))
     reached = ModeReach(_with_implied_bounds(problem, further, units))
     arrays = reached.arrays
     modes, rows = arrays.h.shape[1:]
@@ -234,21 +242,6 @@ def _with_implied_bounds(
                     side[k] = units[k] * (point[k] + sign * BIG_M_MARGIN * max(1.0, abs(float(point[k]))))
     state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
     return replace(problem, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
-
-
-def _further_rows(problem: OptimalControlProblem) -> list[Rows]:
-    """Return, for every t < T, the hard rows on (x_t, u_t) other than bounds and modes."""
-    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    parts: list[list[Rows]] = [[(np.zeros((0, n + m)), np.zeros(0))] for _ in range(T)]
-    for term in problem.terms:
-        rows = term.implied_rows(n, m)
-        if rows is None:
-            continue
-        for g, t in enumerate(rows.times):
-            finite = np.isfinite(rows.e[g])
-            if t < T and finite.any():
-                parts[t].append((rows.matrix(g)[finite], rows.e[g][finite]))
-    return [(np.vstack([rows for rows, _ in part]), np.concatenate([limit for _, limit in part])) for part in parts]
 
 
 Row = tuple[Indices, Array, float, float]  # columns, their coefficients, lower and upper limit

@@ -72,19 +72,6 @@ def enclose(centre: IntervalJets, whole: IntervalJets, r: Array) -> tuple[Array,
     return np.fmax(whole.values[0], mean[0]), np.fmin(whole.values[1], mean[1])
 
 
-def can_hold(mode: SmoothMode, lower: Array, upper: Array) -> Mask:
-    """Whether a mode can hold somewhere in each box."""
-    possible = np.ones(len(lower), dtype=bool)
-    middle, radius = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    for formulas, sign in ((mode.region, 1.0), (mode.domain, -1.0)):
-        if formulas:
-            whole, centre = (interval_jets(formulas, *box, curved=False) for box in ((lower, upper), (middle, middle)))
-            low, high = enclose(centre, whole, radius)
-            excluded = low > 0 if sign > 0 else high <= 0
-            possible &= ~excluded.any(axis=1)
-    return possible
-
-
 def _second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Array:
     """Return the least of slope z + 1/2 z' bend z over |z| <= r, both known to lie between two bounds."""
     at_most = np.maximum(np.abs(slope[0]), np.abs(slope[1]))
@@ -249,7 +236,14 @@ class BackwardStep:
 
     def _of_mode(self, mode: SmoothMode, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
         after = self._after.lattice
-        boxes = boxes.take(can_hold(mode, boxes.centre - boxes.radius, boxes.centre + boxes.radius))
+        # boxes in which the mode can hold somewhere
+        possible, (y, r) = np.ones(len(boxes.cell), dtype=bool), (boxes.centre, boxes.radius)
+        for formulas, inside in ((mode.region, 1.0), (mode.domain, -1.0)):
+            if formulas:
+                jets = (interval_jets(formulas, *box, curved=False) for box in ((y, y), (y - r, y + r)))
+                low, high = enclose(*jets, r)
+                possible &= ~(low > 0 if inside > 0 else high <= 0).any(axis=1)
+        boxes = boxes.take(possible)
         y, r = boxes.centre, boxes.radius
         whole, centre = interval_jets(mode.f, y - r, y + r), interval_jets(mode.f, y, y, curved=False)
         boxes.low[:], boxes.high[:] = enclose(centre, whole, r)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -99,6 +98,7 @@ def _restrict_at(mask: Mask, t: int, row: Mask) -> Mask:
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
 COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
+INTERRUPTED = "interrupted"  # message of a search that Ctrl-C ended
 CURVED_LOSS = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
 
 OpenNode = tuple[float, int, NodeSolution]  # bound, index, relaxation
@@ -139,34 +139,36 @@ class TreeSearch:
 
         With a cover of all sequences, begin at its leaves.
         """
-        self._until_open = until_open
-
-        def begin() -> str:
+        self._until_open, message = until_open, ""
+        try:
             if start is not None:
                 self._try([start])
             if cover:
-                return self._open_cover(cover) or self._loop()
-            everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
-            reach = self._relaxation.reach.from_start(everything) if within is None else within
-            root = None if reach is None else self._relax_node(reach, self._cutoff)
-            self._open([(everything, root)], -1, -1, -np.inf)
-            return self._loop()
-
-        return self._outcome(begin)
+                message = self._open_cover(cover)
+            else:
+                everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
+                reach = self._relaxation.reach.from_start(everything) if within is None else within
+                root = None if reach is None else self._relax_node(reach, self._cutoff)
+                self._open([(everything, root)], -1, -1, -np.inf)
+        except KeyboardInterrupt:
+            message = INTERRUPTED
+        return self._finish(message)
 
     def resume(self, seconds: float) -> SearchOutcome:
         """Continue a search that stopped at its time limit, for so many more seconds."""
-        share = (now() - self._started + seconds) / self.limits.seconds
-        self.limits = replace(self.limits, share=share)
-        return self._outcome(self._loop)
+        self.limits = replace(self.limits, share=(now() - self._started + seconds) / self.limits.seconds)
+        return self._finish("")
 
-    def _outcome(self, search: Callable[[], str]) -> SearchOutcome:
-        """Return the outcome of a search, which returns the limit that stopped it; also if it is interrupted."""
-        message, interrupted = "interrupted", True
-        with suppress(KeyboardInterrupt):
-            message, interrupted = search(), False
+    def _finish(self, message: str) -> SearchOutcome:
+        """Search to the end, unless a message says that a limit was reached, and return the outcome."""
+        try:
+            message = message or self._loop()
+        except KeyboardInterrupt:
+            message = INTERRUPTED
         tree = tree_with_proofs(self._relaxation, self._nodes, self._duals)
-        resume = self.resume if message == self.limits.out_of_time and self._heap else None
+        resume, interrupted = None, message == INTERRUPTED
+        if message == self.limits.out_of_time and self._heap:
+            resume = self.resume
         return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup, resume)
 
     @property

@@ -33,8 +33,8 @@ from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program
 
 MOST_ENTRIES = 2e7  # of the response of x and u to u (160 MB): nothing is rounded if there are more
-MOST_PAIR_WORK = 1e9  # flips^2 times rows, some seconds: only single flips are made beyond
-FLIPS_PER_SAMPLE = 4  # at most: descents end by themselves after fewer than one
+MOST_PAIR_WORK = 1e9  # flips^2 times rows, some seconds: with more, only single flips are made
+FLIPS_PER_SAMPLE = 4  # at most: descents ended by themselves after fewer than one
 SATISFIED = 1e-9  # violation of a row, relative to its response to all levels: the rounding error of the sum
 LEAST_GAIN = 1e-9  # relative decrease of violation or cost that counts: steps of rounding errors could cycle
 NEAREST = 1e-12  # weight of |u_t - v_t|^2 in (1): it decides where rows do not distinguish levels
@@ -77,7 +77,7 @@ class ResponseRows:
 
 
 def response_rows(program: Program, response: Array, spans: Array) -> ResponseRows:
-    """Return the hard constraints of a program beside dynamics and levels.
+    """Return the hard constraints of a program other than dynamics and levels.
 
     ``response`` (signals, T * m) is that of x and u to u; ``spans`` (T * m,) are the distances of the outermost levels.
     """
@@ -203,39 +203,34 @@ class LevelRounding:
 
     def improve(self, sequence: Indices, initial_state: Array, end: float) -> tuple[Indices, float, float]:
         """Return a sequence after flips, its squared violation and its cost; stop at the time ``end``."""
-        sequence = sequence.copy()
+        sequence, rows = sequence.copy(), self._rows
         for _ in range(FLIPS_PER_SAMPLE * len(sequence)):
-            flips = self._flips(sequence, initial_state)
+            z, (t, side) = self._point(sequence, initial_state), np.nonzero(self._next[sequence] >= 0)
+            modes, i, values = self._next[sequence[t], side], side // 2, rows.signals @ z
+            columns, changes = t * self._choices.shape[1] + i, self._choices[modes, i] - self._choices[sequence[t], i]
+            curved = 0.5 * self._hessian[columns, columns] * changes**2
+            slope = (self._slopes @ (self._P @ z + self._q))[columns]
+            flips = Flips(
+                times=t,
+                modes=modes,
+                columns=columns,
+                changes=changes,
+                values=values + rows.matrix.T[columns] * changes[:, None],
+                gains=slope * changes + curved + self._prices[modes] - self._prices[sequence[t]],
+                violation=float(rows.violation(values)),
+                rows=rows,
+                hessian=self._hessian,
+            )
             chosen = flips.best()
             chosen = flips.pair(end) if chosen is None else chosen
             if chosen is None:
                 break
-            sequence[flips.times[chosen]] = flips.modes[chosen]
+            sequence[t[chosen]] = modes[chosen]
             if now() > end:
                 break
         trajectory = simulate(self._problem, self._choices[sequence], initial_state)
-        violation = self._rows.violation(self._rows.signals @ self._point(sequence, initial_state))
+        violation = rows.violation(rows.signals @ self._point(sequence, initial_state))
         return sequence, float(violation), self._problem.value(trajectory.x, trajectory.u)
-
-    def _flips(self, sequence: Indices, initial_state: Array) -> Flips:
-        """Return all flips of a sequence with their values and gains."""
-        z, m = self._point(sequence, initial_state), self._choices.shape[1]
-        values, slope = self._rows.signals @ z, self._slopes @ (self._P @ z + self._q)
-        t, side = np.nonzero(self._next[sequence] >= 0)
-        modes, i = self._next[sequence[t], side], side // 2
-        columns, changes = t * m + i, self._choices[modes, i] - self._choices[sequence[t], i]
-        curved = 0.5 * self._hessian[columns, columns] * changes**2
-        return Flips(
-            times=t,
-            modes=modes,
-            columns=columns,
-            changes=changes,
-            values=values + self._rows.matrix.T[columns] * changes[:, None],
-            gains=slope[columns] * changes + curved + self._prices[modes] - self._prices[sequence[t]],
-            violation=float(self._rows.violation(values)),
-            rows=self._rows,
-            hessian=self._hessian,
-        )
 
     def _point(self, sequence: Indices, initial_state: Array) -> Array:
         """Return x and u of a sequence as variables of the linear program."""
