@@ -168,6 +168,7 @@ class LevelRounding:
         T, m, n = problem.horizon, problem.control_dim, problem.state_dim
         self._problem, self._choices, self._next = problem, choices, neighbouring_levels(choices)
         self._spans = np.ptp(choices, axis=0)
+        self._improved: dict[tuple[bytes, bytes], tuple[Indices, float, float]] = {}
         self._linear = linear = LinearProgram(replace(problem, dynamics=problem.dynamics.given[0]))
         signals, dynamics = linear.signals, sp.csc_array(linear.dynamics)
         response = np.zeros((signals, T * m))  # from a given initial state
@@ -186,7 +187,12 @@ class LevelRounding:
     def sequence_near(self, u: Array, initial_state: Array, end: float) -> Indices:
         """Return the better of two sequences (T,): noise-shaped and nearest levels, each improved until ``end``."""
         nearest = np.abs((u[:, None] - self._choices) / self._spans).sum(axis=2).argmin(axis=1)
-        improved = [self.improve(start, initial_state, end) for start in (self.shape(u), nearest)]
+        improved = list[tuple[Indices, float, float]]()
+        for start in (self.shape(u), nearest):
+            key = start.tobytes(), initial_state.tobytes()
+            if key not in self._improved:  # neighbouring nodes often have the same start
+                self._improved[key] = self.improve(start, initial_state, end)
+            improved.append(self._improved[key])
         return min(improved, key=lambda result: result[1:])[0]
 
     def shape(self, u: Array) -> Indices:
