@@ -190,7 +190,7 @@ SMALLEST_KINK = 1e-9  # difference of two maps' derivatives, relative to their l
 
 def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Multipliers]:
     """Yield multipliers with eta_C = 1, the best guess first; NumericalError if the first fit could not be solved."""
-    point = _FitPoint.of(problem, trajectory)
+    point = _FitPoint.at(problem, trajectory)
     common = multipliers_with_weights(
         problem, trajectory, point.sequence, point.multipliers(fitted_duals(*_hull_program(point))[0])
     )
@@ -243,7 +243,7 @@ class _FitPoint:
     stages: list[tuple[int, int]]
 
     @classmethod
-    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _FitPoint:
+    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _FitPoint:
         arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
         sequence, active = arrays.sequence(x, u), arrays.active_modes(x, u)
         linear, scaling, program = scaled_program(problem.with_modes(sequence))

@@ -76,7 +76,9 @@ class NewtonSystem:
     rows_u: Array
 
     @classmethod
-    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float) -> NewtonSystem:
+    def around(
+        cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float
+    ) -> NewtonSystem:
         """Return the system near a trajectory."""
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         linear = LinearProgram(problem.affine_at(trajectory).with_modes(sequence))
@@ -288,7 +290,7 @@ def newton(
     """
     if problem.terms:
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
-    system = NewtonSystem.of(problem, trajectory, sequence, near)
+    system = NewtonSystem.around(problem, trajectory, sequence, near)
     runs: list[NewtonRun] = []
     for halved in (False, True):
         runs.append(_iterate_from(system, starting_point(system, trajectory, multipliers, near, halved), most_steps))

@@ -95,7 +95,7 @@ def neighbouring_sequences(problem: OptimalControlProblem, local: LocalOptimum) 
 def _solve_at_price(
     problem: OptimalControlProblem, start: Trajectory, sequence: Indices, price: float, end: float
 ) -> LocalOptimum | None:
-    fixed = _SequenceProgram.of(problem, start, sequence)
+    fixed = _SequenceProgram.build(problem, start, sequence)
     z = None if fixed is None else fixed.within_sets(start)
     point = None if fixed is None or z is None else fixed.at(z, None)
     radius, taken, steps = FIRST_RADIUS, None, 0
@@ -145,7 +145,7 @@ class _SequenceProgram:
     regions: Indices
 
     @classmethod
-    def of(cls, problem: OptimalControlProblem, start: Trajectory, sequence: Indices) -> _SequenceProgram | None:
+    def build(cls, problem: OptimalControlProblem, start: Trajectory, sequence: Indices) -> _SequenceProgram | None:
         """Return the program in the natural units at the start; None if a piece is not defined there."""
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         dynamics = piecewise_smooth(problem)
