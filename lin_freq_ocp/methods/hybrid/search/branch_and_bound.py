@@ -98,7 +98,7 @@ def _restrict_at(mask: Mask, t: int, row: Mask) -> Mask:
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
 COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
-INTERRUPTED = "interrupted"  # message of a search that Ctrl-C ended
+INTERRUPTED_SEARCH = "interrupted"  # message of a search that Ctrl-C ended
 CURVED_LOSS = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
 
 OpenNode = tuple[float, int, NodeSolution]  # bound, index, relaxation
@@ -151,7 +151,7 @@ class TreeSearch:
                 root = None if reach is None else self._relax_node(reach, self._cutoff)
                 self._open([(everything, root)], -1, -1, -np.inf)
         except KeyboardInterrupt:
-            message = INTERRUPTED
+            message = INTERRUPTED_SEARCH
         return self._finish(message)
 
     def resume(self, seconds: float) -> SearchOutcome:
@@ -164,9 +164,9 @@ class TreeSearch:
         try:
             message = message or self._loop()
         except KeyboardInterrupt:
-            message = INTERRUPTED
+            message = INTERRUPTED_SEARCH
         tree = tree_with_proofs(self._relaxation, self._nodes, self._duals)
-        resume, interrupted = None, message == INTERRUPTED
+        resume, interrupted = None, message == INTERRUPTED_SEARCH
         if message == self.limits.out_of_time and self._heap:
             resume = self.resume
         return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup, resume)

@@ -32,7 +32,7 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program
 
-MOST_ENTRIES = 2e7  # of the response of x and u to u (160 MB): nothing is rounded if there are more
+MOST_RESPONSE_ENTRIES = 2e7  # of the response of x and u to u (160 MB): nothing is rounded if there are more
 MOST_PAIR_WORK = 1e9  # flips^2 times rows, some seconds: with more, only single flips are made
 FLIPS_PER_SAMPLE = 4  # at most: descents ended by themselves after fewer than one
 SATISFIED = 1e-9  # violation of a row, relative to its response to all levels: the rounding error of the sum
@@ -248,7 +248,7 @@ def level_rounding(problem: OptimalControlProblem) -> LevelRounding | None:
     """Return the rounding of a problem with levels; None without levels, or if its response takes too much memory."""
     levels, T, m = problem.dynamics.given[1], problem.horizon, problem.control_dim
     choices = None if levels is None else levels.points(m)
-    if levels is None or choices is None or ((T + 1) * problem.state_dim + T * m) * T * m > MOST_ENTRIES:
+    if levels is None or choices is None or ((T + 1) * problem.state_dim + T * m) * T * m > MOST_RESPONSE_ENTRIES:
         return None
     return LevelRounding(problem, levels, choices)
 
