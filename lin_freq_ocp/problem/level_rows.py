@@ -40,6 +40,9 @@ class LevelUse:
     rows : int or None
         Where the cost is one of each sample alone and the rest are linear rows: how many of them are independent.
         Then some optimum has at most as many samples between levels. None where that was not found to hold.
+    means : bool
+        Whether samples lie between levels and the cost is quadratic in u. It then counts the means over these samples,
+        whose squares are below the means of the squared levels.
 
     Examples
     --------
@@ -50,10 +53,15 @@ class LevelUse:
     duty_cycles: tuple[Array, ...]
     fractional: int
     rows: int | None
+    means: bool = False
 
     def __str__(self) -> str:
         samples = sum(map(len, self.duty_cycles))
         text = f"{self.fractional} of {plural(samples, 'sample')} between levels"
+        if self.means:
+            text += (
+                "; there the quadratic cost counts the mean over the sample, and switching between levels costs more"
+            )
         if self.rows is None:
             return text
         why = f"a cost of each sample alone, {plural(self.rows, 'linear row')}"
@@ -67,8 +75,9 @@ def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
         return None
     shares = given.shares(u)
     between = sum(int(np.count_nonzero(one.max(axis=1) < 1 - AT_LEVEL)) for one in shares)
-    rows = level_rows(problem)
-    return LevelUse(tuple(shares), between, None if rows is None else _rank(_of_spans(rows, _spans(given, u))))
+    rows, cost = level_rows(problem), problem.quadratic
+    needed = None if rows is None else _rank(_of_spans(rows, _spans(given, u)))
+    return LevelUse(tuple(shares), between, needed, between > 0 and bool(cost.R.any() or cost.S.any()))
 
 
 def level_rows(problem: OptimalControlProblem) -> Array | None:

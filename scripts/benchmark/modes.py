@@ -38,9 +38,9 @@ from benchmark.record import Record, build_parser, duration
 from benchmark.relaxations import RELAXATIONS
 from helpers.checks.claimed import resolved
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
-from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, relaxed
+from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, solve_relaxation
 from lin_freq_ocp.methods.hybrid.search.mixed import SolverClaim, solve_miqp
-from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
+from lin_freq_ocp.methods.hybrid.search.node import has_compiled_code
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.program.program_rows import real_rows
 
@@ -277,7 +277,7 @@ def relaxations(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], li
             reach = relaxation.reach.from_start(everything)
             outcome = TreeSearch(problem, SearchLimits(gap, limit), relaxation=kind).run()
             nodes = f"{len(outcome.tree.nodes)}" + (" (stopped)" if outcome.message else "")
-            root = None if reach is None or best is None else relaxed(relaxation, reach).bound
+            root = None if reach is None or best is None else solve_relaxation(relaxation, reach).bound
             cells.append("" if root is None else f"{100 * (best - root) / abs(best):.3g} %, {nodes}")
         table.add_row(name, *cells)
     return table
@@ -307,7 +307,7 @@ def main(arguments: Sequence[str]) -> None:
         return
     known = CASES | LONG
     cases = {name: known[name] for name in options.case or (known if options.long else CASES)}
-    if compiled_is_there():
+    if has_compiled_code():
         from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
 
         paths.KERNELS.prepare()

@@ -16,8 +16,8 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import branch_and_bound
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
-from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, SearchLimits, relaxed
-from lin_freq_ocp.methods.hybrid.search.node import Relaxed
+from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, SearchLimits, solve_relaxation
+from lin_freq_ocp.methods.hybrid.search.node import NodeSolution
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
@@ -49,15 +49,15 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
         everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
         root = relaxation.reach.from_start(everything)
         assert root is not None
-        duals = relaxed(relaxation, root, compiled=True).duals
+        duals = solve_relaxation(relaxation, root, compiled=True).duals
         assert duals is not None
         set_up, bound, *solves = (
             part_seconds(work)
             for work in (
                 partial(relaxation.path_member, root),
                 partial(relaxation.proven, root, duals),
-                partial(relaxed, relaxation, root, TOLERANCES, compiled=True),
-                partial(relaxed, relaxation, root, TOLERANCES),
+                partial(solve_relaxation, relaxation, root, TOLERANCES, compiled=True),
+                partial(solve_relaxation, relaxation, root, TOLERANCES),
             )
         )
         reach = part_seconds(partial(relaxation.reach.after, root, 0, [root.allowed[0]] * 8)) / 8
@@ -69,16 +69,16 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
 
 def by_clarabel(
     relaxation: ModeRelaxation, reach: Reach, tolerances: tuple[float, ...], end: float, cutoff: float, _compiled: bool
-) -> Relaxed:
+) -> NodeSolution:
     """Solve a relaxation as if there were no compiled code."""
-    return relaxed(relaxation, reach, tolerances, end, cutoff)
+    return solve_relaxation(relaxation, reach, tolerances, end, cutoff)
 
 
 def to_the_end(
     relaxation: ModeRelaxation, reach: Reach, tolerances: tuple[float, ...], end: float, _cutoff: float, compiled: bool
-) -> Relaxed:
+) -> NodeSolution:
     """Solve a relaxation as if the cutoff decided nothing."""
-    return relaxed(relaxation, reach, tolerances, end, None, compiled)
+    return solve_relaxation(relaxation, reach, tolerances, end, None, compiled)
 
 
 class WithoutImages(PathRelaxation):

@@ -9,7 +9,7 @@ import numpy as np
 
 from helpers.checks.claimed import differences
 from lin_freq_ocp.methods.candidate import require_convex
-from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, DEFAULT_GAP, SolverClaim, status_of
+from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, DEFAULT_GAP, SolverClaim, solver_status
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -90,7 +90,7 @@ def polished(problem: OptimalControlProblem, claim: GlobalClaim, end: float = np
 
 def _claim(program: SmoothProgram, solution: Solution, seconds: dict[str, float]) -> GlobalClaim:
     bound = None if solution.bound is None else program.cost(solution.bound)
-    status, words = status_of(solution)
+    status, words = solver_status(solution)
     slope = program.cost(COST_LEVEL) * program.problem.horizon
     if solution.z is None:
         return GlobalClaim(status, None, None, None, bound, words, seconds, slope, program.excluded)

@@ -6,7 +6,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers import kinks
-from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 
 
 def changed(multipliers, **fields):
@@ -26,4 +26,8 @@ def peak_optimum():
     """The optimum of the peak, with the multipliers of its rising sequence."""
     problem = kinks.peak()
     result = lfo.solve(problem.with_modes([0, 0]))
-    return problem, result.trajectory, weighted(problem, result.trajectory, np.array([0, 0]), result.multipliers)
+    return (
+        problem,
+        result.trajectory,
+        multipliers_with_weights(problem, result.trajectory, np.array([0, 0]), result.multipliers),
+    )

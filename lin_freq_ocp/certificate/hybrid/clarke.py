@@ -1,6 +1,6 @@
-"""What the maximum principle says of piecewise-affine dynamics where several modes are active (docs/borders.md).
+"""The maximum principle for piecewise-affine dynamics at points where several modes are active (docs/borders.md).
 
-Where the trajectory touches a gap between regions, a single mode may be active, and its region ends there.
+A point at a gap between regions may have a single active mode, whose region ends there.
 
 At (x_t, u_t), with I the active modes, a_i = (A_i' eta_t, B_i' eta_t), G_i d <= 0 the region of mode i to first order,
 p_t what the adjoint equation and stationarity in u require of the derivative of <eta_t, f_t>, and b_t the same without
@@ -21,7 +21,7 @@ the linear problem with these dynamics, if the sum is a convex combination of ac
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -30,6 +30,7 @@ from scipy.linalg import block_diag
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import runs_in_words, runs_of
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, state_residual
 from lin_freq_ocp.certificate.sizes import Floors, floors, trajectory_sizes
@@ -90,13 +91,13 @@ class NormKink(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SwitchingFacts(Facts):
-    """What holds where several modes are active, with the multipliers that were judged.
+    """The conditions where several modes are active, for the multipliers that were judged.
 
     Attributes
     ----------
     elsewhere : bool
-        Whether all conditions that do not depend on weights hold, and stationarity where a single mode is active. The
-        following facts but ``regular`` include it; without it, flips mean nothing.
+        Whether all conditions without weights hold, and stationarity where a single mode is active. All following facts
+        except ``regular`` presuppose it; without it, flips have no meaning.
     joint : bool
         Clarke's multiplier rule, the necessary condition.
     flip_stationary : bool
@@ -112,7 +113,7 @@ class SwitchingFacts(Facts):
     weights : (len(times), modes)
         alpha there.
     jumping : SwitchingFacet or None
-        Where the map jumps most, if it does: then the theorem does not apply.
+        The facet with the largest jump of the map, if there is one: then the theorem does not apply.
     conditions : tuple of Condition
         "flip", "printed" (in x, in u) and "regular" at their worst; of each, the component is a mode.
     norms : tuple of NormKink
@@ -138,7 +139,7 @@ class SwitchingFacts(Facts):
 
     @property
     def applicable(self) -> bool:
-        """Whether the theorem says anything: the map does not jump, and is defined around the trajectory."""
+        """Whether the theorem applies: the map does not jump, and is defined around the trajectory."""
         return self.jumping is None and not self.gaps
 
     def __str__(self) -> str:
@@ -147,13 +148,14 @@ class SwitchingFacts(Facts):
             first, second = (self.mode_names[i] for i in (self.jumping.first, self.jumping.second))
             parts.append(f"the map jumps between {first} and {second}: the theorem does not apply")
         if self.gaps:
-            where = ", ".join(map(str, self.gaps))
+            where = runs_in_words(runs_of(np.array(self.gaps)))
             parts.append(f"the trajectory touches a gap between regions at t = {where}: the theorem does not apply")
         parts += [kink.describe() for kink in self.norms]
         if not self.times and not self.norms:
             return "; ".join([*parts, "modes meet nowhere along the trajectory"])
         if self.times:
-            parts.append(f"modes meet{' or end' if self.gaps else ''} at t = {', '.join(map(str, self.times))}")
+            where = runs_in_words(runs_of(np.array(self.times)))
+            parts.append(f"modes meet{' or end' if self.gaps else ''} at t = {where}")
         parts.append(f"joint inclusion {'holds' if self.joint else 'fails'}")
         parts.append("flip-stationary" if self.flip_stationary else "not flip-stationary")
         flips = self.flips if self.elsewhere else tuple(flip for flip in self.flips if flip.improves)
@@ -186,8 +188,8 @@ class SwitchingStage:
     """A time at which several modes are active; vectors are in (x, u), n + m entries.
 
     ``slopes`` (k, n + m) are the a_i of the modes and ``required`` is p_t. ``normals`` (count, n + m) are the active
-    bounds and rows of the stage, ``held`` their multipliers in p_t. ``facets`` are, per mode, the active rows of its
-    region as columns; ``scale`` is what a residual is compared with, and ``states`` is n.
+    bounds and rows of the stage, ``multipliers`` (count,) theirs in p_t. ``facets`` are, per mode, the active rows
+    of its region as columns; ``scale`` is the unit of residuals, and ``states`` is n.
     """
 
     time: int
@@ -195,7 +197,7 @@ class SwitchingStage:
     slopes: Array
     required: Array
     normals: Array
-    held: Array
+    multipliers: Array
     facets: tuple[Array, ...]
     scale: Array
     states: int
@@ -208,7 +210,7 @@ class SwitchingStage:
 
     def without(self, chosen: Mask) -> Array:
         """Return p_t without some of the normals."""
-        return self.required - self.held[chosen] @ self.normals[chosen]
+        return self.required - self.multipliers[chosen] @ self.normals[chosen]
 
 
 def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Array]:
@@ -216,11 +218,11 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
     problem, multipliers = extremal.problem, extremal.multipliers
     (x, u), (n, m) = (extremal.trajectory.x, extremal.trajectory.u), (problem.state_dim, problem.control_dim)
     y, unit = np.append(x[t], u[t]), np.eye(n + m)
-    tubes, given = (problem.state_tube, problem.control_tube), np.append(multipliers.mu[t], multipliers.nu[t])
+    tubes, box_multipliers = (problem.state_tube, problem.control_tube), np.append(multipliers.mu[t], multipliers.nu[t])
     near = CONDITION_TOLERANCE * (np.append(least.x, least.u) / SCALE_FLOOR + np.abs(y))
     upper = y >= np.append(tubes[0].upper[t], tubes[1].upper[t]) - near
     lower = y <= np.append(tubes[0].lower[t], tubes[1].lower[t]) + near
-    normals, held = [unit[upper], -unit[lower]], [given[upper], -given[lower]]
+    normals, multipliers_of_normals = [unit[upper], -unit[lower]], [box_multipliers[upper], -box_multipliers[lower]]
     for priced in extremal.terms:
         rows = priced.term.polyhedron(n, m)
         if rows is None:
@@ -230,18 +232,8 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
         active = priced.values >= priced.term.penalty.bounds(priced.term.shape)[1] - near
         for group in np.flatnonzero(np.asarray(rows.times) == t):
             normals.append(rows.matrix(int(group))[active[group]])
-            held.append(priced.given[group, active[group]])
-    return np.vstack(normals), np.maximum(np.concatenate(held), 0.0)
-
-
-def times_at_gaps(problem: OptimalControlProblem, trajectory: Trajectory, arrays: ModeArrays, active: Mask) -> Indices:
-    """Return the times at which the regions of the active modes (T, modes) leave a part of the sets out."""
-    if problem.gap is None:
-        return np.zeros(0, dtype=np.intp)
-    x, u, sets = trajectory.x, trajectory.u, problem.stage_sets
-    touched = (arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)
-    found = (t for t in np.flatnonzero(touched) if meets_gap(arrays, sets, int(t), np.append(x[t], u[t]), active[t]))
-    return np.fromiter(found, dtype=np.intp)
+            multipliers_of_normals.append(priced.given[group, active[group]])
+    return np.vstack(normals), np.maximum(np.concatenate(multipliers_of_normals), 0.0)
 
 
 def switching_stages(
@@ -256,14 +248,14 @@ def switching_stages(
     scale = np.maximum(stationarity_scale(extremal, least), np.where(active[..., None], terms, 0.0).max(axis=(0, 1)))
     stages = list[SwitchingStage]()
     for t in np.union1d(np.flatnonzero(active.sum(axis=1) > 1), gaps):
-        modes, (normals, held) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
+        modes, (normals, weights) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
         facets = tuple(arrays.rows[t, i, active_facets[t, i]].T for i in modes)
-        stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, held, facets, scale, n))
+        stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, weights, facets, scale, n))
     return stages
 
 
 def required_slopes(extremal: Extremal) -> Array:
-    """Return p_t, (T, n + m): what D <eta_t, f_t> must be, for the extremal of any dynamics."""
+    """Return p_t, (T, n + m), the derivative of <eta_t, f_t> that an extremal of any dynamics requires."""
     through_x, through_u = extremal.problem.linear.pull_back(extended(extremal.multipliers.eta))
     in_x = (extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] + through_x
     return np.hstack([in_x, extremal.multipliers.nu - extremal.in_u + through_u]).astype(np.float64)
@@ -278,19 +270,6 @@ def stationarity_scale(extremal: Extremal, least: Floors) -> Array:
     return np.where(scale > 0, scale, 1.0)  # without any terms there is no residual
 
 
-def nearest_weights(stage: SwitchingStage) -> Array:
-    """Return alpha >= 0, sum alpha = 1, with sum alpha_i a_i nearest to p_t, (k,).
-
-    The nearest point of a polytope V alpha to 0: beta >= 0 with the least |V beta|^2 + (sum beta - 1)^2 is a multiple
-    of alpha, as the sum s enters that as s^2 |V alpha|^2 + (s - 1)^2, which rises with |V alpha| for the best s.
-    """
-    from scipy.optimize import nnls  # slow to import
-
-    columns = ((stage.slopes - stage.required) / stage.scale).T
-    beta, _ = nnls(np.vstack([columns, np.ones(len(stage.modes))]), np.append(np.zeros(len(columns)), 1.0))
-    return beta / beta.sum()
-
-
 def switching_facts(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
@@ -302,11 +281,18 @@ def switching_facts(
 ) -> SwitchingFacts:
     """Return the facts; ``joint``: all conditions hold, ``elsewhere``: those that do not depend on weights do."""
     sizes = np.concatenate(trajectory_sizes(problem, trajectory))
-    flips = [flip for stage in stages for flip in _flips(stage, sizes)]
+    flips = list[Flip]()
+    for stage in stages:
+        for mode, residual in zip(stage.modes, _flip_residuals(stage), strict=True):
+            if np.abs(residual).max() > CONDITION_TOLERANCE:
+                # in the scaled metric the residual r is orthogonal to the part that was subtracted and makes no acute
+                # angle with the generators: d = r / scale leads into the mode within the sets, <a_i - b, d> = |r|^2
+                longest = float(np.abs(residual / stage.scale / sizes).max())
+                flips.append(Flip(stage.time, int(mode), float(residual @ residual) / longest))
     checks = (
         ("flip", "no mode towards which H rises", _flip_residuals),
-        ("printed", "C-iii and C-iv as printed, in x alone", _printed_in_x),
-        ("printed", "C-v as printed, in u alone", _printed_in_u),
+        ("printed", "C-iii and C-iv as printed, in x alone", _printed_residuals_in_x),
+        ("printed", "C-v as printed, in u alone", _printed_residuals_in_u),
         ("regular", "-<eta, f> Clarke-regular", _regular_residuals),
     )
     conditions = list[Condition]()
@@ -337,45 +323,36 @@ def switching_facts(
     )
 
 
-def _flips(stage: SwitchingStage, sizes: Array) -> Iterator[Flip]:
-    """Yield the modes for which the residual r of the flip test is not zero.
-
-    In the scaled metric r is orthogonal to what was subtracted and makes no acute angle with the generators, so that
-    d = r / scale is a direction into the mode within the sets, and <a_i - b, d> = |r|^2.
-    """
-    for mode, residual in zip(stage.modes, _flip_residuals(stage), strict=True):
-        if np.abs(residual).max() > CONDITION_TOLERANCE:
-            direction = residual / stage.scale
-            rate = float(residual @ residual) / float(np.abs(direction / sizes).max())
-            yield Flip(stage.time, int(mode), rate)
-
-
 def _flip_residuals(stage: SwitchingStage) -> list[Array]:
-    base = stage.without(np.ones(len(stage.held), dtype=bool))
+    base = stage.without(np.ones(len(stage.multipliers), dtype=bool))
     return [
         _cone_residual(slope - base, np.hstack([facets, stage.normals.T]), stage.scale)
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
     ]
 
 
-def _printed_in_u(stage: SwitchingStage) -> list[Array]:
+def _printed_residuals_in_u(stage: SwitchingStage) -> list[Array]:
     """Return the residual of D_v <eta, f> <= <b_u, v> for all v in the tangent cone of U_t, per mode."""
     part = slice(stage.states, None)
-    own = stage.own_normals(part)
-    base, normals, no_state = stage.without(own)[part], stage.normals[own, part].T, np.zeros(stage.states)
+    of_controls = stage.own_normals(part)
+    base, normals, no_state = (
+        stage.without(of_controls)[part],
+        stage.normals[of_controls, part].T,
+        np.zeros(stage.states),
+    )
     return [
         np.append(no_state, _cone_residual(slope[part] - base, np.hstack([facets[part], normals]), stage.scale[part]))
         for slope, facets in zip(stage.slopes, stage.facets, strict=True)
     ]
 
 
-def _printed_in_x(stage: SwitchingStage) -> list[Array]:
+def _printed_residuals_in_x(stage: SwitchingStage) -> list[Array]:
     """Return the residual of D_y <eta, f> - <mu, y> <= <b_x, y> for all y and one mu in N_X(x_t), per mode."""
     part, k = slice(0, stage.states), len(stage.modes)
-    own = stage.own_normals(part)
+    of_states = stage.own_normals(part)
     facets = block_diag(*(facets[part] for facets in stage.facets))
-    generators = np.hstack([np.tile(stage.normals[own, part].T, (k, 1)), facets])
-    vector = np.concatenate([slope[part] - stage.without(own)[part] for slope in stage.slopes])
+    generators = np.hstack([np.tile(stage.normals[of_states, part].T, (k, 1)), facets])
+    vector = np.concatenate([slope[part] - stage.without(of_states)[part] for slope in stage.slopes])
     return np.split(_cone_residual(vector, generators, np.tile(stage.scale[part], k)), k)
 
 
@@ -383,7 +360,7 @@ def _regular_residuals(stage: SwitchingStage) -> list[Array]:
     """Return, per mode, the largest residual of <a_i - a_k, d> <= 0 over the other modes."""
     worst = list[Array]()
     for slope, facets in zip(stage.slopes, stage.facets, strict=True):
-        residuals = [_cone_residual(slope - other, facets, stage.scale) for other in stage.slopes]
+        residuals = [_cone_residual(slope - other_slope, facets, stage.scale) for other_slope in stage.slopes]
         worst.append(max(residuals, key=lambda residual: float(np.abs(residual).max())))
     return worst
 
@@ -409,21 +386,59 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
-    gaps = times_at_gaps(problem, trajectory, arrays, active)
-    weights = _weights(problem, trajectory, multipliers, arrays, sequence, active)
+    gaps = np.zeros(0, dtype=np.intp)
+    if problem.gap is not None:  # where the regions of the active modes leave a part of the sets out
+        x, u, sets = trajectory.x, trajectory.u, problem.stage_sets
+        touched = np.flatnonzero((arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)).tolist()
+        gaps = np.array([t for t in touched if meets_gap(arrays, sets, t, np.append(x[t], u[t]), active[t])], np.intp)
+    weights = multipliers.weights
+    if weights is not None and weights.shape != active.shape:
+        raise ProblemError("multipliers.weights", f"shape {weights.shape}", f"shape {active.shape}")
+    if weights is None:
+        # alpha >= 0, sum alpha = 1, with sum alpha_i a_i nearest to p_t: the nearest point of a polytope V alpha to 0.
+        # beta >= 0 with the least |V beta|^2 + (sum beta - 1)^2 is a multiple of alpha, as the sum s enters that as
+        # s^2 |V alpha|^2 + (s - 1)^2, which rises with |V alpha| for the best s
+        from scipy.optimize import nnls  # slow to import
+
+        weights = np.eye(active.shape[1])[sequence]
+        extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
+        least, none = floors(extremal, sizes), np.zeros(0, dtype=np.intp)
+        for stage in switching_stages(extremal, least, arrays, active, none):
+            weights[stage.time] = 0.0
+            V = ((stage.slopes - stage.required) / stage.scale).T
+            beta, _ = nnls(np.vstack([V, np.ones(len(stage.modes))]), np.append(np.zeros(len(V)), 1.0))
+            weights[stage.time, stage.modes] = beta / beta.sum()
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, sizes, origin=problem.origin)
     least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
     along = replace(problem, dynamics=piecewise_affine(problem).along(sequence))
-    moved = along.equations.motion_sizes(trajectory.x, trajectory.u)
-    own = state_equation(state_residual(along, trajectory), moved, least)
-    linear = [own if given.name == own.name else given for given in all_conditions(extremal, least)]
-    active_mode, of_weights = _mode_is_active(distance, sequence), _weights_of_modes(weights, active)
+    motion = along.equations.motion_sizes(trajectory.x, trajectory.u)
+    dynamics_condition = state_equation(state_residual(along, trajectory), motion, least)
+    linear = [
+        dynamics_condition if condition.name == dynamics_condition.name else condition
+        for condition in all_conditions(extremal, least)
+    ]
+    own_distance = distance[np.arange(len(sequence)), sequence]  # from the region of the mode that leads to x_{t+1}
+    t = int(np.argmax(own_distance))
+    mode, worst = int(sequence[t]), float(own_distance[t])
+    name = "a mode holds that leads to the next state"
+    active_mode = Condition("S-f", name, worst, 1.0, CONDITION_TOLERANCE, t, mode)
+    violation = np.maximum(-weights, np.where(active, 0.0, np.abs(weights)))
+    violation = np.maximum(violation, np.abs(weights.sum(axis=1, keepdims=True) - 1))
+    t, mode = (int(i) for i in np.unravel_index(np.argmax(violation), violation.shape))
+    name = "weights >= 0, sum 1, of modes that hold"
+    of_weights = Condition("N-f", name, float(violation[t, mode]), 1.0, CONDITION_TOLERANCE, t, mode)
     stages = switching_stages(extremal, least, arrays, active, gaps)
-    others = all(given.passed for given in (*linear, active_mode) if given.name not in OF_WEIGHTS)
-    elsewhere = others and _stationary(extremal, least, ~np.isin(np.arange(problem.horizon), [s.time for s in stages]))
+    others = all(condition.passed for condition in (*linear, active_mode) if condition.name not in OF_WEIGHTS)
+    # the adjoint equation and stationarity in u at all times with a single mode
+    n, scale, single = problem.state_dim, stationarity_scale(extremal, least), np.ones(problem.horizon, dtype=bool)
+    single[[stage.time for stage in stages]] = False
+    in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:n]
+    in_u = np.abs(extremal.in_u - extremal.multipliers.nu) / scale[n:]
+    residual = max(float(part[single].max(initial=0.0)) for part in (in_x, in_u))
+    elsewhere = others and residual <= CONDITION_TOLERANCE
     conditions = (*linear, active_mode, of_weights)
-    joint = all(given.passed for given in conditions)
+    joint = all(condition.passed for condition in conditions)
     facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere)
     return Judgement(conditions, facts, cost_of_residuals(extremal))
 
@@ -447,51 +462,3 @@ def _averaged_problem(problem: OptimalControlProblem, weights: Array, sequence: 
     """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
     dynamics, fixed = piecewise_affine(problem).averaged(weights), problem.dynamics.controls_of(sequence)
     return replace(problem, dynamics=dynamics, control_set=held(problem.control_set, fixed))
-
-
-def _weights(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    multipliers: Multipliers,
-    arrays: ModeArrays,
-    sequence: Indices,
-    active: Mask,
-) -> Array:
-    """Return the weights that were given, or those that fit best, (T, modes)."""
-    T, modes = active.shape
-    if multipliers.weights is not None:
-        if multipliers.weights.shape != (T, modes):
-            raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", f"shape {(T, modes)}")
-        return multipliers.weights
-    weights = np.eye(modes)[sequence]
-    extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
-    least, none = floors(extremal, trajectory_sizes(problem, trajectory)), np.zeros(0, dtype=np.intp)
-    for stage in switching_stages(extremal, least, arrays, active, none):
-        weights[stage.time] = 0.0
-        weights[stage.time, stage.modes] = nearest_weights(stage)
-    return weights
-
-
-def _mode_is_active(distance: Array, sequence: Indices) -> Condition:
-    """S-f: (x_t, u_t) lies in the region of the mode that leads to x_{t+1}; relative to the terms of its rows."""
-    own = distance[np.arange(len(sequence)), sequence]
-    t = int(np.argmax(own))
-    name = "a mode holds that leads to the next state"
-    return Condition("S-f", name, float(own[t]), 1.0, CONDITION_TOLERANCE, t, int(sequence[t]))
-
-
-def _weights_of_modes(weights: Array, active: Mask) -> Condition:
-    """N-f: weights are >= 0, 0 for modes that are not active, and sum to 1."""
-    wrong = np.maximum(-weights, np.where(active, 0.0, np.abs(weights)))
-    wrong = np.maximum(wrong, np.abs(weights.sum(axis=1, keepdims=True) - 1))
-    t, mode = (int(i) for i in np.unravel_index(np.argmax(wrong), wrong.shape))
-    name = "weights >= 0, sum 1, of modes that hold"
-    return Condition("N-f", name, float(wrong[t, mode]), 1.0, CONDITION_TOLERANCE, t, mode)
-
-
-def _stationary(extremal: Extremal, least: Floors, times: Mask) -> bool:
-    """Whether the adjoint equation and stationarity in u hold at these of the times 0 .. T-1, and transversality."""
-    n, scale = extremal.problem.state_dim, stationarity_scale(extremal, least)
-    in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:n]
-    in_u = np.abs(extremal.in_u - extremal.multipliers.nu) / scale[n:]
-    return max(float(part[times].max(initial=0.0)) for part in (in_x, in_u)) <= CONDITION_TOLERANCE

@@ -2,9 +2,9 @@
 
 To first order at a trajectory the problem is one with affine modes (``OptimalControlProblem.affine_at``), and the
 conditions of the maximum principle, all of first order, are the same. Where the arguments q of a norm are zero, its
-derivative may be any xi' Dq with |xi| <= 1: one selection xi for states and controls alike, the nearest to what the
-adjoint equation and stationarity in u require. With c the derivative of <eta_t, f_t> by the norm, -<eta_t, f_t> is
-regular there iff c <= 0; with c > 0 the printed form has no solution, and a step away from the kink raises H.
+derivative may be any xi' Dq with |xi| <= 1: one selection xi for states and controls alike, the nearest to the one
+that the adjoint equation and stationarity in u require. With c the derivative of <eta_t, f_t> by the norm, -<eta_t,
+f_t> is regular there iff c <= 0; with c > 0 the printed form has no solution, and a step away from the kink raises H.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
     """Judge a trajectory of smooth pieces."""
     problem.require(trajectory)
-    selections, norms = _selections(problem, trajectory, multipliers)
-    found = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers)
-    facts, rising = found.borders, any(kink.rate > 0 for kink in norms)
+    selections, norms = _judge_norms(problem, trajectory, multipliers)
+    judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers)
+    facts, rising = judgement.borders, any(kink.rate > 0 for kink in norms)
     if not isinstance(facts, SwitchingFacts):
-        return found
+        return judgement
     facts = replace(
         facts,
         norms=norms,
@@ -48,45 +48,45 @@ def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         printed=facts.printed and not rising,
         regular=facts.regular and not rising,
     )
-    return replace(found, borders=facts)
+    return replace(judgement, borders=facts)
 
 
-def _selections(
+def _judge_norms(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
 ) -> tuple[dict[Formula, Array], tuple[NormKink, ...]]:
     """Return the selection of every norm at the times at which its arguments are zero, not a number elsewhere."""
-    found: dict[Formula, Array] = {}
+    selections: dict[Formula, Array] = {}
     kinks: list[NormKink] = []
     dynamics = piecewise_smooth(problem)
     for norm, active in dynamics.active_kinks(trajectory.x, trajectory.u).items():
-        selection = found[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
+        selection = selections[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
         if not active.any():
             continue
         selection[active] = 0.0
-        linear = problem.affine_at(trajectory, found)
+        linear = problem.affine_at(trajectory, selections)
         modes = piecewise_affine(linear)
         sequence = modes.sequence_of(trajectory.x, trajectory.u)
         alone = replace(linear, dynamics=modes.along(sequence))
         extremal = extremal_at(alone, trajectory, multipliers)
         least = floors(extremal, trajectory_sizes(linear, trajectory))
         scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
-        base, columns = _norm_slopes(problem, trajectory, multipliers, found, norm)
+        base, columns = _norm_slopes(problem, trajectory, multipliers, selections, norm)
         for t in np.flatnonzero(active):
             mode = int(sequence[t])
             missing = (required[t] - base[t, mode]) / scale
             selection[t] = nearest_in_ball((columns[:, t, mode] / scale).T, missing)
-            here = np.append(trajectory.x[t], trajectory.u[t])
-            pull = dynamics.pull_of_norm(norm, here, mode, multipliers.eta[t])
+            signals = np.append(trajectory.x[t], trajectory.u[t])
+            pull = dynamics.pull_of_norm(norm, signals, mode, multipliers.eta[t])
             rate = pull if pull > CONDITION_TOLERANCE * float(scale.max()) else min(pull, 0.0)
-            kinks.append(NormKink(int(t), _text(problem, norm), tuple(float(part) for part in selection[t]), rate))
-    return found, tuple(kinks)
+            kinks.append(NormKink(int(t), _norm_text(problem, norm), tuple(float(part) for part in selection[t]), rate))
+    return selections, tuple(kinks)
 
 
-def _text(problem: OptimalControlProblem, norm: Formula) -> str:
+def _norm_text(problem: OptimalControlProblem, norm: Formula) -> str:
     return text_of(norm, [name.split(" [")[0] for name in (*problem.state_names, *problem.control_names)])
 
 
-def _slopes(
+def _mode_slopes(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
     multipliers: Multipliers,
@@ -107,14 +107,14 @@ def _norm_slopes(
     """Return D <eta_t, f_i> for xi = 0 of a norm, and its change per component of xi, (components, T, modes, .)."""
     zero = np.where(np.isfinite(selections[norm]), 0.0, np.nan)
     base, *changed = (
-        _slopes(problem, trajectory, multipliers, {**selections, norm: zero + unit})
+        _mode_slopes(problem, trajectory, multipliers, {**selections, norm: zero + unit})
         for unit in np.vstack([np.zeros(zero.shape[1]), np.eye(zero.shape[1])])
     )
     return base, np.stack(changed) - base
 
 
 def nearest_in_ball(columns: Array, wanted: Array) -> Array:
-    """Return xi with |xi| <= 1 for which columns @ xi is nearest to what is wanted; the shortest of those."""
+    """Return the shortest xi with |xi| <= 1 for which columns @ xi is nearest to ``wanted``."""
     from scipy.optimize import brentq  # slow to import
 
     xi = np.asarray(np.linalg.lstsq(columns, wanted, rcond=1e-12)[0], dtype=np.float64)
@@ -142,7 +142,7 @@ class Kink:
         The least and the largest of each component of D_x <eta_t, f_i> over the active modes i and, at the zero of a
         norm, over all its selections |xi| <= 1.
     required : (n,)
-        p_t in x: what the adjoint equation requires.
+        p_t in x, as the adjoint equation requires.
     """
 
     time: int
@@ -168,12 +168,12 @@ def kinks(
     for norm, active in problem.dynamics.active_kinks(x, u).items():
         selections[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
         for t in np.flatnonzero(active):
-            selections[norm][t] = judged.get((_text(problem, norm), int(t)), 0.0)
+            selections[norm][t] = judged.get((_norm_text(problem, norm), int(t)), 0.0)
     affine = problem.affine_at(trajectory, selections)
     arrays = modes_along(affine, trajectory)
     alone = replace(affine, dynamics=piecewise_affine(affine).along(arrays.sequence(x, u)))
     required = required_slopes(extremal_at(alone, trajectory, multipliers))[:, :n]
-    centre, radius = _slopes(problem, trajectory, multipliers, selections), 0.0
+    centre, radius = _mode_slopes(problem, trajectory, multipliers, selections), 0.0
     for norm, selection in selections.items():
         columns = _norm_slopes(problem, trajectory, multipliers, selections, norm)[1]
         centre = centre - np.einsum("jtki,tj->tki", columns, np.nan_to_num(selection))

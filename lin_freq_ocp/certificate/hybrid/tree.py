@@ -13,8 +13,8 @@ edges whose image misses the next box are none. The leaves of a tree cover all s
 bounds the cost of every trajectory. Only masks and multipliers are taken from the search.
 
 The boxes are those that every trajectory of a mask stays in, computed apart from the reach of the search. Intervals go
-forward in time through the region and the map of each mode. Beside them, zonotopes hold what only one mode leads to:
-they do not grow where the map turns.
+forward in time through the region and the map of each mode. As long as a single mode is possible, zonotopes enclose its
+images as well: unlike intervals they do not grow under rotations.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What can be reached at a time: the state lies in lower .. upper, and in centre + generators [-1, 1]^count, too.
+    """The reachable set at a time: the state lies in lower .. upper, and in centre + generators [-1, 1]^count.
 
     ``modes`` (modes,) can be active; pair_lower, pair_upper (modes, n + m) bound (x, u) in their regions.
     """
@@ -60,7 +60,7 @@ class Stage:
     pair_upper: Array
 
 
-SIDE_BY_SIDE = 64  # paths: beyond, arrays are no longer small
+SIDE_BY_SIDE = 64  # paths in one array: with more, arrays do not fit into the cache
 Stages = tuple[Stage, ...]  # T + 1 of them; the last has no modes
 
 
@@ -95,28 +95,28 @@ class IntervalReach:
     def restricted_each(self, choices: Sequence[tuple[Stages, int, Mask]]) -> list[Stages | None]:
         """Return, for each choice, its stages with only these modes (modes,) at a time, or None if they are empty.
 
-        All go forward side by side, which takes less time.
+        All are propagated in one array, which takes less time.
         """
-        found = [list(before) for before, _, _ in choices]
-        for stages, (_, t, modes) in zip(found, choices, strict=True):
+        paths = [list(before) for before, _, _ in choices]
+        for stages, (_, t, modes) in zip(paths, choices, strict=True):
             stages[t] = replace(stages[t], modes=stages[t].modes & modes)
-        empty = self._forward(found, [t for _, t, _ in choices], known=True)
-        return [None if index in empty else tuple(stages) for index, stages in enumerate(found)]
+        empty = self._forward(paths, [t for _, t, _ in choices], known=True)
+        return [None if index in empty else tuple(stages) for index, stages in enumerate(paths)]
 
     def _forward(self, paths: list[list[Stage]], firsts: Sequence[int], known: bool) -> set[int]:
-        """Go forward from the first times, in place; return the numbers of those that are empty."""
+        """Propagate paths forward from the first times, in place; return the numbers of empty paths."""
         empty, settled = set[int](), set[int]()
         for t in range(min(firsts, default=0), self._problem.horizon):
             going = [i for i, first in enumerate(firsts) if first <= t and i not in empty and i not in settled]
             for start in range(0, len(going), SIDE_BY_SIDE):
                 some = going[start : start + SIDE_BY_SIDE]
                 steps = self._step(t, [paths[i][t] for i in some], [paths[i][t + 1] for i in some])
-                for i, found in zip(some, steps, strict=True):
-                    if found is None:
+                for i, step in zip(some, steps, strict=True):
+                    if step is None:
                         empty.add(i)
                         continue
-                    stages, after = paths[i], found[1]
-                    stages[t], several = found[0], np.count_nonzero(found[0].modes) > 1
+                    stages, after = paths[i], step[1]
+                    stages[t], several = step[0], np.count_nonzero(step[0].modes) > 1
                     same = (after.lower == stages[t + 1].lower).all() and (after.upper == stages[t + 1].upper).all()
                     if known and same and several:
                         settled.add(i)  # nothing changes at later times
@@ -125,65 +125,57 @@ class IntervalReach:
         return empty
 
     def _step(self, t: int, now: Sequence[Stage], after: Sequence[Stage]) -> list[tuple[Stage, Stage] | None]:
-        """Return stages without modes that lead nowhere, and the next stages cut to what the others lead to."""
+        """Return the stages without modes whose image is empty, and the next stages within the other images."""
         n = len(now[0].lower)
         low, high = (np.array([getattr(stage, side) for stage in now]) for side in ("pair_lower", "pair_upper"))
         np.maximum(low[..., :n], np.array([stage.lower for stage in now])[:, None], out=low[..., :n])
         np.minimum(high[..., :n], np.array([stage.upper for stage in now])[:, None], out=high[..., :n])
         low, high, possible = self._cut_boxes(t, low, high)
-        image_low, image_high = self._image(t, low, high)
-        centres, generators, radius = self._zonotopes(t, now)
-        image_low = np.maximum(np.maximum(image_low, centres - radius), np.array([s.lower for s in after])[:, None])
-        image_high = np.minimum(np.minimum(image_high, centres + radius), np.array([s.upper for s in after])[:, None])
-        kept = np.array([stage.modes for stage in now]) & possible & (image_low <= image_high).all(axis=-1)
-        lower = np.where(kept[..., None], image_low, np.inf).min(axis=1)
-        upper = np.where(kept[..., None], image_high, -np.inf).max(axis=1)
-        found: list[tuple[Stage, Stage] | None] = []
-        for i, (stage, following) in enumerate(zip(now, after, strict=True)):
-            left = np.flatnonzero(kept[i])
-            if not len(left):
-                found.append(None)
-                continue
-            here = Stage(stage.lower, stage.upper, stage.centre, stage.generators, kept[i], low[i], high[i])
-            sets = _zonotope(lower[i], upper[i])
-            if len(left) == 1:
-                own = generators[i, left[0], :, : stage.generators.shape[1]]
-                sets = centres[i, left[0]], np.concatenate([own, self._pushes[t, left[0]]], axis=-1)
-            pairs = following.pair_lower, following.pair_upper
-            found.append((here, Stage(lower[i], upper[i], *sets, following.modes, *pairs)))
-        return found
-
-    def _zonotopes(self, t: int, now: Sequence[Stage]) -> tuple[Array, Array, Array]:
-        """Return centres, generators without those of controls, and radii of the images, (stages, modes, n, ...)."""
-        n, most = len(now[0].lower), max(stage.generators.shape[1] for stage in now)
-        generators = np.zeros((len(now), 1, n, most))
+        # the images of the boxes, as intervals and as zonotopes
+        size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(self._offset[t])
+        rising, falling, rounding = self._rising[t], self._falling[t], INTERVAL_ROUNDING * size
+        image_low = (rising @ low[..., None] + falling @ high[..., None])[..., 0] + self._offset[t] - rounding
+        image_high = (rising @ high[..., None] + falling @ low[..., None])[..., 0] + self._offset[t] + rounding
+        generators = np.zeros((len(now), 1, n, max(stage.generators.shape[1] for stage in now)))
         for i, stage in enumerate(now):
             generators[i, 0, :, : stage.generators.shape[1]] = stage.generators
-        generators = self._A[t] @ generators
-        centres = np.array([stage.centre for stage in now])[:, None, :, None]
-        centres = (self._A[t] @ centres)[..., 0] + self._pushed[t]
-        radius = np.abs(generators).sum(axis=-1) + np.abs(self._pushes[t]).sum(axis=-1)
-        return centres, generators, radius + INTERVAL_ROUNDING * (np.abs(centres) + radius)
+        generators, pushes = self._A[t] @ generators, np.abs(self._pushes[t]).sum(axis=-1)
+        centres = (self._A[t] @ np.array([stage.centre for stage in now])[:, None, :, None])[..., 0] + self._pushed[t]
+        radius = np.abs(generators).sum(axis=-1) + pushes
+        radius = radius + INTERVAL_ROUNDING * (np.abs(centres) + radius)
+        image_low = np.maximum(np.maximum(image_low, centres - radius), np.array([s.lower for s in after])[:, None])
+        image_high = np.minimum(np.minimum(image_high, centres + radius), np.array([s.upper for s in after])[:, None])
+        possible_modes = np.array([stage.modes for stage in now]) & possible & (image_low <= image_high).all(axis=-1)
+        lower = np.where(possible_modes[..., None], image_low, np.inf).min(axis=1)
+        upper = np.where(possible_modes[..., None], image_high, -np.inf).max(axis=1)
+        steps: list[tuple[Stage, Stage] | None] = []
+        for i, (stage, following) in enumerate(zip(now, after, strict=True)):
+            left = np.flatnonzero(possible_modes[i])
+            if not len(left):
+                steps.append(None)
+                continue
+            stage_now = Stage(
+                stage.lower, stage.upper, stage.centre, stage.generators, possible_modes[i], low[i], high[i]
+            )
+            sets = _zonotope(lower[i], upper[i])
+            if len(left) == 1:
+                state_generators = generators[i, left[0], :, : stage.generators.shape[1]]
+                sets = centres[i, left[0]], np.concatenate([state_generators, self._pushes[t, left[0]]], axis=-1)
+            pairs = following.pair_lower, following.pair_upper
+            steps.append((stage_now, Stage(lower[i], upper[i], *sets, following.modes, *pairs)))
+        return steps
 
     def _cut_boxes(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
         """Return boxes (..., modes, k) cut by the rows of the regions, and which of them have a point."""
         rows, limits, above = self._rows[t], self._limits[t], self._above[t]
         least = np.where(rows > 0, low[..., None, :], high[..., None, :])  # where a row is least
         terms = rows * least
-        room = limits - terms.sum(axis=-1)
-        room += INTERVAL_ROUNDING * (np.abs(terms).sum(axis=-1) + np.abs(limits))
-        ends = least + room[..., None] / self._divisors[t]
+        margin = limits - terms.sum(axis=-1)
+        margin += INTERVAL_ROUNDING * (np.abs(terms).sum(axis=-1) + np.abs(limits))
+        ends = least + margin[..., None] / self._divisors[t]
         high = np.minimum(high, np.where(above, ends, np.inf).min(axis=-2))
         low = np.maximum(low, np.where(self._below[t], ends, -np.inf).max(axis=-2))
-        return np.minimum(low, high), high, (room >= 0).all(axis=-1) & (low <= high).all(axis=-1)
-
-    def _image(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return boxes (..., modes, n) around the images of boxes (..., modes, k)."""
-        rising, falling, offset = self._rising[t], self._falling[t], self._offset[t]
-        size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(offset)
-        low, high, rounding = low[..., None], high[..., None], INTERVAL_ROUNDING * size
-        least, most = (rising @ low + falling @ high)[..., 0], (rising @ high + falling @ low)[..., 0]
-        return least + offset - rounding, most + offset + rounding
+        return np.minimum(low, high), high, (margin >= 0).all(axis=-1) & (low <= high).all(axis=-1)
 
 
 def _zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -192,7 +184,7 @@ def _zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class TreeBound:
-    """What a search tree proves.
+    """The bound that a search tree proves.
 
     Attributes
     ----------
@@ -227,9 +219,9 @@ class TreeBound:
 
 
 def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
-    """Check a tree: that its leaves cover all sequences, and what each leaf's multipliers prove.
+    """Check that the leaves of a tree cover all sequences, and compute the bound of the multipliers of each leaf.
 
-    Leaves that are not reached until ``end``, by ``clock.now``, prove nothing.
+    Leaves that are not checked before ``end``, by ``clock.now``, have no bound.
     """
     reached, covers = reached_nodes(problem, tree)
     parents = {node.parent for node in tree.nodes}
@@ -247,7 +239,7 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
 
 
 def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Stages | None], bool]:
-    """Return what each node can reach (None: nothing), and whether no sequence is missing."""
+    """Return the reachable stages of each node (None: empty), and whether the leaves cover all sequences."""
     reach = IntervalReach(problem)
     T, modes = problem.horizon, len(piecewise_affine(problem).modes)
     children: dict[int, list[int]] = {}
@@ -272,10 +264,10 @@ def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[
             choices += [(before, t, mask) for mask in chosen]
             left = np.flatnonzero(before[t].modes & ~chosen.any(axis=0))
             others += [(before, t, np.arange(modes) == i) for i in left]
-        for child, found in zip(level, reach.restricted_each(choices), strict=True):
-            reached[child] = found
-            covers &= _is_covered(found, tree, child)
-        covers &= all(found is None for found in reach.restricted_each(others))
+        for child, stages in zip(level, reach.restricted_each(choices), strict=True):
+            reached[child] = stages
+            covers &= _is_covered(stages, tree, child)
+        covers &= all(stages is None for stages in reach.restricted_each(others))
     return reached, covers
 
 
@@ -301,7 +293,7 @@ class Minimisers:
 
 
 class LeafJudge:
-    """Evaluates D; what does not depend on the leaf is kept."""
+    """Evaluates D for many leaves: data that do not depend on the leaf are computed once."""
 
     def __init__(self, problem: OptimalControlProblem):
         T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
@@ -322,19 +314,31 @@ class LeafJudge:
         self._rising, self._falling = np.maximum(self._maps, 0.0), np.minimum(self._maps, 0.0)
         self._shape = T, len(piecewise_affine(problem).modes), n
 
+    @np.errstate(over="ignore", invalid="ignore")
     def bound(self, stages: Stages, proof: ModeMultipliers) -> float:
         """Return D; for eta_C = 0, inf if it is above zero and -inf else."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            value = self._value(stages, proof)
-        if proof.multipliers.eta_C == 0:
-            return np.inf if value > 0 else -np.inf
-        return value if value == value else -np.inf
-
-    def _value(self, reached: Stages, proof: ModeMultipliers) -> float:
         extremal, centre = extremal_at(self._problem, self._centre, proof.multipliers), self._centre
         eta, eta_C = proof.multipliers.eta, proof.multipliers.eta_C
-        boxes, last = _boxes(reached, self._y, centre.x[-1]), self._shape[2]
-        lengths, sizes = self._lengths(extremal, proof, boxes)
+        boxes, last = _boxes_of_stages(stages, self._y, centre.x[-1]), self._shape[2]
+        # phi_t(i, j) for every pair of modes, and the sizes of its terms, (T, modes, modes or 1)
+        x = centre.x
+        ahead, behind, region = self._parts(proof)
+        slope, size = self._slopes(extremal, proof)
+        hessians = (proof.multipliers.eta_C * self._hessians)[:, None, None]
+        minima, spread = _box_minimum(slope, hessians, boxes.low[:-1, :, None], boxes.high[:-1, :, None])
+        after = np.zeros((1, 1, 1))
+        if proof.paths is not None and proof.paths.images.any():  # the least <nu, x> over the boxes that follow
+            images, n = proof.paths.images, self._shape[2]
+            low, high = (part[1:, None, :, :n] + x[1:, None, None] for part in (boxes.low, boxes.high))
+            after = (images * np.where(images > 0, low, np.where(images < 0, high, 0.0))).sum(axis=-1)
+        constants = (region @ self._slack[..., None])[..., 0] - (ahead @ self._images[..., None])[..., 0]
+        constants = constants + (behind @ x[:-1, :, None])[..., 0][:, :, None] + after
+        sizes = (
+            (size * spread).sum(-1) + (region @ np.abs(self._slack)[..., None])[..., 0] + np.abs(minima) + np.abs(after)
+        )
+        sizes += (np.abs(ahead) @ np.abs(self._images)[..., None])[..., 0]
+        sizes += (np.abs(behind) @ np.abs(x[:-1, :, None]))[..., 0][:, :, None]
+        lengths = minima + constants
         after = np.zeros(self._shape[1])
         for t, edges in reversed(list(enumerate(self._edges(boxes)))):
             after = np.where(edges, lengths[t] + after, np.inf).min(axis=1)
@@ -344,20 +348,23 @@ class LeafJudge:
         final, largest = _box_minimum(end_slope, eta_C * self._problem.quadratic.P, end_low, end_high)
         size_x = np.abs(extremal.eta_before[-1]) + extremal.in_x_terms[-1]
         cost = self._cost if eta_C else 0.0
-        gaps = float(sum(one.gap.sum() + one.beyond for one in extremal.terms))
+        gaps = float(sum(term.gap.sum() + term.beyond for term in extremal.terms))
         at_centre = float((eta * centre.x[1:]).sum())
         at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())
         rounding += float(size_x.astype(np.float64) @ largest) + abs(float(final)) + abs(cost) + abs(gaps)
         rounding += float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
-        rounding += float(sum(one.gap_terms.sum() for one in extremal.terms))
-        return cost - gaps + at_centre + float(after.min()) + float(final) - ARITHMETIC_ROUNDING * rounding
+        rounding += float(sum(term.gap_terms.sum() for term in extremal.terms))
+        value = cost - gaps + at_centre + float(after.min()) + float(final) - ARITHMETIC_ROUNDING * rounding
+        if eta_C == 0:
+            return np.inf if value > 0 else -np.inf
+        return value if value == value else -np.inf
 
     def minimisers(self, stages: Stages, proof: ModeMultipliers) -> Minimisers:
         """Return the minimisers of the stages of D, as far as a box with infinite bounds has them."""
         eta_C, n = proof.multipliers.eta_C, self._shape[2]
         extremal = extremal_at(self._problem, self._centre, proof.multipliers)
         with np.errstate(invalid="ignore"):
-            boxes = _boxes(stages, self._y, self._centre.x[-1])
+            boxes = _boxes_of_stages(stages, self._y, self._centre.x[-1])
         hessians, end = (eta_C * self._hessians)[:, None, None], eta_C * self._problem.quadratic.P
         slope, low, high = self._slopes(extremal, proof)[0], boxes.low[:, :, None], boxes.high[:, :, None]
         v = box_minimiser(slope, hessians, low[:-1], high[:-1])
@@ -383,32 +390,15 @@ class LeafJudge:
         """Return e_tij, v_{t-1,i} and lambda_tij."""
         T, _, n = self._shape
         parts = proof.paths or PathMultipliers(np.zeros((T, 1, n)), np.zeros((T, 1, 1, n)))
-        given = proof.region if proof.paths else proof.region[:, :, None]
-        region = np.where(np.isfinite(self._arrays.h)[:, :, None], np.maximum(given, 0.0), 0.0)
+        region_multipliers = proof.region if proof.paths else proof.region[:, :, None]
+        region = np.where(np.isfinite(self._arrays.h)[:, :, None], np.maximum(region_multipliers, 0.0), 0.0)
         ahead = proof.multipliers.eta[:, None, None] + parts.vertices[:, None] + parts.images
         behind = np.zeros((T, parts.vertices.shape[1], n))
         behind[1:] = parts.vertices[:-1]
         return ahead, behind, region
 
-    def _lengths(self, extremal: Extremal, proof: ModeMultipliers, boxes: _Boxes) -> tuple[Array, Array]:
-        """Return phi_t(i, j) for every pair of modes, and the sizes of its terms, (T, modes, modes or 1)."""
-        x = self._centre.x
-        ahead, behind, region = self._parts(proof)
-        slope, size = self._slopes(extremal, proof)
-        hessians = (proof.multipliers.eta_C * self._hessians)[:, None, None]
-        minima, spread = _box_minimum(slope, hessians, boxes.low[:-1, :, None], boxes.high[:-1, :, None])
-        after = np.zeros((1, 1, 1)) if proof.paths is None else _images(proof.paths.images, boxes, x)
-        constants = (region @ self._slack[..., None])[..., 0] - (ahead @ self._images[..., None])[..., 0]
-        constants = constants + (behind @ x[:-1, :, None])[..., 0][:, :, None] + after
-        sizes = (
-            (size * spread).sum(-1) + (region @ np.abs(self._slack)[..., None])[..., 0] + np.abs(minima) + np.abs(after)
-        )
-        sizes += (np.abs(ahead) @ np.abs(self._images)[..., None])[..., 0]
-        sizes += (np.abs(behind) @ np.abs(x[:-1, :, None]))[..., 0][:, :, None]
-        return minima + constants, sizes
-
     def _edges(self, boxes: _Boxes) -> Mask:
-        """Return which modes can follow each other, (T, modes, modes); after the last, only mode 0 stands for x_T."""
+        """Return which modes can follow each other, (T, modes, modes); after the last time, mode 0 represents x_T."""
         n = self._shape[2]
         low, high = (np.clip(part[:-1, ..., None], -INFINITE, INFINITE) for part in (boxes.low, boxes.high))
         least = (self._rising @ low + self._falling @ high)[..., 0] + self._images
@@ -431,7 +421,7 @@ class _Boxes:
     high: Array
 
 
-def _boxes(reached: Stages, y: Array, last: Array) -> _Boxes:
+def _boxes_of_stages(reached: Stages, y: Array, last: Array) -> _Boxes:
     allowed = _allowed_modes(reached)
     following = np.zeros_like(allowed)
     following[:-1], following[-1, 0] = allowed[1:], True
@@ -445,16 +435,6 @@ def _boxes(reached: Stages, y: Array, last: Array) -> _Boxes:
     return _Boxes(allowed, following, low, high)
 
 
-def _images(images: Array, boxes: _Boxes, x: Array) -> Array:
-    """Return the least <nu, x> over the boxes of the modes that follow."""
-    if not images.any():
-        return np.zeros((1, 1, 1))
-    n = images.shape[-1]
-    low, high = (part[1:, None, :, :n] + x[1:, None, None] for part in (boxes.low, boxes.high))
-    at = np.where(images > 0, low, np.where(images < 0, high, 0.0))
-    return (images * at).sum(axis=-1)
-
-
 def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Return a lower bound on slope v + 1/2 v'H v over boxes (..., k), and the largest |v_j| that counts there."""
     curvature = diagonal_curvature(hessian)
@@ -462,9 +442,9 @@ def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple
         return np.full(slope.shape[:-1], -np.inf), np.zeros_like(slope)
     diagonal = np.array_equal(curvature, np.diagonal(hessian, axis1=-2, axis2=-1))
     v = np.zeros_like(slope) if diagonal else box_minimiser(slope, hessian, low, high)  # any v gives a bound
-    moved = (hessian * v[..., None, :]).sum(-1)
-    there = (slope * v).sum(-1) + 0.5 * (v * moved).sum(-1)
-    minimum = there + box_minimum(slope + moved, curvature, low - v, high - v).sum(-1)
+    gradient = (hessian * v[..., None, :]).sum(-1)
+    there = (slope * v).sum(-1) + 0.5 * (v * gradient).sum(-1)
+    minimum = there + box_minimum(slope + gradient, curvature, low - v, high - v).sum(-1)
     reachable = np.where(np.isfinite(low) & np.isfinite(high), np.maximum(np.abs(low), np.abs(high)), 0.0)
     return minimum, reachable
 

@@ -50,7 +50,7 @@ Rows = tuple[Array, Array]  # coefficients (rows, n+m) and limits (rows,): rows 
 
 
 @dataclass(frozen=True, eq=False)
-class Excesses:
+class BigMBounds:
     """Bounds for mode i while mode j holds: of f_j - f_i (T, i, j, n), and of G_i x + H_i u - h_i (T, i, j, rows).
 
     ``possible`` (T, modes) says which modes can hold. Bounds of others are 0, as are all where only one can.
@@ -95,46 +95,54 @@ class _Stage:
 
 
 def require_time(end: float) -> None:
-    """Raise TimeoutError if ``clock.now`` is beyond the end."""
+    """Raise TimeoutError if ``clock.now`` is after the end."""
     if now() > end:
         raise TimeoutError
 
 
-def excesses(problem: OptimalControlProblem, end: float = np.inf) -> Excesses:
-    """Return the excesses of a problem with piecewise-affine dynamics; TimeoutError at ``end`` (``clock.now``).
+def big_m_bounds(problem: OptimalControlProblem, end: float = np.inf) -> BigMBounds:
+    """Return the big-M bounds of a problem with piecewise-affine dynamics; TimeoutError at ``end`` (``clock.now``).
 
     Raises UnsupportedError, naming the signal, if it has no bound at a time at which several modes are possible.
     """
-    T, n = problem.horizon, problem.state_dim
-    further, units = _further_rows(problem), np.concatenate(stated_sizes(problem))
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    # for every t < T, the hard rows on (x_t, u_t) other than bounds and modes
+    parts: list[list[Rows]] = [[(np.zeros((0, n + m)), np.zeros(0))] for _ in range(T)]
+    for term in problem.terms:
+        implied = term.implied_rows(n, m)
+        for group, t in enumerate(() if implied is None else implied.times):
+            if implied is not None and t < T and (finite := np.isfinite(implied.e[group])).any():
+                parts[t].append((implied.matrix(group)[finite], implied.e[group][finite]))
+    further = [(np.vstack([rows for rows, _ in part]), np.concatenate([limit for _, limit in part])) for part in parts]
+    units = np.concatenate(stated_sizes(problem))
     reached = ModeReach(_with_implied_bounds(problem, further, units))
     arrays = reached.arrays
     modes, rows = arrays.h.shape[1:]
     reach = reached.from_start(np.ones((T, modes), dtype=bool))
-    found = Excesses(
+    bounds = BigMBounds(
         possible=np.zeros((T, modes), dtype=bool) if reach is None else reach.allowed.copy(),
         below=np.zeros((T, modes, modes, n)),
         above=np.zeros((T, modes, modes, n)),
         regions=np.zeros((T, modes, modes, rows)),
     )
     known: dict[bytes, tuple[Mask, Array, Array, Array]] = {}
-    for t in map(int, np.flatnonzero(found.possible.sum(axis=1) > 1)):
+    for t in map(int, np.flatnonzero(bounds.possible.sum(axis=1) > 1)):
         assert reach is not None  # a mode is possible
-        here = np.flatnonzero(reach.allowed[t])
-        for bounds, side in ((reach.mode_lower, "lower"), (reach.mode_upper, "upper")):
-            unbounded = (np.abs(bounds[t, here]) >= LARGEST_BOUND).any(axis=0)
+        modes_here = np.flatnonzero(reach.allowed[t])
+        for limits, side in ((reach.mode_lower, "lower"), (reach.mode_upper, "upper")):
+            unbounded = (np.abs(limits[t, modes_here]) >= LARGEST_BOUND).any(axis=0)
             if unbounded.any():
                 name = (*problem.state_names, *problem.control_names)[int(np.argmax(unbounded))]
                 raise UnsupportedError(
                     f"{name}: no {side} bound at t = {t}, where several modes are possible; a mixed-integer program "
                     "needs bounds that the state, control and initial sets state or imply."
                 )
-        lower, upper = reach.mode_lower[t, here], reach.mode_upper[t, here]
+        lower, upper = reach.mode_lower[t, modes_here], reach.mode_upper[t, modes_here]
         stage = _Stage(
-            F=arrays.maps[t, here],
-            c=arrays.offset[t, here],
-            G=arrays.rows[t, here],
-            h=arrays.h[t, here],
+            F=arrays.maps[t, modes_here],
+            c=arrays.offset[t, modes_here],
+            G=arrays.rows[t, modes_here],
+            h=arrays.h[t, modes_here],
             centres=(lower + upper) / 2,
             halves=np.maximum((upper - lower) / 2, LEAST_HALF_WIDTH * units),
             rows=further[t][0],
@@ -144,19 +152,26 @@ def excesses(problem: OptimalControlProblem, end: float = np.inf) -> Excesses:
         )
         if stage.key not in known:
             require_time(end)
-            known[stage.key] = _figures(stage)
-        found.possible[t, here] = known[stage.key][0]
-        for part, figures in zip((found.below, found.above, found.regions), known[stage.key][1:], strict=True):
-            part[t][np.ix_(here, here)] = figures
-    return found
+            known[stage.key] = _stage_bounds(stage)
+        bounds.possible[t, modes_here] = known[stage.key][0]
+        for part, figures in zip((bounds.below, bounds.above, bounds.regions), known[stage.key][1:], strict=True):
+            part[t][np.ix_(modes_here, modes_here)] = figures
+    return bounds
 
 
-def _figures(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
+def _stage_bounds(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
     """Return possible (modes,), and below, above and regions for each pair (modes i, modes j, ...)."""
     modes, n = stage.c.shape
     domains = [stage.domain(j) for j in range(modes)]
-    excess = _least_excesses(domains)
-    possible, limited = excess <= RELAXATION, np.isfinite(stage.h)
+    # the least relaxation of the rows of each domain for which it is not empty, all by one linear program
+    blocks = [np.column_stack([rows, np.full(len(rows), -1.0)]) for rows, _ in domains]
+    columns, limits = blocks[0].shape[1], np.concatenate([limits for _, limits in domains])
+    cost = np.tile(np.append(np.zeros(columns - 1), 1.0), modes)
+    lower = np.tile(np.append(-np.ones(columns - 1), 0.0), modes)
+    upper = np.tile(np.append(np.ones(columns - 1), np.inf), modes)
+    matrix = sp.csr_array(sp.block_diag(blocks, format="csr"))
+    relaxations = _require_minimiser(minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
+    possible, limited = relaxations <= RELAXATION, np.isfinite(stage.h)
     below, above = np.zeros((2, modes, modes, n))
     regions = np.zeros((modes, modes, stage.h.shape[1]))
     asked: list[tuple[int, Array, Rows]] = []
@@ -164,10 +179,10 @@ def _figures(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
         rows, limits = domains[j]
         differences = (stage.F[j] - stage.F).reshape(-1, stage.F.shape[-1])
         objectives = np.vstack([differences, -differences, stage.G.reshape(-1, stage.G.shape[-1])])
-        asked.append((int(j), objectives, (rows, limits + RELAXATION + excess[j])))
+        asked.append((int(j), objectives, (rows, limits + RELAXATION + relaxations[j])))
     if not asked:  # no mode can hold: the rows of MODES say so
         return possible, below, above, regions
-    for (j, _, _), largest in zip(asked, _largest(stage, asked), strict=True):
+    for (j, _, _), largest in zip(asked, _largest_values(stage, asked), strict=True):
         up, down, region = np.split(largest, np.cumsum([modes * n, modes * n]))
         offsets = stage.c[j] - stage.c
         above[:, j], below[:, j] = up.reshape(modes, n) + offsets, offsets - down.reshape(modes, n)
@@ -176,19 +191,7 @@ def _figures(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
     return possible, below, above, regions
 
 
-def _least_excesses(domains: Sequence[Rows]) -> Array:
-    """Return the least relaxation of the rows of each domain for which it is not empty, (modes,)."""
-    blocks = [np.column_stack([rows, np.full(len(rows), -1.0)]) for rows, _ in domains]
-    columns = blocks[0].shape[1]
-    cost = np.tile(np.append(np.zeros(columns - 1), 1.0), len(blocks))
-    limits = np.concatenate([limits for _, limits in domains])
-    upper = np.tile(np.append(np.ones(columns - 1), np.inf), len(blocks))
-    lower = np.tile(np.append(-np.ones(columns - 1), 0.0), len(blocks))
-    matrix = sp.csr_array(sp.block_diag(blocks, format="csr"))
-    return _require_minimiser(minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
-
-
-def _largest(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Array]:
+def _largest_values(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Array]:
     """Return the largest value of each objective'y over its domain, enlarged outward, except an exact 0."""
     scaled = np.vstack([objectives * stage.halves[j] for j, objectives, _ in asked])
     sizes, counts = np.abs(scaled).sum(axis=1), np.cumsum([len(objectives) for _, objectives, _ in asked])
@@ -234,26 +237,11 @@ def _with_implied_bounds(
         rows, limits = _normalise_rows(further[t][0] * units, further[t][1])
         for sign, side in ((1.0, upper[t]), (-1.0, lower[t])):
             for k in np.flatnonzero(~np.isfinite(side)):
-                found = minimiser(np.where(np.arange(len(units)) == k, -sign, 0.0), rows, limits, low, high)
-                if found is not None:
-                    side[k] = units[k] * (found[k] + sign * BIG_M_MARGIN * max(1.0, abs(float(found[k]))))
+                point = minimiser(np.where(np.arange(len(units)) == k, -sign, 0.0), rows, limits, low, high)
+                if point is not None:
+                    side[k] = units[k] * (point[k] + sign * BIG_M_MARGIN * max(1.0, abs(float(point[k]))))
     state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
     return replace(problem, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
-
-
-def _further_rows(problem: OptimalControlProblem) -> list[Rows]:
-    """Return, for every t < T, the hard rows on (x_t, u_t) beside bounds and modes."""
-    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    parts: list[list[Rows]] = [[(np.zeros((0, n + m)), np.zeros(0))] for _ in range(T)]
-    for term in problem.terms:
-        rows = term.implied_rows(n, m)
-        if rows is None:
-            continue
-        for g, t in enumerate(rows.times):
-            finite = np.isfinite(rows.e[g])
-            if t < T and finite.any():
-                parts[t].append((rows.matrix(g)[finite], rows.e[g][finite]))
-    return [(np.vstack([rows for rows, _ in part]), np.concatenate([limit for _, limit in part])) for part in parts]
 
 
 Row = tuple[Indices, Array, float, float]  # columns, their coefficients, lower and upper limit
@@ -305,9 +293,9 @@ class _Columns:
 
 
 def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedIntegerForm:
-    """Return the mixed-integer program of a problem with piecewise-affine dynamics; raises as ``excesses``."""
+    """Return the mixed-integer program of a problem with piecewise-affine dynamics; raises as ``big_m_bounds``."""
     dynamics, T = piecewise_affine(problem), problem.horizon
-    arrays, found = dynamics.arrays(T), excesses(problem, end)
+    arrays, bounds = dynamics.arrays(T), big_m_bounds(problem, end)
     hosts = [
         LinearProgram(replace(problem, dynamics=dynamics.along(np.full(T, i)))) for i in range(len(dynamics.modes))
     ]
@@ -317,25 +305,29 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
         y=signal_columns(T, n, m),
         delta=len(hosts[0].sparse.q) + np.arange(T * len(hosts)).reshape(T, len(hosts)),
     )
+    mode_rows = list[Row]()
+    for deltas, possible in zip(columns.delta, bounds.possible, strict=True):
+        mode_rows.append((deltas, np.ones(len(deltas)), 1.0, 1.0))
+        mode_rows += [(deltas[i : i + 1], np.ones(1), 0.0, float(holds)) for i, holds in enumerate(possible)]
     rows = {
-        Block.DYNAMICS: list(_dynamics_rows(arrays, found, columns)),
-        Block.REGIONS: list(_region_rows(arrays, found, columns)),
-        Block.MODES: list(_mode_rows(found, columns)),
+        Block.DYNAMICS: list(_dynamics_rows(arrays, bounds, columns)),
+        Block.REGIONS: list(_region_rows(arrays, bounds, columns)),
+        Block.MODES: mode_rows,
     }
     require_time(end)
-    own, of_signals = _join_rows(rows, hosts[0], columns), common_scaling(hosts)
+    joined, of_signals = _join_rows(rows, hosts[0], columns), common_scaling(hosts)
     # the units of the signals, 1 for binaries, and those of rows that make their largest coefficient 1
-    units = np.append(of_signals.columns, np.ones(len(own.q) - len(of_signals.columns)))
-    largest = abs(own.A @ sp.diags_array(units)).max(axis=1).toarray().ravel()
+    units = np.append(of_signals.columns, np.ones(len(joined.q) - len(of_signals.columns)))
+    largest = abs(joined.A @ sp.diags_array(units)).max(axis=1).toarray().ravel()
     of_rows = 1.0 / np.where(largest > 0, largest, 1.0)  # rows of zeros are in cones only
-    for cone in own.cones:
+    for cone in joined.cones:
         of_rows[cone] = of_rows[cone].min()
     scaling = Scaling(columns=units, rows=of_rows, cost=of_signals.cost)
-    return MixedIntegerForm(own.scaled(scaling), scaling, hosts[0], found.possible)
+    return MixedIntegerForm(joined.scaled(scaling), scaling, hosts[0], bounds.possible)
 
 
-def _dynamics_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iterator[Row]:
-    for t, possible in enumerate(found.possible):
+def _dynamics_rows(arrays: ModeArrays, bounds: BigMBounds, columns: _Columns) -> Iterator[Row]:
+    for t, possible in enumerate(bounds.possible):
         holding = np.flatnonzero(possible)
         for k in range(columns.x.shape[1]):
             for same in _equal_groups(holding, arrays.maps[t, :, k], arrays.offset[t, :, k, None]):
@@ -345,13 +337,13 @@ def _dynamics_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> It
                 if not len(others):
                     yield at, np.array(map_row), offset, offset
                     continue
-                yield at, np.append(map_row, -found.above[t, i, others, k]), -np.inf, offset
-                yield at, np.append(map_row, -found.below[t, i, others, k]), offset, np.inf
+                yield at, np.append(map_row, -bounds.above[t, i, others, k]), -np.inf, offset
+                yield at, np.append(map_row, -bounds.below[t, i, others, k]), offset, np.inf
 
 
-def _region_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iterator[Row]:
+def _region_rows(arrays: ModeArrays, bounds: BigMBounds, columns: _Columns) -> Iterator[Row]:
     modes, count = arrays.h.shape[1:]
-    for t, possible in enumerate(found.possible):
+    for t, possible in enumerate(bounds.possible):
         rows, h = (part[t].reshape(modes * count, -1) for part in (arrays.rows, arrays.h))
         written = np.isfinite(h[:, 0]) & rows.any(axis=1)
         asked = np.flatnonzero(written & np.repeat(possible, count))
@@ -359,15 +351,8 @@ def _region_rows(arrays: ModeArrays, found: Excesses, columns: _Columns) -> Iter
             i, r = divmod(int(same[0]), count)
             others = np.setdiff1d(np.flatnonzero(possible), same // count)
             at = np.concatenate([columns.y[t], columns.delta[t, others]])
-            row = np.append(arrays.rows[t, i, r], -found.regions[t, i, others, r])
+            row = np.append(arrays.rows[t, i, r], -bounds.regions[t, i, others, r])
             yield at, row, -np.inf, float(arrays.h[t, i, r])
-
-
-def _mode_rows(found: Excesses, columns: _Columns) -> Iterator[Row]:
-    for deltas, possible in zip(columns.delta, found.possible, strict=True):
-        yield deltas, np.ones(len(deltas)), 1.0, 1.0
-        for delta, can_hold in zip(deltas, possible, strict=True):
-            yield np.array([delta]), np.ones(1), 0.0, float(can_hold)
 
 
 def _equal_groups(chosen: Indices, *parts: Array) -> Iterator[Indices]:
@@ -386,17 +371,17 @@ def _join_rows(rows: dict[Block, list[Row]], host: LinearProgram, columns: _Colu
     of_column = np.concatenate([row[0] for row in listed])
     of_row = np.repeat(np.arange(len(listed)), [len(row[0]) for row in listed])
     values = np.concatenate([row[1] for row in listed])
-    own = sp.csr_array((values, (of_row, of_column)), (len(listed), count))
+    mode_matrix = sp.csr_array((values, (of_row, of_column)), (len(listed), count))
     origin = np.zeros(count)
     origin[: host.signals] = np.append(host.origin.x, host.origin.u)
-    limits = np.array([row[2:] for row in listed]).T - own @ origin
+    limits = np.array([row[2:] for row in listed]).T - mode_matrix @ origin
     first = program.rows[Block.DYNAMICS].stop  # the host's first rows
     of_host = sp.hstack([program.A[first:], sp.csc_array((len(program.lower) - first, binaries))])
-    A = sp.csc_array(sp.vstack([own, of_host]))
+    A = sp.csc_array(sp.vstack([mode_matrix, of_host]))
     A.eliminate_zeros()
     ends = np.cumsum([0, *(len(block) for block in rows.values())])
     blocks = {block: slice(int(a), int(b)) for block, a, b in zip(rows, ends[:-1], ends[1:], strict=True)}
-    moved = len(listed) - first
+    shift = len(listed) - first
     return Program(
         P=sp.csc_array(sp.block_diag([program.P, sp.csc_array((binaries, binaries))])),
         q=np.append(program.q, np.zeros(binaries)),
@@ -404,8 +389,8 @@ def _join_rows(rows: dict[Block, list[Row]], host: LinearProgram, columns: _Colu
         A=A,
         lower=np.append(limits[0], program.lower[first:]),
         upper=np.append(limits[1], program.upper[first:]),
-        rows={block: _shift_slice(part, moved) for block, part in program.rows.items()} | blocks,
-        cones=tuple(_shift_slice(cone, moved) for cone in program.cones),
+        rows={block: _shift_slice(part, shift) for block, part in program.rows.items()} | blocks,
+        cones=tuple(_shift_slice(cone, shift) for cone in program.cones),
         binaries=columns.delta.ravel(),
     )
 

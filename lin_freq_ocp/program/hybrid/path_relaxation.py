@@ -1,4 +1,4 @@
-"""The relaxation of a mode sequence as a path, what its duals prove, and the way back to trajectories and multipliers.
+"""The relaxation of a mode sequence as a path, the bound of its duals, and the recovery of its solutions.
 
 The path leads through a graph whose vertices are the modes at every time.
 
@@ -22,7 +22,7 @@ vertex of mode j at t + 1, in natural units y = (x, u), and lambda >= 0, nu, rho
                                   + <rho, F_t y>  +  min over box_{t+1,j} of <nu_tij, x>,
     J within the mask >= min over paths of sum_t phi_{t, i_t, i_{t+1}} + phi_T - <rho, right>,
 
-be the duals those of a solution or not: along a trajectory, what is added is at most zero or cancels.
+for any duals, of a solution or not: along a trajectory, the added terms are at most zero or cancel.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PathProgram:
     b : (vertex rows + q,), cost : (E, W)
     linear : (E, R, W), sizes : (E, R), present : (E, R)
         G for s >= 0, each row divided by its size: k upper and k lower bounds, regions, n upper and n lower images.
-        Rows that are not present, as they are never active, are delta >= 0.
+        Rows that can never be active are not present; delta >= 0 replaces them.
     cone : (E, rank + 2, W)
         G for the second-order cone.
     """
@@ -98,7 +98,17 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
     image = model.maps[t, i] @ y
     image[..., -2] += model.offsets[t, i]
     image[-1] = 0.0
-    C, places, count = _vertices(y[:, :n], image, t, i, j, T)
+    # the rows of the vertices that each edge leaves and enters, and their numbers; row 0 is that of t = 0
+    edges, modes, after_start = len(t), int(max(i.max(), j.max())) + 1, t > 0
+    C = np.zeros((edges, 2 * n + 2, k + 2))
+    C[:, :n], C[:, n, -2], C[:, n + 1 : -1], C[:, -1, -2] = y[:, :n], 1.0, -image, -1.0
+    present_vertices = np.zeros((T + 1, modes), dtype=bool)
+    present_vertices[t[after_start], i[after_start]] = True
+    number = (np.cumsum(present_vertices.ravel()) - 1).reshape(present_vertices.shape)
+    places = np.full((edges, 2 * n + 2), -1)
+    places[after_start, : n + 1] = 1 + number[t, i][after_start, None] * (n + 1) + np.arange(n + 1)
+    places[~after_start, n] = 0
+    places[:-1, n + 1 :] = 1 + number[t[:-1] + 1, j[:-1]][:, None] * (n + 1) + np.arange(n + 1)
     used = model.coupled.any(axis=(0, 1))
     cost = (model.price[t, None] @ y)[:, 0]
     cost[:, -1] = 1.0
@@ -106,7 +116,7 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
     linear, sizes, present = _linear_rows(model, y, image, t, i, low[after][:, :n], high[after][:, :n], images)
     cone = np.concatenate([np.zeros((len(t), 2, y.shape[-1])), -np.sqrt(2.0) * (model.roots[t] @ y)], axis=1)
     cone[:, :2, -1], cone[:, 0, -2], cone[:, 1, -2] = -1.0, -1.0, 1.0
-    first = np.zeros(count)
+    first = np.zeros(1 + int(present_vertices.sum()) * (n + 1))
     first[0] = 1.0
     return PathProgram(
         t=t,
@@ -125,22 +135,6 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
         present=present,
         cone=cone,
     )
-
-
-def _vertices(x: Array, image: Array, t: Indices, i: Indices, j: Indices, T: int) -> tuple[Array, Indices, int]:
-    """Return the rows of vertices on each edge, their numbers, and how many there are; row 0 is that of t = 0."""
-    edges, n, width = x.shape
-    C = np.zeros((edges, 2 * n + 2, width))
-    C[:, :n], C[:, n, -2], C[:, n + 1 : -1], C[:, -1, -2] = x, 1.0, -image, -1.0
-    own, modes = t > 0, int(max(i.max(), j.max())) + 1
-    present = np.zeros((T + 1, modes), dtype=bool)
-    present[t[own], i[own]] = True
-    number = (np.cumsum(present.ravel()) - 1).reshape(present.shape)
-    places = np.full((edges, 2 * n + 2), -1)
-    places[own, : n + 1] = 1 + number[t, i][own, None] * (n + 1) + np.arange(n + 1)
-    places[~own, n] = 0
-    places[:-1, n + 1 :] = 1 + number[t[:-1] + 1, j[:-1]][:, None] * (n + 1) + np.arange(n + 1)
-    return C, places, 1 + int(present.sum()) * (n + 1)
 
 
 def _linear_rows(
@@ -185,14 +179,17 @@ def path_form(program: PathProgram) -> StandardForm:
     )
     row = np.concatenate([np.broadcast_to(rows[..., None], values.shape).ravel() for rows, _, values in parts])
     column = np.concatenate(
-        [np.broadcast_to(own if values.ndim == 2 else own[:, None], values.shape).ravel() for _, own, values in parts]
+        [
+            np.broadcast_to(columns if values.ndim == 2 else columns[:, None], values.shape).ravel()
+            for _, columns, values in parts
+        ]
     )
     value = np.concatenate([values.ravel() for _, _, values in parts])
-    kept, count = np.flatnonzero(value), equations + linear + edges * size
+    nonzero, count = np.flatnonzero(value), equations + linear + edges * size
     return StandardForm(
         P=sp.csc_array((edges * width, edges * width)),
         q=program.cost.ravel(),
-        A=sp.csc_array((value[kept], (row[kept], column[kept])), shape=(count, edges * width)),
+        A=sp.csc_array((value[nonzero], (row[nonzero], column[nonzero])), shape=(count, edges * width)),
         b=np.concatenate([program.b, np.zeros(count - equations)]),
         equations=equations,
         inequalities=linear,
@@ -236,8 +233,8 @@ class PathRelaxation(ModeRelaxation):
     def later(self, duals: Duals) -> Duals | None:
         """Return duals of paths moved to the time before, for a problem that begins one time later; None of others.
 
-        What comes in at the end has the adjoint of the end before, and no other multipliers. Rows over all times keep
-        what is nearest to their sum, shifted in a circle.
+        The new last time has the adjoint of the former end, and no other multipliers. The multipliers of rows over all
+        times are those whose sum is nearest to the former one, shifted cyclically.
         """
         if self._bounds is None or duals.vertices is None or duals.images is None:
             return None
@@ -285,7 +282,7 @@ class PathRelaxation(ModeRelaxation):
         return Duals(adjoint, sides, regions, eta_C, vertices, images)
 
     def no_path(self) -> Duals:
-        """Return the duals of modes that no path leads through."""
+        """Return the duals that prove that no path leads through the modes."""
         T, modes, n, _ = self._stages.maps.shape
         regions = np.zeros((T, modes, *self._stages.limits.shape[1:]))
         vertices, images = np.zeros((T, modes, n)), np.zeros((T, modes, modes, n))

@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, LARGEST_BOUND, ModeReach, Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.rows import (
     Duals,
     Groups,
@@ -69,7 +69,7 @@ class ModeRelaxation:
 
     def __init__(self, problem: OptimalControlProblem, level: float = 1.0):
         self.problem, self.reach = problem, ModeReach(problem)
-        self.level = level  # by how much the objective of members is larger than it would be of itself
+        self.level = level  # factor by which the objective of members is enlarged
         T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(piecewise_affine(problem).modes)
         hosts = [
             LinearProgram(replace(problem, dynamics=piecewise_affine(problem).along(np.full(T, mode))))
@@ -83,14 +83,31 @@ class ModeRelaxation:
         self._stages, self._n = mode_stages(problem, sizes), n
         self._at = ModeColumns(T, modes, n, m, len(self._program.q))
         template = RowTemplate()
-        self._add_host_rows(template)
+        # the rows of the host program other than dynamics and boxes: spectra and terms
+        others = np.ones(len(self._program.lower), dtype=bool)
+        for block in (Block.DYNAMICS, Block.STATE_SET, Block.CONTROL_SET):
+            others[self._program.rows[block]] = False
+        lower, upper = self._program.lower, self._program.upper
+        lower, upper = np.where(others, lower, -np.inf), np.where(others, upper, np.inf)
+        self._shared = replace(self._program, lower=lower, upper=upper)
+        form = self._sides = self._shared.standard()
+        ends = form.equations, form.equations + form.inequalities
+        A, b = sp.csr_array(form.A), np.split(form.b, ends)
+        parts = (Sense.EQUATION, A[: ends[0]]), (Sense.INEQUALITY, A[ends[0] : ends[1]]), (Sense.CONE, -A[ends[1] :])
+        groups: list[Groups] = []
+        for (sense, matrix), right in zip(parts, (b[0], b[1], -b[2]), strict=True):
+            entries = sp.coo_array(matrix)
+            row, column = (np.asarray(part, dtype=np.intp) for part in entries.coords)
+            groups.append(template.add(sense, right[None], (row, column[None], entries.data[None])))
+        self._host_rows = tuple(groups)
         self._x_boxes, self._u_boxes = _box_rows(template, self._at.x), _box_rows(template, self._at.y[:, n:])
         stage_hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, n + m, n + m))
         roots = np.sqrt(units.cost) * symmetric_roots(stage_hessians * np.outer(sizes, sizes))
         self._rows = mode_rows(template, self._stages, self._at, roots)
-        own = self._rows.cone.rows
-        self._cone_heads = np.append(self._cone_heads, own[:, 0])
-        self._cone_sizes = np.append(self._cone_sizes, np.full(len(own), own.shape[1]))
+        mode_cones, host_sizes = self._rows.cone.rows, np.array(form.cones, dtype=np.intp)
+        host_heads = groups[2].rows.ravel()[np.cumsum(host_sizes) - host_sizes]
+        self._cone_heads = np.append(host_heads, mode_cones[:, 0])
+        self._cone_sizes = np.append(host_sizes, np.full(len(mode_cones), mode_cones.shape[1]))
         self._template = template.finished(self._at.count)
         hessian = sp.coo_array(sp.csc_array(sp.triu(self._program.P)))
         self._hessian = hessian.data, *(np.asarray(part, dtype=np.int32) for part in hessian.coords)
@@ -102,36 +119,68 @@ class ModeRelaxation:
 
     def member(self, reach: Reach) -> Member:
         """Return the relaxation of the modes that a reach allows; UnsupportedError if a signal is not bounded."""
+        groups, stages, n = self._rows, self._stages, self._n
         single = reach.allowed.sum(axis=1) == 1
-        many = reach.allowed & ~single[:, None]
+        many, only = reach.allowed & ~single[:, None], reach.allowed & single[:, None]
         values, right = self._template.values.copy(), self._template.right.copy()
         rows, columns = np.zeros(len(right), dtype=bool), np.ones(self._at.count, dtype=bool)
         for part in self._host_rows:
-            part.of(rows)[:] = True
-        self._take_boxes(rows, right, reach, single | self.bounds_where_several)
-        one, finite = reach.allowed & single[:, None], np.isfinite(self._stages.limits)
-        self._rows.one_map.take(rows, one)
-        self._rows.one_region.take(rows, one, finite)
-        self._rows.weight_sum.take(rows, ~single)
-        self._rows.weight.take(rows, many)
+            part.view(rows)[:] = True
+        # the bounds of x_t and u_t where shares do not have them, and of x_T
+        bounded, tube = single | self.bounds_where_several, self.problem.control_tube
+        u_lower, u_upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
+        x_ref = np.vstack([stages.references[:, :n], stages.last_reference])
+        u_ref, of_x, of_u = stages.references[:, n:], stages.units[:n], stages.units[n:]
+        for boxes, low, high, times in (
+            (self._x_boxes, (reach.lower - x_ref) / of_x, (reach.upper - x_ref) / of_x, np.append(bounded, True)),
+            (self._u_boxes, (u_lower - u_ref) / of_u, (u_upper - u_ref) / of_u, bounded),
+        ):
+            equal = high - low <= FIXED
+            limits = high, -low, (low + high) / 2
+            masks = ~equal & (high < LARGEST_BOUND), ~equal & (low > -LARGEST_BOUND), equal
+            for group, limit, mask in zip(boxes, limits, masks, strict=True):
+                group.view(rows)[:] = mask & times[:, None]
+                group.view(right)[:] = limit
+        groups.one_map.take(rows, only)
+        groups.one_region.take(rows, only, np.isfinite(stages.limits))
+        groups.weight_sum.take(rows, ~single)
+        groups.weight.take(rows, many)
         self._take_several(rows, values, right, reach, many)
         columns[self._at.delta] = columns[self._at.epsilon] = many
         columns[self._at.share] = many[..., None]
-        kept = np.flatnonzero(columns)
-        # the cost of variables without shares; the columns of the host come first, and are all kept
+        kept_columns = np.flatnonzero(columns)
+        # the cost of variables without shares; the columns of the host come first, and all belong to it
         hessian, row, column = self._hessian
         stage = self._stage[row]
         cost = (stage < 0) | single[stage]
-        pointers = np.append(np.int32(0), np.cumsum(np.bincount(column[cost], minlength=len(kept)), dtype=np.int32))
-        P = sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept), len(kept)))
+        counts = np.bincount(column[cost], minlength=len(kept_columns))
+        pointers = np.append(np.int32(0), np.cumsum(counts, dtype=np.int32))
+        P = sp.csc_array((hessian[cost], row[cost], pointers), shape=(len(kept_columns), len(kept_columns)))
         cones = tuple(self._cone_sizes[rows[self._cone_heads]].tolist())  # all rows of a cone are taken, or none
-        form = self._template.member(rows, columns, values, right, (P, self._price[kept]), cones)
-        return Member(form, reach, kept)
+        form = self._template.member(rows, columns, values, right, (P, self._price[kept_columns]), cones)
+        return Member(form, reach, kept_columns)
+
+    def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
+        """Take the rows of shares and epigraphs of the modes ``many`` (T, modes), in the boxes of the reach."""
+        groups, several = self._rows, np.asarray(many.any(axis=1))
+        lower, upper = self._require_bounds(reach.mode_lower, many), self._require_bounds(reach.mode_upper, many)
+        equal, k = upper - lower <= FIXED, lower.shape[-1]
+        groups.share_sum.take(rows, several)
+        groups.share_map.take(rows, several)
+        groups.share_region.take(rows, many, np.isfinite(self._stages.limits))
+        for group, bound, mask in (
+            (groups.share_upper, -upper, ~equal),
+            (groups.share_lower, lower, ~equal),
+            (groups.share_equal, -(lower + upper) / 2, equal),
+        ):
+            group.take(rows, many, mask)
+            group.coefficients(values)[:, k:] = bound.reshape(-1, k)
+        groups.cone.take(rows, many)
 
     def for_cost(self, cost: float) -> Self:
         """Return the same relaxations in units in which the objective of this cost is not far below 1.
 
-        Units of a smaller cost, kept from an earlier solve, are left as well.
+        Units for a smaller cost, cached by an earlier solve, are replaced as well.
         """
         objective = abs(self.objective(cost))
         small, large = self.level < LARGEST_LEVEL, self.level > 1
@@ -142,9 +191,9 @@ class ModeRelaxation:
 
     def moved(self, problem: OptimalControlProblem) -> Self:
         """Return the relaxations of a problem that differs in the point where it starts alone."""
-        found = copy(self)
-        found.problem, found.reach = problem, ModeReach(problem)
-        return found
+        shifted = copy(self)
+        shifted.problem, shifted.reach = problem, ModeReach(problem)
+        return shifted
 
     @property
     def state_curvature(self) -> Array:
@@ -198,7 +247,7 @@ class ModeRelaxation:
         return self._bounds is not None
 
     def proven(self, reach: Reach, duals: Duals) -> float:
-        """Return what any duals prove of a reach: as a bound on the cost, inf if that it has no trajectory."""
+        """Return the bound on the cost within a reach that any duals prove; inf if it has no trajectory."""
         if self._bounds is None:
             return -np.inf
         bound = self._bounds.bound(*self._boxes(self._bounds.model, reach), duals)
@@ -229,42 +278,38 @@ class ModeRelaxation:
         """
         z, stages, problem = self._scaling.scaled_primal(self._host.point(trajectory)), self._stages, self.problem
         at, y = (np.arange(len(sequence)), sequence), z[self._at.y][..., None]
-        missed = (stages.maps[at] @ y)[..., 0] + stages.offsets[at] - z[self._at.x[1:]]
+        defects = (stages.maps[at] @ y)[..., 0] + stages.offsets[at] - z[self._at.x[1:]]
         beyond = (stages.rows[at] @ y)[..., 0] - stages.limits[at]
         of_x = problem.state_tube.violation(trajectory.x) / stages.units[: self._n]
         of_u = problem.control_tube.violation(trajectory.u) / stages.units[self._n :]
         others = self._shared.residuals(z, np.zeros(len(self._shared.lower))).primal
-        largest = max(np.abs(missed).max(), beyond.max(initial=0.0), of_x.max(), of_u.max())
+        largest = max(np.abs(defects).max(), beyond.max(initial=0.0), of_x.max(), of_u.max())
         return float(max(largest / max(1.0, np.abs(z[: self._host.signals]).max()), others))
 
     def duals(self, member: Member, y: Array, z: Array | None) -> Duals:
         """Return the duals of a member's standard form, P z + q + A'y = 0, or those of a ray."""
         full, rows = np.zeros(len(self._template.right)), self._rows
         full[member.form.row] = member.form.sign * y
-        adjoint = rows.one_map.of(full).reshape(self._stages.offsets.shape).sum(axis=1) + rows.share_map.of(full)
-        regions = np.maximum(rows.one_region.of(full) + rows.share_region.of(full), 0.0)
-        of_equations, of_inequalities, of_cones = (part.of(full).ravel() for part in self._host_rows)
+        adjoint = rows.one_map.view(full).reshape(self._stages.offsets.shape).sum(axis=1) + rows.share_map.view(full)
+        regions = np.maximum(rows.one_region.view(full) + rows.share_region.view(full), 0.0)
+        of_equations, of_inequalities, of_cones = (part.view(full).ravel() for part in self._host_rows)
         sides = np.concatenate([of_equations, of_inequalities, -of_cones])
         return Duals(adjoint, sides, regions.reshape(self._stages.limits.shape), 0.0 if z is None else 1.0)
 
     def multipliers(self, duals: Duals) -> ModeMultipliers:
         """Return the multipliers of duals."""
-        own = self._own_multipliers(duals.sides, duals.adjoint, duals.eta_C)
+        program = self._program
+        host = self._sides.dual(len(program.lower), duals.sides)
+        host[program.rows[Block.DYNAMICS]] = duals.adjoint.ravel()
+        host_multipliers = self._host.multipliers(self._scaling.dual(host), duals.eta_C)
         if duals.vertices is None or duals.images is None:
-            return ModeMultipliers(own, duals.regions / self._stages.norms / self._scaling.cost)
-        moved = duals.vertices - duals.adjoint[:, None]
-        moved[-1] = 0.0  # a single vertex: its adjoint is the average
+            return ModeMultipliers(host_multipliers, duals.regions / self._stages.norms / self._scaling.cost)
+        vertex_changes = duals.vertices - duals.adjoint[:, None]
+        vertex_changes[-1] = 0.0  # a single vertex: its adjoint is the average
         units = self._adjoint_units
         region = duals.regions / self._stages.norms[:, :, None] / self._scaling.cost
-        paths = PathMultipliers(moved * units[:, None], duals.images * units[:, None, None])
-        return ModeMultipliers(own, region, paths)
-
-    def _own_multipliers(self, sides: Array, adjoint: Array, eta_C: float) -> Multipliers:
-        """Return the multipliers of the theorem from duals of the host rows and the adjoint (T, n), natural units."""
-        program = self._program
-        host = self._sides.dual(len(program.lower), sides)
-        host[program.rows[Block.DYNAMICS]] = adjoint.ravel()
-        return self._host.multipliers(self._scaling.dual(host), eta_C)
+        paths = PathMultipliers(vertex_changes * units[:, None], duals.images * units[:, None, None])
+        return ModeMultipliers(host_multipliers, region, paths)
 
     def adjoint(self, duals: Duals) -> Array:
         """Return eta alone, (T, n)."""
@@ -274,64 +319,6 @@ class ModeRelaxation:
     def _adjoint_units(self) -> Array:
         of_dynamics = self._scaling.rows[self._program.rows[Block.DYNAMICS]]
         return of_dynamics.reshape(self.problem.horizon, self._n) / self._scaling.cost
-
-    def _add_host_rows(self, template: RowTemplate) -> None:
-        """Add the rows of the host program beyond dynamics and boxes: spectra and terms."""
-        program, others = self._program, np.ones(len(self._program.lower), dtype=bool)
-        for block in (Block.DYNAMICS, Block.STATE_SET, Block.CONTROL_SET):
-            others[program.rows[block]] = False
-        lower, upper = np.where(others, program.lower, -np.inf), np.where(others, program.upper, np.inf)
-        self._shared = replace(program, lower=lower, upper=upper)
-        form = self._sides = self._shared.standard()
-        ends = form.equations, form.equations + form.inequalities
-        A, b = sp.csr_array(form.A), np.split(form.b, ends)
-        parts = (Sense.EQUATION, A[: ends[0]]), (Sense.INEQUALITY, A[ends[0] : ends[1]]), (Sense.CONE, -A[ends[1] :])
-        groups: list[Groups] = []
-        for (sense, matrix), right in zip(parts, (b[0], b[1], -b[2]), strict=True):
-            entries = sp.coo_array(matrix)
-            row, column = (np.asarray(part, dtype=np.intp) for part in entries.coords)
-            groups.append(template.add(sense, right[None], (row, column[None], entries.data[None])))
-        self._host_rows = tuple(groups)
-        self._cone_sizes = np.array(form.cones, dtype=np.intp)
-        self._cone_heads = self._host_rows[2].rows.ravel()[np.cumsum(self._cone_sizes) - self._cone_sizes]
-
-    def _take_boxes(self, rows: Mask, right: Array, reach: Reach, bounded: Mask) -> None:
-        """Take the bounds of x_t and u_t at times ``bounded``, where shares do not have them, and of x_T."""
-        stages, n, tube = self._stages, self._n, self.problem.control_tube
-        u_lower, u_upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
-        x_ref = np.vstack([stages.references[:, :n], stages.last_reference])
-        u_ref, of_x, of_u = stages.references[:, n:], stages.units[:n], stages.units[n:]
-        for groups, low, high, taken in (
-            (self._x_boxes, (reach.lower - x_ref) / of_x, (reach.upper - x_ref) / of_x, np.append(bounded, True)),
-            (self._u_boxes, (u_lower - u_ref) / of_u, (u_upper - u_ref) / of_u, bounded),
-        ):
-            equal = high - low <= FIXED
-            for group, value, mask in zip(
-                groups,
-                (high, -low, (low + high) / 2),
-                (~equal & (high < LARGEST_BOUND), ~equal & (low > -LARGEST_BOUND), equal),
-                strict=True,
-            ):
-                group.of(rows)[:] = mask & taken[:, None]
-                group.of(right)[:] = value
-
-    def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
-        """Take the rows of modes where several are left, and fill in what depends on the reach."""
-        several, groups = np.asarray(many.any(axis=1)), self._rows
-        lower, upper = self._require_bounds(reach.mode_lower, many), self._require_bounds(reach.mode_upper, many)
-        equal = upper - lower <= FIXED
-        groups.share_sum.take(rows, several)
-        groups.share_map.take(rows, several)
-        groups.share_region.take(rows, many, np.isfinite(self._stages.limits))
-        k = lower.shape[-1]
-        for part, bound, mask in (
-            (groups.share_upper, -upper, ~equal),
-            (groups.share_lower, lower, ~equal),
-            (groups.share_equal, -(lower + upper) / 2, equal),
-        ):
-            part.take(rows, many, mask)
-            part.coefficients(values)[:, k:] = bound.reshape(-1, k)
-        groups.cone.take(rows, many)
 
     def _require_bounds(self, bounds: Array, needed: Mask) -> Array:
         """Return bounds (T, modes, k) in natural units; UnsupportedError where one is needed and missing."""

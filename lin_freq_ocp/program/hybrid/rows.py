@@ -1,12 +1,11 @@
-"""The rows of mode relaxations (see relaxation.py), and what their duals prove stage by stage.
+"""The rows of mode relaxations (see relaxation.py), and the bound that their duals prove stage by stage.
 
 A template has all rows that a family of programs may have; each member takes some of them. Rows come in groups, one for
 each time and mode, all of a kind having the same size: so a member is chosen by masks and assembled by a few vector
-operations. A search over modes asks for thousands of programs that differ in little.
+operations. A search over modes solves thousands of programs that differ little.
 
-Duals prove a shortest path through the modes, as in path_relaxation.py, be they those of a solution or not. With duals
-of shares, which do not depend on the mode that follows, the length of an edge is the least Lagrangian of its mode over
-its box.
+Any duals, of a solution or not, prove a shortest path through the modes, as in path_relaxation.py. Duals of shares do
+not depend on the mode that follows: the length of an edge is then the least Lagrangian of its mode over its box.
 """
 
 from __future__ import annotations
@@ -46,13 +45,13 @@ class Groups:
 
     def take(self, rows: Mask, chosen: Mask, within: Mask | None = None) -> None:
         """Choose ``rows`` in the ``chosen`` groups (any shape of as many), of their rows only those ``within``."""
-        own = self.of(rows)
-        own[:] = chosen.reshape(-1, 1)
+        rows_of_groups = self.view(rows)
+        rows_of_groups[:] = chosen.reshape(-1, 1)
         if within is not None:
-            own &= within.reshape(own.shape)
+            rows_of_groups &= within.reshape(rows_of_groups.shape)
 
-    def of(self, rows: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Return what belongs to these groups, (groups, size), as a view."""
+    def view(self, rows: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Return the values of these groups, (groups, size), as a view."""
         return _view(rows, self.rows)
 
     def coefficients(self, values: Array) -> Array:
@@ -100,7 +99,7 @@ class RowTemplate:
         return Groups(rows, positions)
 
     def finished(self, columns: int) -> Assembler:
-        """Return what makes members of it."""
+        """Return the assembler of its members."""
         row, column, senses = (np.concatenate(part) for part in (self._rows, self._columns, self._senses))
         return Assembler(row, column, np.concatenate(self._values), np.concatenate(self._right), senses, columns)
 
@@ -132,17 +131,17 @@ class Assembler:
         The cost is (P, q) of these columns; ``cones`` are the sizes of those among the rows.
         """
         taken = rows[self._rows]
-        kept = np.flatnonzero(taken)
+        chosen = np.flatnonzero(taken)
         numbers = np.cumsum(taken, dtype=np.int32) - np.int32(1)
         data = values[self._order]
         keep = np.flatnonzero(taken[self._place] & columns[self._column] & (data != 0))
         counts = np.bincount(self._column[keep], minlength=self.columns)[columns]
         pointers = np.append(np.int32(0), np.cumsum(counts, dtype=np.int32))
         A = sp.csc_array(
-            (data[keep] * self._sign[keep], numbers[self._place[keep]], pointers), shape=(len(kept), len(counts))
+            (data[keep] * self._sign[keep], numbers[self._place[keep]], pointers), shape=(len(chosen), len(counts))
         )
-        row, sign = self._rows[kept], self._row_sign[kept]
-        equations, unequal = (int(end) for end in np.searchsorted(kept, self._ends))
+        row, sign = self._rows[chosen], self._row_sign[chosen]
+        equations, unequal = (int(end) for end in np.searchsorted(chosen, self._ends))
         return StandardForm(*cost, A, sign * right[row], equations, unequal - equations, cones, row, sign)
 
 
@@ -202,9 +201,9 @@ def mode_stages(problem: OptimalControlProblem, units: Array) -> ModeStages:
 def symmetric_roots(hessians: Array) -> Array:
     """Return L (times, rank, k) with L'L = H; rows of zeros where the rank is lower."""
     values, vectors = np.linalg.eigh(hessians)
-    kept = values > ZERO_CURVATURE * np.maximum(values.max(axis=1, keepdims=True), 0.0)
-    roots = np.sqrt(np.where(kept, values, 0.0))[..., None] * np.swapaxes(vectors, 1, 2)
-    rank = int(kept.sum(axis=1).max(initial=0))
+    positive = values > ZERO_CURVATURE * np.maximum(values.max(axis=1, keepdims=True), 0.0)
+    roots = np.sqrt(np.where(positive, values, 0.0))[..., None] * np.swapaxes(vectors, 1, 2)
+    rank = int(positive.sum(axis=1).max(initial=0))
     return roots[:, hessians.shape[-1] - rank :]
 
 
@@ -223,9 +222,9 @@ class ModeColumns:
         T, k = horizon, n + m
         self.x: Indices = np.arange((T + 1) * n).reshape(T + 1, n)
         self.y = signal_columns(T, n, m)
-        own = host + np.arange(T * modes * (k + 2)).reshape(T, modes, k + 2)
-        self.share, self.delta, self.epsilon = own[..., :k], own[..., k], own[..., k + 1]
-        self.count = host + own.size
+        columns = host + np.arange(T * modes * (k + 2)).reshape(T, modes, k + 2)
+        self.share, self.delta, self.epsilon = columns[..., :k], columns[..., k], columns[..., k + 1]
+        self.count = host + columns.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,9 +311,9 @@ class Quadratic:
             return _box_minimum(slope, self._diagonal, low, high)
         if at.all():
             return _coupled_minimum(slope, self._hessians, self._least, low, high)
-        found = _box_minimum(slope, self._diagonal, low, high)
-        found[at] = _coupled_minimum(slope[at], self._hessians[at], self._least[at], low[at], high[at])
-        return found
+        minima = _box_minimum(slope, self._diagonal, low, high)
+        minima[at] = _coupled_minimum(slope[at], self._hessians[at], self._least[at], low[at], high[at])
+        return minima
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,15 +341,15 @@ class PathModel:
         radius = (np.abs(self.maps[:-1]) @ half)[..., 0] + THIN
         above, below = (centre + radius)[:, :, None], (centre - radius)[:, :, None]
         meets = ((above >= low[1:, None, :, :n]) & (below <= high[1:, None, :, :n])).all(axis=-1)
-        found = allowed[:-1, :, None] & allowed[1:, None] & meets
+        edges = allowed[:-1, :, None] & allowed[1:, None] & meets
         while True:  # a vertex needs an edge in and an edge out
             live = np.ones(allowed.shape, dtype=bool)
-            live[:-1] &= found.any(axis=2)
-            live[1:] &= found.any(axis=1)
-            less = found & live[:-1, :, None] & live[1:, None]
-            if (less == found).all():
-                return found
-            found = less
+            live[:-1] &= edges.any(axis=2)
+            live[1:] &= edges.any(axis=1)
+            less = edges & live[:-1, :, None] & live[1:, None]
+            if (less == edges).all():
+                return edges
+            edges = less
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,7 +385,7 @@ class PathBounds:
         self._limits = np.where(np.isfinite(model.limits), model.limits, 0.0)
 
     def bound(self, pairs: Mask, low: Array, high: Array, duals: Duals) -> float:
-        """Return what duals prove of edges (T, modes, modes) and boxes (T+1, modes, k): inf where there is no path."""
+        """Return the bound of duals for edges (T, modes, modes) and boxes (T+1, modes, k); inf without a path."""
         value = np.zeros(pairs.shape[1])
         for length in self.lengths(pairs, low, high, duals)[::-1]:
             value = (length + value).min(axis=1)
@@ -400,30 +399,30 @@ class PathBounds:
         regions = duals.regions[:, :, None] if duals.vertices is None else duals.regions
         ahead = eta[:, None] if duals.images is None else eta[:, None] + duals.images
         slope = duals.eta_C * model.price + np.tensordot(duals.sides, model.coupled, axes=1)
-        own = np.zeros((T + 1, modes, regions.shape[2], slope.shape[1]))
-        own += slope[:, None, None]
-        own[1:, ..., : eta.shape[2]] += eta[:, :, None]
-        own[:-1] -= ahead @ model.maps[:-1]
-        own[:-1] += regions @ model.rows[:-1]
-        constant = np.zeros(own.shape[:-1])
+        slopes = np.zeros((T + 1, modes, regions.shape[2], slope.shape[1]))
+        slopes += slope[:, None, None]
+        slopes[1:, ..., : eta.shape[2]] += eta[:, :, None]
+        slopes[:-1] -= ahead @ model.maps[:-1]
+        slopes[:-1] += regions @ model.rows[:-1]
+        constant = np.zeros(slopes.shape[:-1])
         constant[:-1] -= (ahead @ model.offsets[:-1, :, :, None])[..., 0]
         constant[:-1] -= (regions @ self._limits[:-1, :, :, None])[..., 0]
         if duals.images is not None:
             ends = (side[1:, None, :, : eta.shape[2]] for side in (low, high))
             constant[:-1] += np.where(duals.images > 0, *(duals.images * end for end in ends)).sum(axis=-1)
         cost = self._cost if duals.eta_C else self._feasible
-        found = constant + cost.least(own, low[:, :, None], high[:, :, None])
+        lengths = constant + cost.least(slopes, low[:, :, None], high[:, :, None])
         present = np.zeros((T + 1, modes, modes), dtype=bool)
         present[:-1], present[-1, 0, 0] = pairs, True
-        return np.where(present, found, np.inf)
+        return np.where(present, lengths, np.inf)
 
 
 def _coupled_minimum(slope: Array, hessians: Array, least: Array, low: Array, high: Array) -> Array:
     """Return lower bounds where H is not diagonal, H - diag(least) being positive semidefinite."""
     y = box_minimiser(slope, hessians, low, high)
-    moved = (hessians * y[..., None, :]).sum(axis=-1)
-    there = ((slope + 0.5 * moved) * y).sum(axis=-1)
-    return there + _box_minimum(slope + moved, least, low - y, high - y)
+    gradient = (hessians * y[..., None, :]).sum(axis=-1)
+    there = ((slope + 0.5 * gradient) * y).sum(axis=-1)
+    return there + _box_minimum(slope + gradient, least, low - y, high - y)
 
 
 def _box_minimum(slope: Array, curvature: Array, low: Array, high: Array) -> Array:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from lin_freq_ocp.base.arrays import Indices
-from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import AnyAnswer, Inverse
 from lin_freq_ocp.problem.simulation import simulate
@@ -42,7 +42,7 @@ class FixedModes(Inverse):
 
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers with the weights of all modes that a trajectory is in."""
-        return reduced if at is None else weighted(self.given, at, self.sequence, reduced)
+        return reduced if at is None else multipliers_with_weights(self.given, at, self.sequence, reduced)
 
     def recover(self, answer: AnyAnswer) -> AnyAnswer:
         """Return the answer for the given problem; a ray, which excludes one sequence, is left out."""

@@ -22,7 +22,7 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.candidate import SolveOptions, require_convex
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch
-from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refined
+from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refine_leaves
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
 from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
@@ -107,10 +107,12 @@ class KeptTree(SearchCache):
         outcome = search.run(start, cover=cover)
         self.solved = outcome.nodes
         self._of, self._relaxation, self._cover = self._base, search.final_relaxation, search.cover_after_step()
-        return outcome
+        return replace(outcome, resume=None)  # the cover is that of this tree
 
 
 SEQUENCE_BACKEND = "clarabel"  # solves the best sequence, accurately, for its multipliers
+PROOF_MARGIN = 1.5  # multiple of the measured time of the proof that is kept back when a search is continued
+LEAST_FURTHER = 0.1  # of the time searched before: a shorter continuation is not worth a second proof
 LEAST_PROOF_SECONDS = 0.25  # seconds for the best sequence, and for the leaves, when the search has used all the time
 
 
@@ -130,8 +132,27 @@ class _Search:
         limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes)
         started = now()
         found = self._search(problem, limits, request)
-        seconds = {"setup": found.setup, "solve": now() - started - found.setup}
-        return _judge_search(problem, self.shorthand, found, self.gap, seconds, started + request.time_limit)
+        searched, end = now() - started, started + request.time_limit
+        seconds = {"setup": found.setup, "solve": searched - found.setup}
+        outcome = _judge_search(problem, self.shorthand, found, self.gap, seconds, end)
+        if found.resume is not None and not outcome.interrupted:
+            # time is left: the judge needs less than what was kept back. After a search that is longer by a factor, it
+            # needs about that factor more
+            certified = PROOF_MARGIN * (now() - started - searched)
+            further = (end - now() - certified) / (1 + certified / searched)
+            if further > LEAST_FURTHER * searched:
+                clock = now()
+                longer = found.resume(further)
+                seconds = {**seconds, "solve": seconds["solve"] + now() - clock}
+                after = _judge_search(problem, self.shorthand, longer, self.gap, seconds, end)
+                certify = outcome.seconds["certify"] + after.seconds["certify"]
+                outcome = after if _bound_of(after) >= _bound_of(outcome) else outcome
+                outcome = replace(outcome, seconds={**after.seconds, "certify": certify})
+        if found.message == limits.out_of_time == outcome.message:
+            spent = outcome.seconds
+            shares = f"{spent['setup'] + spent['solve']:.3g} s of search, {spent['certify']:.3g} s of proof"
+            outcome = replace(outcome, message=f"{outcome.message}: {shares}")
+        return outcome
 
     def _search(self, problem: OptimalControlProblem, limits: SearchLimits, request: Request) -> SearchOutcome:
         raise NotImplementedError
@@ -230,7 +251,7 @@ class MixedInteger:
         outcome = TreeSearch(problem, replace(limits, seconds=left), progress=request.progress).run(claim.sequence)
         late = now() > end  # the search's own limit was what was left
         if late and outcome.message and not outcome.interrupted:
-            outcome = replace(outcome, message=f"time limit of {limits.seconds:g} s")
+            outcome = replace(outcome, message=limits.out_of_time)
         seconds = {**claim.seconds, "solve": claim.seconds["solve"] + now() - clock}
         result = replace(_judge_search(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
         found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
@@ -240,6 +261,10 @@ class MixedInteger:
         if result.status == Status.OPTIMAL and not agreed:
             return replace(result, message=f"{backend} ended with {found} ('{claim.message}'), the optimum is {proven}")
         return result
+
+
+def _bound_of(outcome: Outcome) -> float:
+    return -np.inf if outcome.lower_bound is None else outcome.lower_bound
 
 
 def _judge_search(
@@ -263,7 +288,7 @@ def _judge_search(
     for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, the second is solved more accurately
         if not outcome.message and not proof.value >= needed:
             weak = np.flatnonzero(proof.bounds < needed)
-            better = refined(problem, outcome.tree, weak, end, kind)
+            better = refine_leaves(problem, outcome.tree, weak, end, kind)
             closer = tree_bound(problem, better, end)
             if closer.value > proof.value:
                 outcome, proof = replace(outcome, tree=better), closer

@@ -16,7 +16,7 @@ from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
-from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.smooth.newton import newton
@@ -135,7 +135,7 @@ def judged_outcome(
 def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves both."""
     affine = problem.affine_at(local.trajectory)
-    first = weighted(affine, local.trajectory, local.sequence, local.multipliers)
+    first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     found = local.trajectory, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):

@@ -13,7 +13,7 @@ from helpers.random.kinks import KINDS, random_map
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
 
 
@@ -46,7 +46,7 @@ def test_region_multipliers_are_weights_times_the_kink(sequence):
     problem = kinks.peak()
     (border,) = problem.borders
     result = lfo.solve(problem.with_modes(sequence))
-    weights = weighted(problem, result.trajectory, np.array(sequence), result.multipliers).weights
+    weights = multipliers_with_weights(problem, result.trajectory, np.array(sequence), result.multipliers).weights
     other = weights[1, 1 - sequence[1]]
     slope = float(border.g @ result.multipliers.eta[1])
     assert slope == pytest.approx(4.0)
@@ -228,7 +228,9 @@ class TestEachCheckFails:
         stage = {REGION: 3 * result.multipliers.stage[REGION]}
         eta[0] = 2.0 - stage[REGION][1]  # what stationarity of the rising sequence makes of it
         scaled = changed(result.multipliers, eta=eta, stage=stage)
-        certificate = judge(problem, result.trajectory, weighted(problem, result.trajectory, np.zeros(2, int), scaled))
+        certificate = judge(
+            problem, result.trajectory, multipliers_with_weights(problem, result.trajectory, np.zeros(2, int), scaled)
+        )
         assert failures(certificate, "C-iii", "adjoint")[0].time == 1
         assert [(flip.time, flip.mode) for flip in certificate.borders.flips] == [(1, 1)]
         assert certificate.borders.weights == pytest.approx(np.array([[0.0, 1.0]]), abs=1e-9)

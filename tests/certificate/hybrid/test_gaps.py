@@ -60,7 +60,7 @@ def test_the_least_effort_over_stepping_stones(unit, price):
     assert certificate.globally_optimal
     assert (certificate.pmp, certificate.borders.gaps) == ("not_applicable", (1, 2))
     assert certificate.borders.flip_stationary
-    assert "touches a gap between regions at t = 1, 2" in str(certificate)
+    assert "touches a gap between regions at t = 1 to 2" in str(certificate)
 
 
 def test_a_gap_too_wide_to_jump_is_proven_infeasible():

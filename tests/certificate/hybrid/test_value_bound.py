@@ -15,7 +15,7 @@ from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import CostToGo, Lattice, Minima, QuadraticForm
-from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError, least_of
+from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError, taylor_bounds
 from lin_freq_ocp.formulas.intervals import multiply, outward
 from lin_freq_ocp.formulas.jets import interval_jets, jets
 from lin_freq_ocp.formulas.nodes import norm, signals
@@ -110,7 +110,7 @@ def test_taylor_bounds_are_below_all_values_and_near_for_small_boxes(seed):
 
     def bound(radius):
         jets_of = interval_jets(f, y, y, curved=False), interval_jets(f, y - radius, y + radius)
-        return least_of(hessian, gradient, given, sigma, at, radius, *jets_of, p)
+        return taylor_bounds(hessian, gradient, given, sigma, at, radius, *jets_of, p)
 
     def value(z):
         there = jets(f, y + z).values

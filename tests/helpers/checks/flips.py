@@ -18,7 +18,7 @@ from helpers.random.kinks import random_problem
 from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, modes_along
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.fitted_multipliers import uniqueness
-from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 
 VISIBLE = 1e-9  # relative change of a cost that solvers which stop at 1e-10 show
@@ -71,7 +71,9 @@ def check(seed: int) -> Outcome:
         return Outcome(seed, kind, 0, Counter(unsolved=1))
     trajectory = signals_of(result)
     assert result.multipliers is not None
-    certificate = judge(problem, trajectory, weighted(problem, trajectory, sequence, result.multipliers))
+    certificate = judge(
+        problem, trajectory, multipliers_with_weights(problem, trajectory, sequence, result.multipliers)
+    )
     facts = certificate.borders
     assert facts is not None
     wrong = [] if certificate.feasible else ["the optimum of a mode sequence breaks a constraint"]

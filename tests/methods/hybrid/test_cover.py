@@ -12,7 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch, shifted_cover
-from lin_freq_ocp.methods.hybrid.search.common import relaxed
+from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
@@ -75,7 +75,7 @@ def test_shifted_duals_prove_less_than_the_optimum_and_not_much_less(seed, field
     for node in leaves(search.cover_after_step()):
         reach = relaxation.reach.from_start(node.allowed)
         if reach is not None and node.duals is not None:
-            exact = relaxed(relaxation, reach).bound
+            exact = solve_relaxation(relaxation, reach).bound
             proven.append((relaxation.proven(reach, node.duals), exact))
     assert proven
     assert all(bound <= exact + 1e-6 * abs(best) for bound, exact in proven)
@@ -88,7 +88,7 @@ def test_moved_relaxations_are_those_of_the_moved_problem(seed):
     _, after, _ = stepped(problem)
     moved, new = PathRelaxation(problem).moved(after), PathRelaxation(after)
     everything = np.ones((5, len(piecewise_affine(problem).modes)), dtype=bool)
-    bounds = [relaxed(one, one.reach.from_start(everything)).bound for one in (moved, new)]
+    bounds = [solve_relaxation(one, one.reach.from_start(everything)).bound for one in (moved, new)]
     assert bounds[0] == pytest.approx(bounds[1], rel=1e-6)
 
 

@@ -14,7 +14,7 @@ from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, tree_bound
 from lin_freq_ocp.methods.hybrid.search import common as search
-from lin_freq_ocp.methods.hybrid.search.common import relaxed
+from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
 from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 
@@ -63,7 +63,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
     for sequence in ((0, 1), (1, 0)):
         relaxation, reach = reached(problem, sequence)
         assert reach is not None
-        assert search.relaxed_path(relaxation, reach, search.TOLERANCES, np.inf, None, False).bound == np.inf
+        assert search.solve_path_relaxation(relaxation, reach, search.TOLERANCES, np.inf, None, False).bound == np.inf
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.sequence.tolist() == [1, 1]
@@ -73,7 +73,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
 @pytest.mark.parametrize("seed", [2, 7, 22])
 def test_a_solver_that_calls_an_infeasible_point_solved_costs_no_optimum(monkeypatch, seed):
     """Of every single sequence it claims the relaxed point without its dynamics."""
-    problem, honest = random_problem(seed, horizon=3, n=1), search.relaxed_path
+    problem, honest = random_problem(seed, horizon=3, n=1), search.solve_path_relaxation
     best = brute_force(problem)[0]
 
     def claims(relaxation, reach, *given):
@@ -84,7 +84,7 @@ def test_a_solver_that_calls_an_infeasible_point_solved_costs_no_optimum(monkeyp
         x[1:] *= 0.5
         return replace(answer, bound=answer.bound - 1.0, trajectory=lfo.Trajectory(x, answer.trajectory.u))
 
-    monkeypatch.setattr(search, "relaxed_path", claims)
+    monkeypatch.setattr(search, "solve_path_relaxation", claims)
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.cost == pytest.approx(best, rel=1e-6, abs=1e-7)
@@ -123,4 +123,4 @@ def test_nodes_that_reach_nothing_are_proven_by_the_judge():
     assert result.status == "infeasible"
     assert tree_bound(result.problem, result.tree).value == np.inf
     relaxation, reach = reached(problem, (1, 1))
-    assert relaxed(relaxation, reach).trajectory is not None
+    assert solve_relaxation(relaxation, reach).trajectory is not None

@@ -12,7 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.modes import brute_force, random_problem
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import enumeration, parts
-from lin_freq_ocp.methods.hybrid.search.common import relaxed
+from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
@@ -107,7 +107,7 @@ def test_everything_that_linear_problems_have(fields):
 def test_the_root_relaxation_is_below_the_optimum():
     for problem in (random_problem(5, horizon=5), library.buck_affine(horizon=6)):
         relaxation = ModeRelaxation(problem)
-        bound = relaxed(relaxation, relaxation.reach.from_start(ones(problem))).bound
+        bound = solve_relaxation(relaxation, relaxation.reach.from_start(ones(problem))).bound
         assert np.isfinite(bound)
         assert bound <= lfo.solve(problem).cost + 1e-6
 

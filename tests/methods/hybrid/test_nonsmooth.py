@@ -170,7 +170,7 @@ def test_newton_returns_from_noise_and_doubles_its_digits(name):
 def test_newtons_equations_have_their_derivatives():
     problem = BUCK(horizon=4, control_spectrum=[2])
     start = lfo.simulate(problem, [[2.5], [2.4], [2.3], [2.6]])
-    system = NewtonSystem.of(problem, start, problem.dynamics.sequence_of(start.x, start.u), near=0.2)
+    system = NewtonSystem.around(problem, start, problem.dynamics.sequence_of(start.x, start.u), near=0.2)
     assert system.switches
     noise = np.random.default_rng(0).standard_normal(len(system.units))
     v = starting_point(system, start, None, 0.2, halved=True) + 1e-3 * noise

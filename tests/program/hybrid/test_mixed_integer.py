@@ -19,7 +19,7 @@ from lin_freq_ocp.methods.hybrid.search import mixed
 from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
 from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.backends.base import backend as solver_named
-from lin_freq_ocp.program.hybrid.mixed_integer import big_m_program, excesses
+from lin_freq_ocp.program.hybrid.mixed_integer import big_m_bounds, big_m_program
 from lin_freq_ocp.program.program import Block
 
 library = lfo.library
@@ -125,7 +125,7 @@ def test_every_trajectory_satisfies_the_program_with_its_own_modes_and_no_others
 def test_excesses_are_those_of_the_domain_and_hardly_more(name, given):
     """Sample the first step of a free start: every figure is reached, up to a few per cent, and never passed."""
     problem = library.by_name(name)(horizon=2, **given)
-    found, arrays, rng = excesses(problem), problem.dynamics.arrays(1), np.random.default_rng(0)
+    found, arrays, rng = big_m_bounds(problem), problem.dynamics.arrays(1), np.random.default_rng(0)
     states, controls = problem.state_boxes, problem.control_tube
     lower = np.append(states.lower[0], controls.lower[0])
     upper = np.append(states.upper[0], controls.upper[0])

@@ -10,8 +10,8 @@ import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import node as path_node
-from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, relaxed
-from lin_freq_ocp.methods.hybrid.search.node import compiled_is_there
+from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
+from lin_freq_ocp.methods.hybrid.search.node import has_compiled_code
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
@@ -35,8 +35,8 @@ def compiled(request):
         from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
 
         paths.KERNELS.prepare()
-        compiled_is_there.cache_clear()
-        assert compiled_is_there()
+        has_compiled_code.cache_clear()
+        assert has_compiled_code()
     return request.param == "compiled"
 
 
@@ -50,21 +50,21 @@ def root(problem, kind=PathRelaxation):
 def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, compiled):
     problem = random_problem(4, horizon=5, **FIELDS[name])
     relaxation, reach = root(problem)
-    answer = relaxed(relaxation, reach, compiled=compiled)
+    answer = solve_relaxation(relaxation, reach, compiled=compiled)
     assert answer.duals.vertices is not None
     close = 1e-2 if name == "full" else 1e-6  # a Hessian that is not diagonal is bounded from below by one that is
     proven = relaxation.proven(reach, answer.duals)
     assert proven == pytest.approx(answer.bound, rel=close)
     node = ModeNode(-1, -1, reach.allowed, answer.bound, relaxation.multipliers(answer.duals))
     assert tree_bound(problem, ModeTree((node,))).value == pytest.approx(answer.bound, rel=close)
-    best, shares = lfo.solve(problem).cost, relaxed(*root(problem, ModeRelaxation)).bound
+    best, shares = lfo.solve(problem).cost, solve_relaxation(*root(problem, ModeRelaxation)).bound
     assert shares - 1e-6 * abs(best) <= answer.bound <= best + 1e-6 * abs(best)
 
 
 def test_paths_leave_less_open_than_shares():
     problem = lfo.library.buck_affine(horizon=10, control_spectrum="freq")
     best = lfo.solve(problem).cost
-    shares, paths = (best - relaxed(*root(problem, kind)).bound for kind in (ModeRelaxation, PathRelaxation))
+    shares, paths = (best - solve_relaxation(*root(problem, kind)).bound for kind in (ModeRelaxation, PathRelaxation))
     assert 0 < paths < 0.5 * shares
 
 
@@ -73,7 +73,7 @@ def test_any_duals_prove_less_than_any_trajectory_costs(name):
     problem = random_problem(1, horizon=4, **FIELDS[name])
     relaxation, reach = root(problem)
     best, rng = lfo.solve(problem).cost, np.random.default_rng(0)
-    duals = relaxed(relaxation, reach).duals
+    duals = solve_relaxation(relaxation, reach).duals
     for size in (0.01, 0.1, 1.0):
         factor = {part: 1 + size * rng.normal() for part in ("vertices", "images", "sides")}
         moved = replace(
@@ -89,9 +89,9 @@ def test_any_duals_prove_less_than_any_trajectory_costs(name):
 
 def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(compiled):
     relaxation, reach = root(random_problem(2, horizon=6, kinks=2))
-    exact = relaxed(relaxation, reach).bound
+    exact = solve_relaxation(relaxation, reach).bound
     for cutoff in (exact - 0.3 * abs(exact), exact + 0.3 * abs(exact)):
-        rough = relaxed(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled)
+        rough = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled)
         assert (rough.bound > cutoff) == (exact > cutoff)
         assert rough.bound <= exact + 1e-6 * abs(exact)
         assert rough.bound == pytest.approx(exact, rel=1e-2) or rough.bound > cutoff
@@ -101,9 +101,9 @@ def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(compiled):
 def test_the_bound_of_compiled_code_is_that_of_its_multipliers(name):
     pytest.importorskip("numba", reason="the extra fast is not installed")
     relaxation, reach = root(random_problem(2, horizon=6, kinks=2, **FIELDS[name]))
-    exact = relaxed(relaxation, reach).bound
+    exact = solve_relaxation(relaxation, reach).bound
     for cutoff in (exact - abs(exact), exact - 0.1 * abs(exact), exact + 0.1 * abs(exact), exact + 5 * abs(exact)):
-        answer = relaxed(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled=True)
+        answer = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled=True)
         assert answer.bound == pytest.approx(relaxation.proven(reach, answer.duals), rel=1e-9)
         assert answer.bound < exact - 1e-3 * abs(exact)  # it ended early
         assert (answer.bound > cutoff) == (exact > cutoff)
@@ -112,7 +112,7 @@ def test_the_bound_of_compiled_code_is_that_of_its_multipliers(name):
 def test_what_has_no_trajectory_is_proven_empty(compiled):
     problem = random_problem(0, horizon=4, terminal_state=[2, 2], control_spectrum=lfo.stop_band(bins=[1]))
     relaxation, reach = root(problem)
-    answer = relaxed(relaxation, reach, compiled=compiled)
+    answer = solve_relaxation(relaxation, reach, compiled=compiled)
     assert answer.bound == np.inf
     node = ModeNode(-1, -1, reach.allowed, np.inf, relaxation.multipliers(answer.duals))
     assert tree_bound(problem, ModeTree((node,))).value == np.inf
@@ -120,7 +120,7 @@ def test_what_has_no_trajectory_is_proven_empty(compiled):
 
 @pytest.mark.parametrize("name", ["buck_affine", "switched_rotation", "pendulum_with_wall"])
 def test_searches_agree_with_and_without_compiled_code(name, compiled, monkeypatch):
-    monkeypatch.setattr(path_node, "compiled_is_there", lambda: compiled)
+    monkeypatch.setattr(path_node, "has_compiled_code", lambda: compiled)
     given = {"initial_state": (-6, 7)} if name == "switched_rotation" else {}
     problem = lfo.library.by_name(name)(horizon=8, control_spectrum="freq", **given)
     result = lfo.solve(problem)
@@ -132,7 +132,7 @@ def test_searches_agree_with_and_without_compiled_code(name, compiled, monkeypat
 def test_where_edges_of_many_modes_are_many_shares_have_to_do():
     relaxation, reach = root(random_problem(0, horizon=6, kinks=3))
     assert relaxation.path_member(reach) is None
-    assert np.isfinite(relaxed(relaxation, reach).bound)
+    assert np.isfinite(solve_relaxation(relaxation, reach).bound)
     relaxation, reach = root(random_problem(0, horizon=3, kinks=3))  # the reach leaves few
     assert relaxation.path_member(reach) is not None
 

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
-from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, relaxed
+from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Quadratic
 
@@ -23,7 +23,7 @@ def root(problem):
 @pytest.mark.parametrize("fields", [{}, {"control_spectrum": lfo.stop_band(bins=[1])}, {"cost": FULL}])
 def test_duals_of_a_solution_prove_its_objective(fields):
     relaxation, reach = root(random_problem(4, horizon=5, **fields))
-    answer = relaxed(relaxation, reach)
+    answer = solve_relaxation(relaxation, reach)
     close = 1e-2 if "cost" in fields else 1e-6  # a Hessian that is not diagonal is bounded from below by one that is
     assert relaxation.proven(reach, answer.duals) == pytest.approx(answer.bound, rel=close)
     assert relaxation.proven(reach, answer.duals) <= answer.bound + 1e-6
@@ -34,7 +34,7 @@ def test_any_duals_prove_less_than_any_trajectory_costs(seed):
     problem = random_problem(seed, horizon=4, control_spectrum=lfo.stop_band(bins=[2]))
     relaxation, reach = root(problem)
     best, rng = lfo.solve(problem).cost, np.random.default_rng(seed)
-    duals = relaxed(relaxation, reach).duals
+    duals = solve_relaxation(relaxation, reach).duals
     for size in (0.01, 0.1, 1.0):
         parts = {part: getattr(duals, part) for part in ("adjoint", "sides", "regions")}
         moved = {part: value * (1 + size * rng.normal(size=value.shape)) for part, value in parts.items()}
@@ -45,9 +45,9 @@ def test_any_duals_prove_less_than_any_trajectory_costs(seed):
 def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds():
     problem = random_problem(2, horizon=6, kinks=2)
     relaxation, reach = root(problem)
-    exact = relaxed(relaxation, reach).bound
+    exact = solve_relaxation(relaxation, reach).bound
     for cutoff in (exact - 0.3 * abs(exact), exact + 0.3 * abs(exact)):
-        rough = relaxed(relaxation, reach, TOLERANCES, np.inf, cutoff)
+        rough = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff)
         assert (rough.bound > cutoff) == (exact > cutoff)
         assert rough.bound <= exact + 1e-6 * abs(exact)
         assert rough.bound == pytest.approx(exact, rel=1e-2) or rough.bound > cutoff
@@ -57,7 +57,9 @@ def test_problems_with_other_terms_have_no_such_bound():
     problem = random_problem(1, cost=lfo.QuadraticCost(Q=np.eye(2), R=0.1) + lfo.costs.L1Cost(u=0.5))
     relaxation, reach = root(problem)
     assert not relaxation.proves
-    assert relaxed(relaxation, reach, TOLERANCES, np.inf, 0.0).bound == relaxed(relaxation, reach).bound
+    assert (
+        solve_relaxation(relaxation, reach, TOLERANCES, np.inf, 0.0).bound == solve_relaxation(relaxation, reach).bound
+    )
 
 
 def test_minima_of_quadratics_over_boxes():

@@ -18,7 +18,7 @@ from lin_freq_ocp.cli.app import cli
 from lin_freq_ocp.files.solution_files import save_solution
 from lin_freq_ocp.files.summary import certificate_summary
 from lin_freq_ocp.methods.fitted_multipliers import uniqueness
-from lin_freq_ocp.methods.hybrid.search.multipliers import weighted
+from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.report.tables import worst_location
 from lin_freq_ocp.problem.hybrid.forms import linear_along
@@ -118,7 +118,7 @@ def test_multipliers_of_a_region_that_repeats_a_bound_become_those_of_the_bound(
     stage[REGION][1, 1] += nu[1, 0]  # all of it
     nu[1, 0] = 0.0
     given = changed(result.multipliers, nu=nu, stage=stage)
-    multipliers = weighted(problem, result.trajectory, np.array([0, 0]), given)
+    multipliers = multipliers_with_weights(problem, result.trajectory, np.array([0, 0]), given)
     assert multipliers.nu[1, 0] == pytest.approx(1.0, abs=1e-6)  # 2 - u_1 / 2
     assert judge(problem, result.trajectory, multipliers).pmp == "satisfied"
     assert lfo.certify(problem, result.trajectory).pmp == "satisfied"

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
+from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.problem.level_rows import level_rows
 from lin_freq_ocp.problem.simulation import simulate
@@ -193,3 +195,26 @@ def test_where_the_conditions_fail_nothing_is_said_of_rows(change):
     problem = replace(lfo.library.pulse_pattern(samples=32), **change)
     assert level_rows(problem) is None
     assert lfo.solve(problem, throw=False).level_use.rows is None
+
+
+def test_a_search_uses_its_time_and_says_how_much_of_it_the_proof_took():
+    problem, clock = lfo.library.pulse_pattern(samples=64, tolerance=0.02), Clock(0.004)
+    with use_clock(clock):
+        result = lfo.solve(problem, time_limit=10.0, throw=False)
+    assert result.status == "limit"
+    assert result.certificate.feasible
+    assert result.message.startswith("time limit of 10 s: ")
+    assert "s of search" in result.message
+    assert result.message.endswith("s of proof")
+    assert 8.0 < clock.seconds < 11.0  # 60 % are for the search at first, and the proof needs less than the rest
+
+
+def test_the_result_says_where_a_quadratic_cost_counts_means_only():
+    problem = replace(lfo.library.pulse_pattern(samples=32), cost=lfo.QuadraticCost(R=1.0))
+    relaxed = lfo.solve(problem)
+    assert relaxed.level_use.fractional > 0
+    assert relaxed.level_use.means
+    assert "the quadratic cost counts the mean over the sample" in str(relaxed)
+    plain = lfo.solve(lfo.library.pulse_pattern(samples=32))
+    assert not plain.level_use.means
+    assert "quadratic cost" not in str(plain)

@@ -35,7 +35,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, DWELL, ENERGY, LEVEL, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-ROUNDING = 1e-12  # of the sizes of J and b_k: what their terms add up to, so that some 10^3 roundings are below it
+ROUNDING = 1e-12  # of the sums of the absolute terms of J and b_k: some 10^3 rounding errors are smaller
 MOST_BOXES = 2_000_000  # at once: some seconds and a gigabyte
 STEEPEST = 100.0  # largest multiplier, in sizes of J over those of b_k: its terms' rounding is below that of J
 
@@ -57,7 +57,7 @@ class AngleBoxes:
 class AngleBound:
     """The boxes of one problem; ``halve`` them until ``value`` is the bound wanted.
 
-    ``low`` and ``high`` are the bounds on the amplitudes, and ``size`` is what the terms of J add up to.
+    ``low`` and ``high`` are the bounds on the amplitudes, and ``size`` is the sum of the absolute terms of J.
     """
 
     def __init__(self, problem: OptimalControlProblem, dynamics: PulseTrain):
@@ -67,13 +67,17 @@ class AngleBound:
         start, end = problem.ends
         self._offset = float(start.lower[ENERGY])
         self.low, self.high = end.lower[4:] - start.upper[4:], end.upper[4:] - start.lower[4:]
-        limits = problem.state_boxes.lower[0, LEVEL], problem.state_boxes.upper[0, LEVEL]
         d = problem.horizon - 1
         self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
         self.size = self._price * (2 * self._amplitude**2 + abs(self._offset))
-        patterns = [one for one in product((dynamics.step, -dynamics.step), repeat=d) if _stays_in_limits(one, limits)]
-        steps, middle = np.array(patterns).reshape(len(patterns), d), np.full((len(patterns), d), QUARTER / 2)
-        whole = AngleBoxes(steps, middle, middle.copy(), np.full(len(patterns), -np.inf))
+        # all patterns of steps whose levels stay within their bounds
+        steps = np.array(list(product((dynamics.step, -dynamics.step), repeat=d))).reshape(2**d, d)
+        levels, limits = steps.cumsum(axis=1), problem.state_boxes
+        slack = ROUNDING * np.abs(levels).max(axis=1, initial=1.0, keepdims=True)
+        within = (levels >= limits.lower[0, LEVEL] - slack) & (levels <= limits.upper[0, LEVEL] + slack)
+        steps = steps[within.all(axis=1)]
+        middle = np.full(steps.shape, QUARTER / 2)
+        whole = AngleBoxes(steps, middle, middle.copy(), np.full(len(steps), -np.inf))
         self.boxes = self._bound_boxes(whole)
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
 
@@ -105,47 +109,52 @@ class AngleBound:
 
     def halve(self, cutoff: float) -> bool:
         """Halve every box with a bound below the cutoff along its longest side; False where there are too many."""
-        given = self.boxes
-        open_ = given.bound < cutoff
-        self.done = min(self.done, float(given.bound[~open_].min(initial=np.inf)))
-        given = given.take(np.flatnonzero(open_))
-        if 2 * len(given.bound) > MOST_BOXES:
-            self.boxes = given
+        boxes = self.boxes
+        open_ = boxes.bound < cutoff
+        self.done = min(self.done, float(boxes.bound[~open_].min(initial=np.inf)))
+        boxes = boxes.take(np.flatnonzero(open_))
+        if 2 * len(boxes.bound) > MOST_BOXES:
+            self.boxes = boxes
             return False
-        rows, side = np.arange(len(given.bound)), given.radius.argmax(axis=1)
-        radius = given.radius.copy()
+        rows, side = np.arange(len(boxes.bound)), boxes.radius.argmax(axis=1)
+        radius = boxes.radius.copy()
         radius[rows, side] /= 2
         shift = np.zeros_like(radius)
         shift[rows, side] = radius[rows, side]
-        halves = [AngleBoxes(given.steps, given.centre + sign * shift, radius, given.bound) for sign in (-1.0, 1.0)]
-        parts = zip(*((one.steps, one.centre, one.radius, one.bound) for one in halves), strict=True)
+        halves = [AngleBoxes(boxes.steps, boxes.centre + sign * shift, radius, boxes.bound) for sign in (-1.0, 1.0)]
+        parts = zip(*((half.steps, half.centre, half.radius, half.bound) for half in halves), strict=True)
         self.boxes = self._bound_boxes(AngleBoxes(*(np.concatenate(part) for part in parts)))
         return True
 
-    def _bound_boxes(self, given: AngleBoxes) -> AngleBoxes:
+    def _bound_boxes(self, boxes: AngleBoxes) -> AngleBoxes:
         """Return the boxes that may hold a train, with their bounds: not below those of the boxes that they are of."""
-        s, c, r = given.steps, given.centre, given.radius
+        s, c, r = boxes.steps, boxes.centre, boxes.radius
         # boxes of angles in order whose amplitudes may meet their bounds
         ordered = ((c - r)[:, :-1] <= (c + r)[:, 1:] + ROUNDING).all(axis=1)
         values, slopes, curvature = self._amplitudes(s, c, r)
         reach = (np.abs(slopes) * r[:, None]).sum(2) + (curvature * r[:, None] ** 2).sum(2) / 2
         reach += ROUNDING * self._amplitude
         meets = ((values + reach >= self.low) & (values - reach <= self.high)).all(axis=1)
-        kept = np.flatnonzero(ordered & meets)
-        given, values, slopes, curvature = given.take(kept), values[kept], slopes[kept], curvature[kept]
-        s, c, r = given.steps, given.centre, given.radius
+        possible = np.flatnonzero(ordered & meets)
+        boxes, values, slopes, curvature = boxes.take(possible), values[possible], slopes[possible], curvature[possible]
+        s, c, r = boxes.steps, boxes.centre, boxes.radius
         cost, slope, most, least = self._cost(s, c, r)
-        found = given.bound
+        bound = boxes.bound
         for active in (0, 1, len(self._orders)):
-            weights = _multipliers(slope, slopes[:, :active], STEEPEST * self.size / self._amplitude)
+            # lambda that makes the slope at the centre small; zero where it would be large
+            weights = np.zeros((len(slope), active))
+            if active:
+                weights = -np.einsum("nik,ni->nk", np.linalg.pinv(slopes[:, :active], rcond=1e-6), slope)
+                small = (np.abs(weights) < STEEPEST * self.size / self._amplitude).all(axis=1, keepdims=True)
+                weights = np.where(small, weights, 0.0)
             value = cost + (weights * values[:, :active]).sum(1)
             limits = np.where(weights > 0, self.high[:active], self.low[:active])
             ends = weights * np.where(weights == 0, 0.0, limits)  # there may be no limit where there is no multiplier
             steep = np.abs(slope + np.einsum("nk,nki->ni", weights, slopes[:, :active]))
-            own = least + np.einsum("nk,nki->ni", np.abs(weights), -curvature[:, :active])
-            bend = (np.minimum(own, 0.0) * r**2).sum(1) - np.einsum("ni,nij,nj->n", r, most, r)
-            found = np.maximum(found, value - ends.sum(1) - (steep * r).sum(1) + bend / 2 - ROUNDING * self.size)
-        return AngleBoxes(s, c, r, found)
+            diagonal = least + np.einsum("nk,nki->ni", np.abs(weights), -curvature[:, :active])
+            bend = (np.minimum(diagonal, 0.0) * r**2).sum(1) - np.einsum("ni,nij,nj->n", r, most, r)
+            bound = np.maximum(bound, value - ends.sum(1) - (steep * r).sum(1) + bend / 2 - ROUNDING * self.size)
+        return AngleBoxes(s, c, r, bound)
 
     def _amplitudes(self, s: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
         """Return b_k at centres, (boxes, k), slopes and largest |second derivatives| on boxes, (boxes, k, d)."""
@@ -164,26 +173,11 @@ class AngleBound:
         of_first = np.where(first <= second, second * QUARTER - (first**2 + second**2) / 2, second * (QUARTER - first))
         slope = -2 * (both * of_first).sum(2)
         others = ~np.eye(a.shape[1], dtype=bool)
-        wide = np.maximum(r[:, :, None], r[:, None, :])
-        most = np.where(others, np.abs(2 * both) * np.maximum(QUARTER - high + wide, 0.0), 0.0)
-        mixed = -2 * both * np.where(both > 0, low + wide, np.maximum(low - wide, 0.0))
+        widest = np.maximum(r[:, :, None], r[:, None, :])
+        most = np.where(others, np.abs(2 * both) * np.maximum(QUARTER - high + widest, 0.0), 0.0)
+        mixed = -2 * both * np.where(both > 0, low + widest, np.maximum(low - widest, 0.0))
         alone = np.diagonal(both, axis1=1, axis2=2) * (np.pi - 4 * a - 4 * r)
         return cost, slope, most, alone + np.where(others, mixed, 0.0).sum(2)
-
-
-def _multipliers(slope: Array, slopes: Array, largest: float) -> Array:
-    """Return lambda, (boxes, k), that makes slope + sum_k lambda_k slopes_k small; zero where it would be large."""
-    if not slopes.shape[1]:
-        return np.zeros((len(slope), 0))
-    found = -np.einsum("nik,ni->nk", np.linalg.pinv(slopes, rcond=1e-6), slope)
-    return np.where((np.abs(found) < largest).all(axis=1, keepdims=True), found, 0.0)
-
-
-def _stays_in_limits(pattern: tuple[float, ...], limits: tuple[float, float]) -> bool:
-    """Whether the levels of a pattern stay within limits."""
-    levels = np.cumsum(pattern)
-    slack = ROUNDING * np.abs(levels).max(initial=1.0)
-    return bool((levels >= limits[0] - slack).all() and (levels <= limits[1] + slack).all())
 
 
 def _require_form(problem: OptimalControlProblem, dynamics: PulseTrain) -> None:
@@ -196,19 +190,21 @@ def _require_form(problem: OptimalControlProblem, dynamics: PulseTrain) -> None:
         "a horizon of 1": problem.horizon > 1,
         "a cost other than that of the energy at the end": linear and (cost.p == price).all() and price[ENERGY] > 0,
         "terms beyond boxes": not problem.terms and not problem.control_stop.any() and not problem.state_stop.any(),
-        "another start than theta = 0 at level 0 with known energy": _is(start.lower, start.upper, ANGLE, 0.0)
-        and _is(start.lower, start.upper, LEVEL, 0.0)
+        "another start than theta = 0 at level 0 with known energy": _is_fixed(start.lower, start.upper, ANGLE, 0.0)
+        and _is_fixed(start.lower, start.upper, LEVEL, 0.0)
         and start.lower[ENERGY] == start.upper[ENERGY],
-        "another end than theta = pi/2 with I = 0": _is(end.lower, end.upper, ANGLE, QUARTER)
-        and _is(end.lower, end.upper, CURRENT, 0.0),
+        "another end than theta = pi/2 with I = 0": _is_fixed(end.lower, end.upper, ANGLE, QUARTER)
+        and _is_fixed(end.lower, end.upper, CURRENT, 0.0),
         "levels whose bounds depend on time": bool((boxes.lower[:, LEVEL] == boxes.lower[0, LEVEL]).all())
         and bool((boxes.upper[:, LEVEL] == boxes.upper[0, LEVEL]).all()),
         "dwells that may be below zero": bool((problem.control_tube.lower[:, DWELL] >= 0).all()),
     }
-    missed = [words for words, holds in named.items() if not holds]
-    if missed:
-        raise UnsupportedError(f"the bound over angles does not know {missed[0]}; expected that of docs/levels.md.")
+    unmet = [words for words, holds in named.items() if not holds]
+    if unmet:
+        raise UnsupportedError(
+            f"the bound over angles does not support {unmet[0]}; expected the form in docs/levels.md."
+        )
 
 
-def _is(lower: Array, upper: Array, place: int, value: float) -> bool:
+def _is_fixed(lower: Array, upper: Array, place: int, value: float) -> bool:
     return bool(lower[place] == value == upper[place])

@@ -31,7 +31,6 @@ from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
     CostToGo,
     Lattice,
     PricedProblem,
-    StageCosts,
     index_tuples,
     stage_costs,
 )
@@ -88,20 +87,20 @@ def value_bounds(
         count += 1
         lost = FIRST_LOSS * scale if best == -np.inf else cost - best
         tolerance = STEP_SHARE * (max(gap, lost) if np.isfinite(cost) else gap) / T
-        done = _backward(stages, level, tolerance, deadline, partial(progress, count) if progress else None)
+        done = _backward_pass(stages, level, tolerance, deadline, partial(progress, count) if progress else None)
         values = np.concatenate([np.abs(time.value.values[np.isfinite(time.value.values)]) for time in done])
         slack = ROUNDING * T * (costs.size + float(values.max(initial=0.0)))
         level = _next_level(done, cutoff)
         least = cutoff if level == [] else min(float(done[0].value.least.min(initial=np.inf)), cutoff)
         best = max(best, least + costs.constant - slack)
-        yield ValueBound(best, *_cheapest(done))
+        yield ValueBound(best, *_cheapest_path(done))
         if best >= cost - gap or least == np.inf:
             return
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What is to be bounded at a time: boxes, not bisected above ``target`` (cells,), an estimate of c + V.
+    """The boxes to be bounded at a time; those above ``target`` (cells,), an estimate of c + V, are not bisected.
 
     ``left`` (cells,) is the cutoff less the least cost-to-come of the level before, None on the first level; ``before``
     is V_t of that level and ``parents`` (cells,) its cells, None at t = 0.
@@ -137,16 +136,31 @@ class _Done:
 
 
 def _first_level(stages: PricedProblem, cost: float, scale: float) -> list[_Task]:
-    lattices = _lattices(stages)
+    """Return the tasks of the first level: in every cell and mode, a grid of boxes of the controls."""
+    problem, m, lattices = stages.problem, stages.problem.control_dim, _lattices(stages)
+    each, modes = max(1, round(FIRST_BOXES ** (1 / m))), len(piecewise_smooth(problem).modes)
     tasks: list[_Task] = []
-    for t, (lattice, to_come) in enumerate(zip(lattices, costs_to_come(stages, lattices), strict=True)):
+    for time, (lattice, to_come) in enumerate(zip(lattices, costs_to_come(stages, lattices), strict=True)):
+        t, x = min(time, problem.horizon - 1), lattice.centres
+        width = (stages.upper[t] - stages.lower[t]) / each
+        u = stages.lower[t] + (index_tuples(np.full(m, each)) + 0.5) * width
+        centre = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
+        widths = np.concatenate([lattice.width, width])
+        radius = np.where(widths > 0, widths / 2 * (1 + ROUNDING) + ROUNDING * np.abs(centre), 0.0)
+        boxes = Boxes.unbounded(
+            np.tile(np.repeat(np.arange(len(x)), len(u)), modes),
+            np.repeat(np.arange(modes), len(centre)),
+            np.tile(centre, (modes, 1)),
+            np.tile(radius, (modes, 1)),
+            problem.state_dim,
+        )
         target = cost - to_come + CUTOFF_MARGIN * scale if np.isfinite(cost) else np.full(len(to_come), np.inf)
-        tasks.append(_Task(lattice, _first_boxes(stages, min(t, stages.problem.horizon - 1), lattice), target))
+        tasks.append(_Task(lattice, boxes, target))
     return tasks
 
 
 def _lattices(stages: PricedProblem) -> list[Lattice]:
-    """Return cells over what can be reached at each time."""
+    """Return the lattice of cells over the reachable set at each time."""
     problem, n = stages.problem, stages.problem.state_dim
     if n > MAX_STATES:
         raise UnsupportedError(f"a global bound: got {n} states; expected at most {MAX_STATES}.")
@@ -168,29 +182,16 @@ def _lattices(stages: PricedProblem) -> list[Lattice]:
     return [Lattice.full(lower, upper, finest, FIRST_CELLS[n]) for lower, upper in bounds]
 
 
-def _first_boxes(stages: PricedProblem, t: int, lattice: Lattice) -> Boxes:
-    problem, m = stages.problem, stages.problem.control_dim
-    each = max(1, round(FIRST_BOXES ** (1 / m)))
-    width = (stages.upper[t] - stages.lower[t]) / each
-    u = stages.lower[t] + (index_tuples(np.full(m, each)) + 0.5) * width
-    x, modes = lattice.centres, len(piecewise_smooth(problem).modes)
-    centre = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
-    widths = np.concatenate([lattice.width, width])
-    radius = np.where(widths > 0, widths / 2 * (1 + ROUNDING) + ROUNDING * np.abs(centre), 0.0)
-    return Boxes.unbounded(
-        np.tile(np.repeat(np.arange(len(x)), len(u)), modes),
-        np.repeat(np.arange(modes), len(centre)),
-        np.tile(centre, (modes, 1)),
-        np.tile(radius, (modes, 1)),
-        problem.state_dim,
-    )
-
-
-def _backward(
+def _backward_pass(
     stages: PricedProblem, level: list[_Task], tolerance: float, deadline: float, progress: Progress
 ) -> list[_Done]:
     """Return V_t and boxes for all times."""
-    last = _last(stages.costs, level[-1].lattice)
+    # of the terminal cost, the tangents at the centres: below it, as it is convex
+    x, P = level[-1].lattice.centres, stages.costs.terminal_hessian
+    linear, everywhere = stages.costs.terminal_linear, np.full(x.shape, np.inf)
+    values = 0.5 * np.einsum("ci,ij,cj->c", x, P, x) + x @ linear
+    values, slopes = values - ROUNDING * np.abs(values), x @ P + linear
+    last = CostToGo(level[-1].lattice, values[:, None], slopes[:, None], -everywhere, everywhere)
     none = level[-1].boxes.take(np.zeros(0, dtype=np.intp))
     done = [_Done(last, none, np.zeros(0), np.zeros(len(last.values)))]
     for t in range(stages.problem.horizon - 1, -1, -1):
@@ -211,17 +212,7 @@ def _backward(
     return done[::-1]
 
 
-def _last(costs: StageCosts, lattice: Lattice) -> CostToGo:
-    """Return the tangents of the last cost at the centres: below it, as it is convex."""
-    x = lattice.centres
-    slopes = x @ costs.terminal_hessian + costs.terminal_linear
-    values = 0.5 * np.einsum("ci,ij,cj->c", x, costs.terminal_hessian, x) + x @ costs.terminal_linear
-    everything = np.full(x.shape, np.inf)
-    values = values - ROUNDING * np.abs(values)
-    return CostToGo(lattice, values[:, None], slopes[:, None], -everything, everything)
-
-
-def _cheapest(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, None]:
+def _cheapest_path(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, None]:
     """Return the centres of cells, controls and modes of boxes with the least reduced cost-to-go."""
     cell = int(np.argmin(done[0].value.least))
     x, u, modes = [done[0].value.lattice.centres[cell]], list[Array](), list[int]()
@@ -280,9 +271,9 @@ def _halve_cells(boxes: Boxes, coarse: Lattice, fine: Lattice, alive: Mask) -> B
     for i, corner in enumerate(corners):
         rows = np.flatnonzero((whole | (side == corner.astype(bool)) | (split == 1)).all(axis=1))
         cell = rank[boxes.cell[rows]] * len(corners) + i
-        part, own = boxes.take(rows), whole[rows]
+        part, spans_cell = boxes.take(rows), whole[rows]
         half = fine.width / 2 * (1 + ROUNDING) + ROUNDING * np.abs(fine.centres[cell])
-        part.centre[:, :n] = np.where(own, fine.centres[cell], part.centre[:, :n])
-        part.radius[:, :n] = np.where(own, half, part.radius[:, :n])
+        part.centre[:, :n] = np.where(spans_cell, fine.centres[cell], part.centre[:, :n])
+        part.radius[:, :n] = np.where(spans_cell, half, part.radius[:, :n])
         parts.append(Boxes.unbounded(cell, part.mode, part.centre, part.radius, n))
     return Boxes.joined(parts)

@@ -30,7 +30,7 @@ class StageCosts:
     """Quadratics 1/2 y'H y + b'y of y = (x_t, u_t), with a constant for all of them together.
 
     hessians : (T, n + m, n + m), linear : (T, n + m), terminal_hessian : (n, n), terminal_linear : (n,);
-    ``size`` is the sum of the absolute values of what the constant is summed from.
+    ``size`` is the sum of the absolute terms of the constant.
     """
 
     hessians: Array
@@ -49,7 +49,7 @@ def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> Sta
     y_ref = np.hstack([x_ref[:T], u_ref])
     hessians = np.array(np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m)))
     of_reference = np.einsum("tij,tj->ti", hessians, y_ref)
-    own = np.concatenate([np.broadcast_to(cost.q, (T, n)), np.broadcast_to(cost.r, (T, m))], axis=1)
+    linear_costs = np.concatenate([np.broadcast_to(cost.q, (T, n)), np.broadcast_to(cost.r, (T, m))], axis=1)
     terminal = cost.P @ x_ref[T]
     constants = [*(0.5 * (y_ref * of_reference).sum(1)), float(0.5 * x_ref[T] @ terminal)]
     in_x, in_u = problem.in_time(multipliers.rho_x), time_signal(multipliers.rho_u, T)
@@ -60,7 +60,7 @@ def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> Sta
         in_x, in_u = in_x + pulled_x, in_u + pulled_u
         constants += [*term.penalty.cost(values).ravel(), *(-term.penalty.gap(values, weights, 1.0)).ravel()]
         constants += [-float((pulled_x * x_ref).sum()), -float((pulled_u * u_ref).sum())]
-    linear = own - of_reference + np.hstack([in_x[:T], in_u])
+    linear = linear_costs - of_reference + np.hstack([in_x[:T], in_u])
     terminal_linear = cost.p - terminal + in_x[T]
     size = float(np.abs(constants).sum() + np.abs(in_x * x_ref).sum() + np.abs(in_u * u_ref).sum())
     linear, P, terminal_linear = (np.asarray(part, dtype=np.float64) for part in (linear, cost.P, terminal_linear))
@@ -118,7 +118,7 @@ class QuadraticForm:
         self.least = -0.5 * float((along[curved] ** 2 / values[curved]).sum()) if flat else -np.inf
 
     def shadow(self, above: float) -> Array:
-        """Return bounds of y where the form is ``above`` its least at most, (2, n + m)."""
+        """Return bounds of all y at which the form exceeds its least by at most ``above``, (2, n + m)."""
         if above == np.inf:
             return np.stack([np.full(len(self._centre), -np.inf), np.full(len(self._centre), np.inf)])
         radius = np.sqrt(2 * above * self._inverse)
@@ -275,11 +275,11 @@ class Minima:
     def least(self, first: Indices, final: Indices) -> Array:
         """Return a lower bound of V over the indices first .. final: that of the blocks they lie in."""
         level = np.ceil(np.log2((final - first).max(axis=1) + 1)).astype(int)
-        found = np.full(len(first), np.inf)
+        minima = np.full(len(first), np.inf)
         for k in np.unique(level):
             rows = np.flatnonzero(level == k)
             ends = first[rows] >> k, final[rows] >> k
             for corner in np.ndindex(*[2] * first.shape[1]):
                 at = tuple(ends[side][:, j] for j, side in enumerate(corner))
-                found[rows] = np.minimum(found[rows], self._tables[k][at])
-        return found
+                minima[rows] = np.minimum(minima[rows], self._tables[k][at])
+        return minima

@@ -1,4 +1,4 @@
-"""Estimates that steer the global bound, from samples of controls: nothing is proven by them."""
+"""Estimates from samples of controls that steer the global bound, without proving anything."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ ARRIVAL_SAMPLES = 256  # controls at which the cost-to-come is estimated
 SLOPE_SAMPLES = 128  # controls at which slopes are estimated
 ZOOM_SAMPLES = 25  # controls around the best sample, each time closer
 ZOOMS, ZOOMS_TO_END = 2, 5  # refinements; more where a state is met exactly, until its distance is negligible
-ARRIVAL_SPREAD = 5  # cells around a sample that count as reached, beside a fortieth of all of them
-FIXED_PRICE = 20.0  # multiple of what a stage costs per change of a state, for the distance to where it is fixed
+ARRIVAL_SPREAD = 5  # cells around a sample that count as reached, plus a fortieth of all cells
+FIXED_PRICE = 20.0  # multiple of the stage cost per change of a state, for the distance to a fixed state
 # Parts of half a cell at which slopes are sampled, by states: kinks in 1-D only
 SIDES = {1: (-0.999, 0.999), 2: (0.0,), 3: (0.0,)}
 # Multiple of the median slope, by states: slopes next to infeasible states are poor
@@ -66,8 +66,8 @@ def _unit_grid(points: int, m: int) -> Array:
     return np.linspace(-1, 1, each)[index_tuples(np.full(m, each))]
 
 
-def freed_slopes(gradient: Array, J: Array, weights: Array) -> Array:
-    """Return what is added to slopes (p, n), so that the weighted gradient is smallest; J is (p, n, n + m)."""
+def free_slopes(gradient: Array, J: Array, weights: Array) -> Array:
+    """Return the change of slopes (p, n) that makes the weighted gradient smallest; J is (p, n, n + m)."""
     columns = np.nan_to_num(weights[:, :, None] * np.swapaxes(J, 1, 2), posinf=0.0, neginf=0.0)
     wanted = np.nan_to_num(weights * gradient, posinf=0.0, neginf=0.0)
     squares = np.einsum("pij,pik->pjk", columns, columns)
@@ -91,13 +91,13 @@ class Samples:
         """Return slopes (cells, pieces, n), and of every piece the value at the centre that samples allow it."""
         lattice = self.lattice
         sides = np.outer(SIDES[self.stages.problem.state_dim] if lattice.width.any() else (0.0,), lattice.width / 2)
-        found = [self._sampled_at(lattice.centres + side) for side in sides]
-        values, slopes = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+        sampled = [self._sampled_at(lattice.centres + side) for side in sides]
+        values, slopes = (np.stack(parts, axis=1) for parts in zip(*sampled, strict=True))
         allowed = values[:, None] - np.einsum("cpn,sn->cps", slopes, sides)
         return slopes, allowed.min(axis=2)
 
     def _sampled_at(self, x: Array) -> tuple[Array, Array]:
-        """Return what samples reach from states, and the slopes of that, (states,) and (states, n)."""
+        """Return the least cost-to-go of samples from states, and its slopes, (states,) and (states, n)."""
         best, at, chosen, spacing = self._best(x)
         problem, costs, after = self.stages.problem, self.stages.costs, self.after
         n, free = problem.state_dim, np.full((len(x), problem.state_dim), np.inf)
@@ -106,17 +106,17 @@ class Samples:
         width = np.concatenate([np.zeros(n), (self.stages.upper - self.stages.lower)[self.t]])
         slopes, pole = np.zeros((len(x), n)), (after.lattice.width == 0).any()
         for i, mode in enumerate(piecewise_smooth(problem).modes):
-            here = (chosen == i) & np.isfinite(best)
-            if here.any():
-                jets = interval_jets(mode.f, at[here], at[here], curved=False)
+            in_mode = (chosen == i) & np.isfinite(best)
+            if in_mode.any():
+                jets = interval_jets(mode.f, at[in_mode], at[in_mode], curved=False)
                 y, J = (0.5 * (part[0] + part[1]) for part in (jets.values, jets.slopes))
-                gradient = at[here] @ costs.hessians[self.t] + costs.linear[self.t]
+                gradient = at[in_mode] @ costs.hessians[self.t] + costs.linear[self.t]
                 sigma = after.slopes_at(after.lattice.numbers(after.lattice.indices(y)), y)
-                inside = (at[here] > lowest[here]) & (at[here] < highest[here])
+                inside = (at[in_mode] > lowest[in_mode]) & (at[in_mode] < highest[in_mode])
                 weights = np.where(inside | pole, width, 0.0)
-                sigma = sigma + freed_slopes(gradient + np.einsum("pj,pji->pi", sigma, J), J, weights)
+                sigma = sigma + free_slopes(gradient + np.einsum("pj,pji->pi", sigma, J), J, weights)
                 slope = gradient + np.einsum("pj,pji->pi", sigma, J)
-                slopes[here] = np.nan_to_num(slope[:, :n], posinf=0.0, neginf=0.0)
+                slopes[in_mode] = np.nan_to_num(slope[:, :n], posinf=0.0, neginf=0.0)
         finite = np.isfinite(best)
         usual = MAX_SLOPE[n] * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
         return best, np.clip(slopes, -usual, usual)
@@ -139,42 +139,41 @@ class Samples:
 
     def _best_of(self, x: Array, u: Array) -> tuple[Array, Array, Indices]:
         """Return the least of c + V(f) over controls u (states, controls, m), where it is, and in which mode."""
-        count = u.shape[1]
+        count, lattice = u.shape[1], self.after.lattice
+        pole = lattice.width == 0
         pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
         costs = self.stages.cost(self.t, pairs)
         best, at, chosen = np.full(len(x), np.inf), pairs[::count].copy(), np.zeros(len(x), dtype=np.intp)
         for i, mode in enumerate(piecewise_smooth(self.stages.problem).modes):
             y = values_of(mode.f, pairs)
             inside = holds(mode, pairs) & np.isfinite(y).all(axis=1)
-            total = costs + self._value_at(np.where(inside[:, None], y, 0.0))
+            y = np.where(inside[:, None], y, 0.0)
+            cell = lattice.numbers(lattice.indices(y))
+            within = (y >= lattice.lower) & (y <= lattice.upper) & (cell >= 0)[:, None]
+            # V_{t+1}, with the distance to fixed states priced
+            far = np.where(pole, self._prices * np.abs(y - lattice.lower), np.where(within, 0.0, np.inf)).sum(axis=1)
+            value = self.after.pieces_at(cell, np.where(pole, lattice.centres[cell], y)).max(axis=1)
+            total = costs + value + far
             total = np.where(inside, total, np.inf).reshape(len(x), count)
             least = total.argmin(axis=1)
-            found = total[np.arange(len(x)), least]
-            better = found < best
-            best[better], chosen[better] = found[better], i
+            totals = total[np.arange(len(x)), least]
+            better = totals < best
+            best[better], chosen[better] = totals[better], i
             at[better] = pairs.reshape(len(x), count, -1)[better, least[better]]
         return best, at, chosen
 
-    def _value_at(self, y: Array) -> Array:
-        """Return V_{t+1}, with the distance to fixed states priced."""
-        after, lattice = self.after, self.after.lattice
-        cell, pole = lattice.numbers(lattice.indices(y)), lattice.width == 0
-        inside = (y >= lattice.lower) & (y <= lattice.upper) & (cell >= 0)[:, None]
-        far = np.where(pole, self._prices * np.abs(y - lattice.lower), np.where(inside, 0.0, np.inf)).sum(axis=1)
-        return after.pieces_at(cell, np.where(pole, lattice.centres[cell], y)).max(axis=1) + far
-
     @cached_property
     def _prices(self) -> Array:
-        """Prices of distances to fixed states, (n,): some ten times what they cost at the slopes of the stage."""
+        """Prices of distances to fixed states, (n,): some ten times their cost at the slopes of the stage."""
         lattice, stages, t = self.lattice, self.stages, self.t
         low, high = np.append(lattice.lower, stages.lower[t]), np.append(lattice.upper, stages.upper[t])
         range_, corners = high - low, np.stack([low, high])
         costs = np.abs(corners @ stages.costs.hessians[t] + stages.costs.linear[t]) * range_
         worth = float(costs.sum(axis=1).max()) or 1.0
-        moved = np.zeros(len(self.after.lattice.width))
+        effects = np.zeros(len(self.after.lattice.width))
         for mode in piecewise_smooth(stages.problem).modes:
             slopes = interval_jets(mode.f, corners, corners, curved=False).slopes[0]
             effect = (np.abs(slopes) * range_).sum(axis=2)
-            moved = np.maximum(moved, np.where(np.isfinite(effect), effect, 0.0).max(axis=0))
+            effects = np.maximum(effects, np.where(np.isfinite(effect), effect, 0.0).max(axis=0))
         with np.errstate(over="ignore", divide="ignore"):
-            return np.nan_to_num(FIXED_PRICE * worth / moved, posinf=0.0)  # 0 where nothing moves a state
+            return np.nan_to_num(FIXED_PRICE * worth / effects, posinf=0.0)  # 0 where nothing moves a state

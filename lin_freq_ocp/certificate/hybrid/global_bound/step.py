@@ -13,22 +13,22 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import ROUNDING, CostToGo, Lattice, Minima, PricedProblem
-from lin_freq_ocp.certificate.hybrid.global_bound.samples import Samples, freed_slopes, holds
+from lin_freq_ocp.certificate.hybrid.global_bound.samples import Samples, free_slopes, holds
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
 
 BISECTIONS = 10  # bisections at one time of a level; boxes that are still weak are the next level's work
 SMALL_BATCH = 2000  # boxes that are bounded in the time a round needs to start: fewer are cut into four
-BOXES_PER_CELL = 100  # boxes bounded at one time of a level, beside SMALL_BATCH
+BOXES_PER_CELL = 100  # boxes bounded at one time of a level, in addition to SMALL_BATCH
 MAX_SPAN = {1: 12, 2: 12, 3: 5}  # cells along a state that an image may meet to be bounded by each, by states
 MAX_PAIRS = 400_000  # pairs of boxes and cells bounded at once: some hundred megabytes
 
 
-def least_of(
+def taylor_bounds(
     hessian: Array,
     gradient: Array,
-    given: Array,
+    constant: Array,
     sigma: Array,
     at: Array,
     r: Array,
@@ -41,44 +41,35 @@ def least_of(
     hessian (p, k, k), gradient and r (p, k), given (p,), sigma and at (p, n). ``centre`` and ``whole`` enclose f at the
     centres y and over the boxes numbered by ``box`` (p,).
     """
-    value, terms = given.copy(), np.abs(given)
+    value, terms = constant.copy(), np.abs(constant)
     slope, bend = [gradient.copy(), gradient.copy()], [hessian.copy(), hessian.copy()]
     change = np.einsum("pi,pij->pj", r, np.abs(hessian))
-    wide = [gradient - change, gradient + change]
+    slope_over_box = [gradient - change, gradient + change]
     with np.errstate(invalid="ignore"):
         for j in range(sigma.shape[1]):
             s = sigma[:, j]
             reached = _scale_interval(s, centre.values[0][box, j], centre.values[1][box, j])
             value = value + reached[0] - s * at[:, j]
             terms += np.abs(reached[0]) + np.abs(s * at[:, j])
-            for total, (low, high) in ((slope, centre.slopes), (wide, whole.slopes), (bend, whole.curvatures)):
+            for total, (low, high) in (
+                (slope, centre.slopes),
+                (slope_over_box, whole.slopes),
+                (bend, whole.curvatures),
+            ):
                 factor = s.reshape(-1, *[1] * (low.ndim - 2))
                 for side, more in enumerate(_scale_interval(factor, low[box, j], high[box, j])):
                     total[side] = total[side] + more
-        first = np.where(r > 0, -np.maximum(np.abs(wide[0]), np.abs(wide[1])) * r, 0.0).sum(axis=1)
+        first = np.where(r > 0, -np.maximum(np.abs(slope_over_box[0]), np.abs(slope_over_box[1])) * r, 0.0).sum(axis=1)
         best = np.fmax(_second_order(slope, bend, r), np.where(np.isnan(first), -np.inf, first))
-    infinite = np.isposinf(given)
+    infinite = np.isposinf(constant)
     terms = np.where(infinite, 0.0, terms - np.where(np.isfinite(best), best, 0.0))
     return np.where(infinite, np.inf, value + best - ROUNDING * terms)
 
 
-def enclosed(centre: IntervalJets, whole: IntervalJets, r: Array) -> tuple[Array, Array]:
+def enclose(centre: IntervalJets, whole: IntervalJets, r: Array) -> tuple[Array, Array]:
     """Return bounds of values over |z| <= r: the intersection with those of the mean value theorem."""
     mean = mean_value(centre.values, whole.slopes, r)
     return np.fmax(whole.values[0], mean[0]), np.fmin(whole.values[1], mean[1])
-
-
-def possible(mode: SmoothMode, lower: Array, upper: Array) -> Mask:
-    """Whether a mode can hold somewhere in each box."""
-    possible = np.ones(len(lower), dtype=bool)
-    middle, radius = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    for formulas, sign in ((mode.region, 1.0), (mode.domain, -1.0)):
-        if formulas:
-            whole, centre = (interval_jets(formulas, *box, curved=False) for box in ((lower, upper), (middle, middle)))
-            low, high = enclosed(centre, whole, radius)
-            excluded = low > 0 if sign > 0 else high <= 0
-            possible &= ~excluded.any(axis=1)
-    return possible
 
 
 def _second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Array:
@@ -91,8 +82,8 @@ def _second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Ar
     curvature = bend[0][:, diagonal, diagonal] - across
     turned = (curvature > 0) & (at_most < curvature * r)
     inner = -(at_most**2) / (2 * np.where(turned, curvature, 1.0))
-    found = np.where(r > 0, np.where(turned, inner, -at_most * r + 0.5 * curvature * r * r), 0.0).sum(axis=1)
-    return np.where(np.isnan(found), -np.inf, found)
+    minimum = np.where(r > 0, np.where(turned, inner, -at_most * r + 0.5 * curvature * r * r), 0.0).sum(axis=1)
+    return np.where(np.isnan(minimum), -np.inf, minimum)
 
 
 def _scale_interval(factor: Array, low: Array, high: Array) -> tuple[Array, Array]:
@@ -203,7 +194,7 @@ class BackwardStep:
         """
         lattice, target = self._lattice, target.copy()
         lowest = np.full(target.shape, np.inf)
-        kept: list[Boxes] = []
+        cover_parts: list[Boxes] = []
         bounds_kept: list[Array] = []
         total, most = 0, SMALL_BATCH + BOXES_PER_CELL * len(lowest)
         for round_ in range(BISECTIONS):
@@ -217,14 +208,14 @@ class BackwardStep:
             np.minimum.at(lowest, boxes.cell[~weak], bounds[~weak])
             weak &= (bounds < np.minimum(target, lowest)[boxes.cell]).any(axis=1)
             np.minimum.at(lowest, boxes.cell[~weak], bounds[~weak])
-            kept.append(boxes.take(~weak))
+            cover_parts.append(boxes.take(~weak))
             bounds_kept.append(bounds[~weak])
             boxes, steep = boxes.take(weak).bisected(steep[weak])
             if len(boxes.cell) < SMALL_BATCH:
                 boxes, _ = boxes.bisected(steep)
             if not len(boxes.cell):
                 break
-        cover = Boxes.joined(kept)
+        cover = Boxes.joined(cover_parts)
         with np.errstate(invalid="ignore"):
             cover.reduced[:] = np.nan_to_num((np.concatenate(bounds_kept) - lowest[cover.cell]).min(axis=1))
         return CostToGo(lattice, lowest, slopes, *cover.extremes(len(lowest), slice(self._n))), cover
@@ -232,60 +223,63 @@ class BackwardStep:
     def _bound_boxes(self, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
         """Return the boxes in which their mode can hold, with bounds, values at centres, and losses per direction."""
         none = np.zeros((0, slopes.shape[1]))
-        found = [(boxes.take(np.zeros(0, dtype=np.intp)), none, none, boxes.radius[:0])]
+        bounded = [(boxes.take(np.zeros(0, dtype=np.intp)), none, none, boxes.radius[:0])]
         for i, mode in enumerate(self._modes):
             rows = np.flatnonzero(boxes.mode == i)
             for start in range(0, len(rows), MAX_PAIRS // 8):
                 if now() > self._deadline:
                     raise OutOfTimeError
-                found.append(self._of_mode(mode, boxes.take(rows[start : start + MAX_PAIRS // 8]), slopes))
-        parts, *arrays = zip(*found, strict=True)
+                bounded.append(self._of_mode(mode, boxes.take(rows[start : start + MAX_PAIRS // 8]), slopes))
+        parts, *arrays = zip(*bounded, strict=True)
         bounds, reached, steep = (np.concatenate(array) for array in arrays)
         return Boxes.joined(parts), bounds, reached, steep
 
     def _of_mode(self, mode: SmoothMode, boxes: Boxes, slopes: Array) -> tuple[Boxes, Array, Array, Array]:
         after = self._after.lattice
-        boxes = boxes.take(possible(mode, boxes.centre - boxes.radius, boxes.centre + boxes.radius))
+        # boxes in which the mode can hold somewhere
+        possible, (y, r) = np.ones(len(boxes.cell), dtype=bool), (boxes.centre, boxes.radius)
+        for formulas, inside in ((mode.region, 1.0), (mode.domain, -1.0)):
+            if formulas:
+                jets = (interval_jets(formulas, *box, curved=False) for box in ((y, y), (y - r, y + r)))
+                low, high = enclose(*jets, r)
+                possible &= ~(low > 0 if inside > 0 else high <= 0).any(axis=1)
+        boxes = boxes.take(possible)
         y, r = boxes.centre, boxes.radius
         whole, centre = interval_jets(mode.f, y - r, y + r), interval_jets(mode.f, y, y, curved=False)
-        boxes.low[:], boxes.high[:] = enclosed(centre, whole, r)
+        boxes.low[:], boxes.high[:] = enclose(centre, whole, r)
         meets = _meets(boxes, after)
         first, final = after.indices(boxes.low, -1), after.indices(boxes.high, 1)
         span = (final - first + 1).max(axis=1)
-        own = slopes[boxes.cell]
-        gradient = np.repeat((y @ self._hessian + self._stages.costs.linear[self._t])[:, None], own.shape[1], axis=1)
-        gradient[:, :, : self._n] -= own
+        cell_slopes = slopes[boxes.cell]
+        gradient = np.repeat(
+            (y @ self._hessian + self._stages.costs.linear[self._t])[:, None], cell_slopes.shape[1], axis=1
+        )
+        gradient[:, :, : self._n] -= cell_slopes
         from_centre = y[:, : self._n] - self._lattice.centres[boxes.cell]
-        offset = self._stages.cost(self._t, y)[:, None] - np.einsum("psn,pn->ps", own, from_centre)
+        offset = self._stages.cost(self._t, y)[:, None] - np.einsum("psn,pn->ps", cell_slopes, from_centre)
         change = np.abs(gradient) + (r @ np.abs(self._hessian))[:, None]
         bounds = offset - (change * r[:, None]).sum(axis=2) + self._minima.least(first, final)[:, None]
         bounds[~meets] = np.inf
         for rows in _batches(np.flatnonzero(meets & (span <= MAX_SPAN[self._n])), first, final):
             pair, cell = _pairs(rows, first, final, boxes, self._after)
             closer = np.full(bounds.shape, np.inf)
-            for s in range(own.shape[1]):
-                found = self._second_order(pair, cell, boxes, gradient[:, s], offset[:, s], centre, whole)
-                np.minimum.at(closer[:, s], pair, found)
+            for s in range(cell_slopes.shape[1]):
+                pair_bounds = self._second_order(pair, cell, boxes, gradient[:, s], offset[:, s], centre, whole)
+                np.minimum.at(closer[:, s], pair, pair_bounds)
             bounds[rows] = np.fmax(bounds[rows], closer[rows])
         steep = change.max(axis=1) * r
-        steep += self._losses_after(boxes, whole, float(steep.sum(axis=1).max(initial=0.0)))
-        reached = np.where(holds(mode, y), self._after.at(0.5 * (centre.values[0] + centre.values[1])), np.inf)
-        return boxes, bounds, offset + reached[:, None], steep
-
-    def _losses_after(self, boxes: Boxes, whole: IntervalJets, cost: float) -> Array:
-        """Return about how much of V the image of a box leaves open, by its directions, (boxes, n + m).
-
-        Along a state where V is flat, as where an end is fixed, an image over everything is worth the spread of V, or
-        a cost.
-        """
-        after, r = self._after.lattice, boxes.radius
+        # about how much of V the image of a box leaves open, by its directions: along a state where V is flat, as where
+        # an end is fixed, an image over everything is worth the spread of V, or a cost
         widths = np.where(np.isfinite(boxes.high - boxes.low), boxes.high - boxes.low, 0.0)
         extent = np.maximum(after.upper - after.lower, widths.max(axis=0, initial=0.0))
         extent = np.where(extent > 0, extent, 1.0)
+        cost = float(steep.sum(axis=1).max(initial=0.0))
         worth = self._minima.steepest + (self._minima.spread or cost or 1.0) / extent
         largest = np.maximum(np.abs(whole.slopes[0]), np.abs(whole.slopes[1])) * r[:, None]
         everywhere = np.where(r[:, None] > 0, extent[:, None], 0.0)
-        return np.einsum("i,pij->pj", worth, np.where(np.isfinite(largest), largest, everywhere))
+        steep += np.einsum("i,pij->pj", worth, np.where(np.isfinite(largest), largest, everywhere))
+        reached = np.where(holds(mode, y), self._after.at(0.5 * (centre.values[0] + centre.values[1])), np.inf)
+        return boxes, bounds, offset + reached[:, None], steep
 
     def _second_order(
         self,
@@ -305,20 +299,22 @@ class BackwardStep:
         low = np.fmax(np.fmax(boxes.low[pair], after.first[cell]) - at, -half)
         high = np.fmin(np.fmin(boxes.high[pair], after.last[cell]) - at, half)
         hessian = np.broadcast_to(self._hessian, (len(pair), *self._hessian.shape))
-        found = np.full(len(pair), -np.inf)
+        bounds = np.full(len(pair), -np.inf)
         for piece in range(after.slopes.shape[1]):
             slopes, value = after.slopes[cell, piece], after.values[cell, piece]
-            freed = freed_slopes(gradient[pair] + np.einsum("pj,pji->pi", slopes, middle), middle, r)
+            freed = free_slopes(gradient[pair] + np.einsum("pj,pji->pi", slopes, middle), middle, r)
             for change in (freed, np.where(self._pole, freed, 0.0)):
                 less = np.where(self._pole, 0.0, np.fmax(change * low, change * high)).sum(axis=1)
-                sigma, given = slopes + change, value - less
-                more = least_of(hessian, gradient[pair], offset[pair] + given, sigma, at, r, centre, whole, pair)
-                found = np.fmax(found, more)
-        return found
+                sigma, constant = slopes + change, value - less
+                more = taylor_bounds(
+                    hessian, gradient[pair], offset[pair] + constant, sigma, at, r, centre, whole, pair
+                )
+                bounds = np.fmax(bounds, more)
+        return bounds
 
 
 def _batches(rows: Indices, first: Indices, final: Indices) -> Iterator[Indices]:
-    """Yield rows whose pairs are at most MAX_PAIRS each time."""
+    """Yield batches of rows with at most MAX_PAIRS pairs each."""
     counts = np.cumsum((final[rows] - first[rows] + 1).prod(axis=1)) // MAX_PAIRS
     for k in np.unique(counts):
         yield rows[counts == k]

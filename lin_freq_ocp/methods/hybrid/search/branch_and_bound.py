@@ -29,17 +29,17 @@ from lin_freq_ocp.methods.hybrid.search.common import (
     SearchOutcome,
     SearchProgress,
     one_mode_each,
-    proven_tree,
-    relaxed,
+    solve_relaxation,
+    tree_with_proofs,
 )
-from lin_freq_ocp.methods.hybrid.search.node import Relaxed, compiled_is_loaded
+from lin_freq_ocp.methods.hybrid.search.level_rounding import level_rounding
+from lin_freq_ocp.methods.hybrid.search.node import NodeSolution, has_loaded_code
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import search_scale
-from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
@@ -69,37 +69,39 @@ def shifted_cover(
     pending = [(0, -1, -1, np.ones_like(nodes[0].allowed))]
     while pending:
         index, parent, stage, mask = pending.pop()
-        own = children.get(index, [])
-        while own and nodes[own[0]].stage == 0:
-            followed = [child for child in own if nodes[child].allowed[0, first]]
+        descendants = children.get(index, [])
+        while descendants and nodes[descendants[0]].stage == 0:
+            followed = [child for child in descendants if nodes[child].allowed[0, first]]
             index = followed[0] if followed else -1  # -1: a leaf of which nothing is known
-            own = children.get(index, [])
-        kept = None if own or index < 0 else duals[index]
-        cover.append(CoverNode(parent, stage, mask, None if kept is None else shift(kept)))
-        if own:
-            split, here = nodes[own[0]].stage, len(cover) - 1
-            chosen = [nodes[child].allowed[split] for child in own]
+            descendants = children.get(index, [])
+        leaf_duals = None if descendants or index < 0 else duals[index]
+        cover.append(CoverNode(parent, stage, mask, None if leaf_duals is None else shift(leaf_duals)))
+        if descendants:
+            split, position = nodes[descendants[0]].stage, len(cover) - 1
+            chosen = [nodes[child].allowed[split] for child in descendants]
             pending += [
-                (child, here, split - 1, _cut_at(mask, split - 1, row)) for child, row in zip(own, chosen, strict=True)
+                (child, position, split - 1, _restrict_at(mask, split - 1, row))
+                for child, row in zip(descendants, chosen, strict=True)
             ]
             others = ~np.any(chosen, axis=0)
             if others.any():
-                pending.append((-1, here, split - 1, _cut_at(mask, split - 1, others)))
+                pending.append((-1, position, split - 1, _restrict_at(mask, split - 1, others)))
     return tuple(cover)
 
 
-def _cut_at(mask: Mask, t: int, row: Mask) -> Mask:
-    found = mask.copy()
-    found[t] &= row
-    return found
+def _restrict_at(mask: Mask, t: int, row: Mask) -> Mask:
+    restricted = mask.copy()
+    restricted[t] &= row
+    return restricted
 
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
 COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
+INTERRUPTED_SEARCH = "interrupted"  # message of a search that Ctrl-C ended
 CURVED_LOSS = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
 
-OpenNode = tuple[float, int, Relaxed]  # bound, index, relaxation
+OpenNode = tuple[float, int, NodeSolution]  # bound, index, relaxation
 
 
 @dataclass
@@ -116,7 +118,7 @@ class TreeSearch:
         self._started = now()
         self._relaxation = self.relaxation(self.problem)
         self._first_level = self._relaxation.level
-        self._arrays = self._relaxation.reach.arrays
+        self._arrays, self._rounding = self._relaxation.reach.arrays, level_rounding(self.problem)
         self._nodes: list[ModeNode] = []
         self._duals: list[Duals | None] = []
         self._heap: list[OpenNode] = []
@@ -137,8 +139,7 @@ class TreeSearch:
 
         With a cover of all sequences, begin at its leaves.
         """
-        message, interrupted = "", False
-        self._until_open = until_open
+        self._until_open, message = until_open, ""
         try:
             if start is not None:
                 self._try([start])
@@ -149,11 +150,26 @@ class TreeSearch:
                 reach = self._relaxation.reach.from_start(everything) if within is None else within
                 root = None if reach is None else self._relax_node(reach, self._cutoff)
                 self._open([(everything, root)], -1, -1, -np.inf)
+        except KeyboardInterrupt:
+            message = INTERRUPTED_SEARCH
+        return self._finish(message)
+
+    def resume(self, seconds: float) -> SearchOutcome:
+        """Continue a search that stopped at its time limit, for so many more seconds."""
+        self.limits = replace(self.limits, share=(now() - self._started + seconds) / self.limits.seconds)
+        return self._finish("")
+
+    def _finish(self, message: str) -> SearchOutcome:
+        """Search to the end, unless a message says that a limit was reached, and return the outcome."""
+        try:
             message = message or self._loop()
         except KeyboardInterrupt:
-            message, interrupted = "interrupted", True
-        tree = proven_tree(self._relaxation, self._nodes, self._duals)
-        return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup)
+            message = INTERRUPTED_SEARCH
+        tree = tree_with_proofs(self._relaxation, self._nodes, self._duals)
+        resume, interrupted = None, message == INTERRUPTED_SEARCH
+        if message == self.limits.out_of_time and self._heap:
+            resume = self.resume
+        return SearchOutcome(self._best, self._cost, tree, message, interrupted, self._solved, self._setup, resume)
 
     @property
     def final_relaxation(self) -> ModeRelaxation:
@@ -162,10 +178,10 @@ class TreeSearch:
 
     def cover_after_step(self) -> tuple[CoverNode, ...]:
         """Return the cover that the tree leaves for the problem one time later; empty if nothing was found."""
-        one = self._relaxation
-        if self._best is None or not self._nodes or not isinstance(one, PathRelaxation) or not one.proves:
+        relaxation = self._relaxation
+        if self._best is None or not self._nodes or not isinstance(relaxation, PathRelaxation) or not relaxation.proves:
             return ()
-        return shifted_cover(self._nodes, self._duals, int(self._best[0]), one.later)
+        return shifted_cover(self._nodes, self._duals, int(self._best[0]), relaxation.later)
 
     def _loop(self) -> str:
         """Split the node with the least bound until none is open; return which limit stopped the search, or ""."""
@@ -175,14 +191,22 @@ class TreeSearch:
                 return message
             if self._best is None:  # dive: split the newest node until a sequence is found
                 newest = max(range(len(self._heap)), key=lambda position: self._heap[position][1])
-                taken = self._heap.pop(newest)
+                bound, index, answer = self._heap.pop(newest)
                 heapq.heapify(self._heap)
             else:
-                taken = heapq.heappop(self._heap)
-            self._split(*taken)
+                bound, index, answer = heapq.heappop(self._heap)
+            if self.progress is not None:
+                least, seconds = min(bound, self._heap[0][0]) if self._heap else bound, now() - self._started
+                self.progress(SearchProgress(self._cost, least, self._solved, len(self._heap), seconds))
+            # a child for each of the modes left at some time
+            t = self._stage_to_split(answer)
+            masks = one_mode_each(answer.reach.allowed, t)
+            reaches = self._relaxation.reach.after(answer.reach, t, [mask[t] for mask in masks])
+            solutions = [None if reach is None else self._relax_node(reach, self._cutoff) for reach in reaches]
+            self._open(list(zip(masks, solutions, strict=True)), index, t, bound)
         leaves = (node for node in self._nodes if (node.allowed.sum(axis=1) == 1).all())
         if any(node.bound == -np.inf for node in leaves):  # the time was over before one was solved
-            return self.limits.reached(now() - self._started, self._solved)
+            return self.limits.reached(now() - self._started, self._solved) or self.limits.out_of_time
         return ""
 
     @property
@@ -198,10 +222,12 @@ class TreeSearch:
         nodes = [ModeNode(node.parent, node.stage, node.allowed, -np.inf, None) for node in cover]
         duals, open_ = list[Duals | None](None for _ in cover), list[tuple[float, int, Reach]]()
         for index, reach in zip(leaves, reaches, strict=True):
-            bound, given = np.inf if reach is None else -np.inf, cover[index].duals
-            if reach is not None and given is not None:
-                given = given.times(self._relaxation.level / self._first_level)  # the first answer may have changed it
-                bound, duals[index] = self._relaxation.proven(reach, given), given
+            bound, start_duals = np.inf if reach is None else -np.inf, cover[index].duals
+            if reach is not None and start_duals is not None:
+                start_duals = start_duals.times(
+                    self._relaxation.level / self._first_level
+                )  # the first answer may have changed it
+                bound, duals[index] = self._relaxation.proven(reach, start_duals), start_duals
             nodes[index] = replace(nodes[index], bound=bound)
             if reach is not None and bound < np.inf:
                 open_.append((bound, index, reach))
@@ -219,18 +245,7 @@ class TreeSearch:
                 self._consider(index, answer)
         return ""
 
-    def _split(self, bound: float, index: int, answer: Relaxed) -> None:
-        """Replace a node by one for each of its modes at some time."""
-        t = self._stage_to_split(answer)
-        masks = one_mode_each(answer.reach.allowed, t)
-        if self.progress is not None:
-            least, seconds = min(bound, self._heap[0][0]) if self._heap else bound, now() - self._started
-            self.progress(SearchProgress(self._cost, least, self._solved, len(self._heap), seconds))
-        reaches = self._relaxation.reach.after(answer.reach, t, [mask[t] for mask in masks])
-        answers = [None if reach is None else self._relax_node(reach, self._cutoff) for reach in reaches]
-        self._open(list(zip(masks, answers, strict=True)), index, t, bound)
-
-    def _open(self, answers: list[tuple[Mask, Relaxed | None]], parent: int, stage: int, bound: float) -> None:
+    def _open(self, answers: list[tuple[Mask, NodeSolution | None]], parent: int, stage: int, bound: float) -> None:
         """Add nodes, all at once so that an interrupt leaves none out, and look in each for better sequences."""
         first, inherited = len(self._nodes), self._duals[parent] if parent >= 0 else None
         for allowed, answer in answers:
@@ -247,7 +262,7 @@ class TreeSearch:
             if answer is not None:
                 self._consider(index, answer)
 
-    def _consider(self, index: int, answer: Relaxed) -> None:
+    def _consider(self, index: int, answer: NodeSolution) -> None:
         """Try the sequences that a node suggests, and keep it for splitting unless its bound closes it."""
         bound = self._nodes[index].bound
         if bound == np.inf:
@@ -261,9 +276,13 @@ class TreeSearch:
                 self._try(self._round_answer(answer))
                 self._next_rounding = index + ROUNDING_EVERY
 
-    def _round_answer(self, answer: Relaxed) -> Iterator[Indices]:
-        """Yield the sequence of the largest weights, and the sequence of the relaxed controls' trajectory."""
+    def _round_answer(self, answer: NodeSolution) -> Iterator[Indices]:
+        """Yield levels near the relaxed controls; without levels, the largest weights and the modes of a simulation."""
         if answer.trajectory is None or answer.weights is None:
+            return
+        if self._rounding is not None:
+            start, end = answer.trajectory.x[0], self._started + self.limits.search_seconds
+            yield self._rounding.sequence_near(answer.trajectory.u, self.problem.initial_box.project(start), end)
             return
         yield np.argmax(np.where(answer.reach.allowed, answer.weights, -1.0), axis=1)
         try:
@@ -284,28 +303,25 @@ class TreeSearch:
                 if reach is not None:
                     self._accept(sequence, self._relax_node(reach, self._cost))
 
-    def _accept(self, sequence: Indices, answer: Relaxed) -> None:
-        """Keep a sequence if it is the best so far, and try its flips."""
+    def _accept(self, sequence: Indices, answer: NodeSolution) -> None:
+        """Keep a sequence if it is the best so far, and try those with one mode flipped across a facet.
+
+        The facets with the largest multipliers come first.
+        """
         if answer.trajectory is None or answer.duals is None or not answer.bound < self._cost:
             return
         self._cost, self._best = answer.bound, sequence
         self._scale = search_scale(self.problem, answer.trajectory)
-        self._try(self._flips(sequence, answer.trajectory, answer.duals))
+        largest = self._relaxation.multipliers(answer.duals).region_along(sequence).max(axis=1, initial=0.0)
+        active = self._arrays.active(answer.trajectory.x, answer.trajectory.u)
+        flips = list[Indices]()
+        for t in (t for t in np.argsort(-largest) if largest[t] > 0):
+            for mode in np.flatnonzero(active[t]):
+                flips.append(sequence.copy())
+                flips[-1][t] = mode
+        self._try(flip for flip in flips if (flip != sequence).any())
 
-    def _flips(self, sequence: Indices, trajectory: Trajectory, duals: Duals) -> Iterator[Indices]:
-        """Yield the sequences with one mode flipped across a facet with a positive multiplier, the largest first."""
-        largest = self._relaxation.multipliers(duals).region_along(sequence).max(axis=1, initial=0.0)
-        near = self._arrays.active(trajectory.x, trajectory.u)
-        for t in np.argsort(-largest):
-            if largest[t] <= 0:
-                break
-            for i in np.flatnonzero(near[t]):
-                if i != sequence[t]:
-                    flipped = sequence.copy()
-                    flipped[t] = i
-                    yield flipped
-
-    def _stage_to_split(self, answer: Relaxed) -> int:
+    def _stage_to_split(self, answer: NodeSolution) -> int:
         """Return the time, of those with several modes left, with the largest estimated loss of the relaxation.
 
         A relaxed step that misses the true dynamics by d changes the cost by about <|eta_t|, |d|> and a part of d'H d.
@@ -327,15 +343,15 @@ class TreeSearch:
             return np.inf
         return self._cost - SHARE_OF_GAP * self.limits.gap * self._scale
 
-    def _relax_node(self, reach: Reach, cutoff: float) -> Relaxed:
+    def _relax_node(self, reach: Reach, cutoff: float) -> NodeSolution:
         self._solved += 1
         end = self._started + self.limits.search_seconds
-        compiled = self._solved > self.compiled_from or compiled_is_loaded()
-        answer = relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+        compiled = self._solved > self.compiled_from or has_loaded_code()
+        answer = solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
         if self._solved == 1 and np.isfinite(answer.bound):
             first, self._relaxation = self._relaxation, self._relaxation.for_cost(answer.bound)
             if self._relaxation is not first:
                 factor = self._relaxation.level / first.level
                 self._duals = [None if one is None else one.times(factor) for one in self._duals]
-                return relaxed(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+                return solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
         return answer

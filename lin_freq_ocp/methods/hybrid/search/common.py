@@ -1,4 +1,4 @@
-"""What searches over modes share: limits, progress, outcome, and the solve of one node's relaxation."""
+"""The parts common to searches over modes: limits, progress, outcome, and the solution of a node's relaxation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.hybrid.search.node import Relaxed, relaxed_path, solve_by_clarabel
+from lin_freq_ocp.methods.hybrid.search.node import NodeSolution, solve_by_clarabel, solve_path_relaxation
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
@@ -20,11 +20,11 @@ from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
-SEARCH_SHARE = 0.6  # of the time: in the rest the leaves are checked, each about as long as a node takes
-# Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance,
-# whose bound is weaker but checked all the same
+SEARCH_SHARE = 0.6  # of the time, at first: in the rest the leaves are checked, each at most as long as a node takes
+# Residuals and gap of a node's relaxation: a hundredth of the gap to be proven; if that fails, a looser tolerance.
+# Its bound is weaker, but checked as well
 TOLERANCES = (1e-8, 1e-6)
-FINE = (1e-11, 1e-9)  # for leaves whose proof turned out too weak
+FINE = (1e-11, 1e-9)  # for leaves with too weak a proof
 # Violation, in natural units, up to which the point of a single sequence is feasible: ten times the looser tolerance.
 # A row that a program or its solver has lost is violated by far more.
 FEASIBLE = 1e-5
@@ -32,21 +32,27 @@ FEASIBLE = 1e-5
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """When to stop: relative gap, seconds in all, and relaxations solved."""
+    """When to stop: relative gap, seconds in all, relaxations solved, and the share of the seconds for the search."""
 
     gap: float = GAP
     seconds: float = np.inf
     nodes: int = 10**9
+    share: float = SEARCH_SHARE
 
     @property
     def search_seconds(self) -> float:
         """Return the time for solving relaxations; the rest is for the proof."""
-        return SEARCH_SHARE * self.seconds
+        return self.share * self.seconds
+
+    @property
+    def out_of_time(self) -> str:
+        """Return the message of a search that stopped at its time limit."""
+        return f"time limit of {self.seconds:g} s"
 
     def reached(self, seconds: float, nodes: int) -> str:
         """Return which limit of time or nodes is reached, or an empty string."""
         if seconds > self.search_seconds:
-            return f"time limit of {self.seconds:g} s"
+            return self.out_of_time
         return f"limit of {self.nodes} nodes" if nodes >= self.nodes else ""
 
 
@@ -72,9 +78,10 @@ class SearchProgress(Progress):
 
 @dataclass(frozen=True, eq=False)
 class SearchOutcome:
-    """The best sequence (T,) with its relaxed cost (inf: none was found), the tree, and why the search stopped early.
+    """The best sequence (T,) with its relaxed cost (inf: none found), the tree, and the reason for an early stop.
 
-    ``nodes`` relaxations were solved, after ``setup`` seconds.
+    ``nodes`` relaxations were solved, after ``setup`` seconds. ``resume`` continues a search that stopped at its time
+    limit, for so many more seconds; None if it cannot be continued.
     """
 
     sequence: Indices | None
@@ -84,52 +91,56 @@ class SearchOutcome:
     interrupted: bool
     nodes: int
     setup: float = 0.0
+    resume: Callable[[float], SearchOutcome] | None = None
 
 
-def relaxed(
+def solve_relaxation(
     relaxation: ModeRelaxation,
     reach: Reach,
     tolerances: Sequence[float] = TOLERANCES,
     end: float = np.inf,
     cutoff: float | None = None,
     compiled: bool = False,
-) -> Relaxed:
+) -> NodeSolution:
     """Solve the relaxation of a reach to the first tolerance that the solver reaches until ``end``.
 
-    With a cutoff, only as far as it takes to see on which side of it the node is; the relaxation of a single sequence
-    below it is solved. Its trajectory is None unless it is feasible: then only its bound holds. ``compiled`` allows
-    compiled code. Raises KeyboardInterrupt where the solver was interrupted.
+    With a cutoff, the solver stops as soon as it knows on which side of it the node lies; a single sequence below the
+    cutoff is solved to the end. The trajectory is None if it is not feasible: then only the bound holds. ``compiled``
+    allows compiled code. Raises KeyboardInterrupt if the solver was interrupted.
     """
     if now() > end:
-        return Relaxed(reach, -np.inf)
+        return NodeSolution(reach, -np.inf)
     if isinstance(relaxation, PathRelaxation):
-        answer = relaxed_path(relaxation, reach, tolerances, end, cutoff, compiled)
-        checked = None if answer is None else _check_answer(relaxation, answer)
+        answer = solve_path_relaxation(relaxation, reach, tolerances, end, cutoff, compiled)
+        checked = None if answer is None else _check_solution(relaxation, answer)
         if checked is not None and (checked is answer or (cutoff is not None and checked.bound >= cutoff)):
             return checked
     member = relaxation.member(reach)
     duals_of, point_of = partial(relaxation.duals, member), partial(relaxation.point, member)
     answer = solve_by_clarabel(relaxation, reach, member.form, duals_of, point_of, tolerances, end, cutoff)
-    return _check_answer(relaxation, answer or Relaxed(reach, -np.inf))
+    return _check_solution(relaxation, answer or NodeSolution(reach, -np.inf))
 
 
-def _check_answer(relaxation: ModeRelaxation, answer: Relaxed) -> Relaxed:
-    """Return an answer, without its trajectory if that is one of a single sequence and not feasible."""
+def _check_solution(relaxation: ModeRelaxation, answer: NodeSolution) -> NodeSolution:
+    """Return a solution; without its trajectory if that belongs to a single sequence and is not feasible."""
     sequence, trajectory = answer.sequence, answer.trajectory
     if sequence is None or trajectory is None or relaxation.violation(trajectory, sequence) <= FEASIBLE:
         return answer
     return replace(answer, trajectory=None)
 
 
-def proven_tree(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | None]) -> ModeTree:
+def tree_with_proofs(relaxation: ModeRelaxation, nodes: Sequence[ModeNode], duals: Sequence[Duals | None]) -> ModeTree:
     """Return the tree with the multipliers of every node that has duals."""
     pairs = zip(nodes, duals, strict=True)
     return ModeTree(
-        tuple(node if own is None else replace(node, proof=relaxation.multipliers(own)) for node, own in pairs)
+        tuple(
+            node if leaf_duals is None else replace(node, proof=relaxation.multipliers(leaf_duals))
+            for node, leaf_duals in pairs
+        )
     )
 
 
-def refined(
+def refine_leaves(
     problem: OptimalControlProblem,
     tree: ModeTree,
     leaves: Indices,
@@ -140,7 +151,7 @@ def refined(
     relaxation, nodes = kind(problem), list(tree.nodes)
     for index in leaves:
         reach = relaxation.reach.from_start(nodes[index].allowed)
-        answer = None if reach is None else relaxed(relaxation, reach, FINE, end)
+        answer = None if reach is None else solve_relaxation(relaxation, reach, FINE, end)
         if answer is not None and answer.duals is not None:
             nodes[index] = replace(nodes[index], bound=answer.bound, proof=relaxation.multipliers(answer.duals))
     return ModeTree(tuple(nodes))

@@ -1,4 +1,4 @@
-"""All mode sequences that can be reached, each solved: an oracle for short horizons."""
+"""All reachable mode sequences, solved one by one: an oracle for short horizons."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from lin_freq_ocp.methods.hybrid.search.common import (
     SearchOutcome,
     SearchProgress,
     one_mode_each,
-    proven_tree,
-    relaxed,
+    solve_relaxation,
+    tree_with_proofs,
 )
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
@@ -30,7 +30,7 @@ MOST_SEQUENCES = 10_000  # solved within minutes
 def enumerate_sequences(
     problem: OptimalControlProblem, limits: SearchLimits, progress: Callable[[SearchProgress], None] | None = None
 ) -> SearchOutcome:
-    """Solve every sequence that the forward reach leaves.
+    """Solve every sequence in the forward reach.
 
     Raises
     ------
@@ -76,11 +76,11 @@ def enumerate_sequences(
                 break
             if progress is not None:
                 progress(SearchProgress(cost, -np.inf, solved, len(leaves) - solved, seconds))
-            answer, solved = relaxed(relaxation, reach, end=end), solved + 1
+            answer, solved = solve_relaxation(relaxation, reach, end=end), solved + 1
             nodes[index] = replace(nodes[index], bound=answer.bound)
             duals[index] = answer.duals
             if answer.trajectory is not None and answer.bound < cost:
                 best, cost = answer.sequence, answer.bound
     except KeyboardInterrupt:
         message, interrupted = "interrupted", True
-    return SearchOutcome(best, cost, proven_tree(relaxation, nodes, duals), message, interrupted, solved, setup)
+    return SearchOutcome(best, cost, tree_with_proofs(relaxation, nodes, duals), message, interrupted, solved, setup)

@@ -1,4 +1,4 @@
-"""Mode sequences from mixed-integer solvers: claims, which branch and bound then proves or improves."""
+"""Mode sequences of mixed-integer solvers: claims, which branch and bound proves or improves afterwards."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class SolverClaim:
     trajectory: Trajectory | None  # that point, as accurate as the solver's tolerances
     cost: float | None
     bound: float | None  # claimed lower bound on the cost
-    message: str  # the solver's own status, and what is wrong with its claim
+    message: str  # the status of the solver, and the fault of its claim if it has one
     seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
 
 
-def status_of(solution: Solution) -> tuple[str, str]:
-    """Return the status of a solver's answer and its words; without a point, nothing is optimal."""
+def solver_status(solution: Solution) -> tuple[str, str]:
+    """Return the status of a solver's solution and its message; a solution without a point is no optimum."""
     if solution.claim is Claim.SOLVED and solution.z is None:
         return "failed", f"{solution.message}, without a point"
     return STATUS[solution.claim], solution.message
@@ -73,8 +73,8 @@ def solve_miqp(
     solution = solver(mixed.program, gap, left)
     seconds = {"setup": ready - started, "solve": now() - ready}
     bound = None if solution.bound is None else mixed.cost(solution.bound)
-    status, message = status_of(solution)
-    if status == "unbounded":  # with bounds on all states and controls, nothing is
+    status, message = solver_status(solution)
+    if status == "unbounded":  # impossible: all states and controls have bounds
         status = "failed"
     if solution.z is None:
         return SolverClaim(status, None, None, None, bound, message, seconds)

@@ -19,8 +19,8 @@ directions into its region within the sets of the stage, and the remainder in th
 
 the convex hull of the map's directions. Stationarity in d_j is a_j - b_t = G_j' lambda_j + N nu_j.
 
-``weighted`` leads from the multipliers of a fixed mode sequence to those of the map (docs/borders.md). In the linear
-problem of a mode sequence s, stationarity at a stage reads  a_s - G_s' lambda = b + N nu  with the slopes
+``multipliers_with_weights`` turns the multipliers of a fixed mode sequence into those of the map (docs/borders.md). In
+the linear problem of a mode sequence s, stationarity at a stage reads  a_s - G_s' lambda = b + N nu  with the slopes
 a_i = (A_i' eta, B_i' eta), the region multipliers lambda, and the normals N nu of the sets of the stage. Clarke's rule
 for the map asks for  sum_i alpha_i a_i = b + N nu'  with weights alpha >= 0, sum alpha = 1: for two modes that share a
 facet lambda = alpha <g, eta>. So alpha, and nu' where nu does not fit, minimise
@@ -52,7 +52,7 @@ from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import scaled_program
 
-ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: what the judge accepts
+ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: the tolerance of the judge
 STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms
 
 
@@ -64,32 +64,32 @@ class Normal:
     ----------
     family : str
         STATE, CONTROL, or the name of a term.
-    place : (int, int)
+    location : (int, int)
         Index of its multiplier in the array of the family.
     sign : float
         1, or -1 for a lower bound, whose multiplier is negative.
     column : (n + m,)
-        What a multiplier of ``sign`` adds to the normal (in x, in u).
+        The contribution of a multiplier of ``sign`` to the normal (in x, in u).
     """
 
     family: str
-    place: tuple[int, int]
+    location: tuple[int, int]
     sign: float
     column: Array
 
     def value(self, multipliers: Multipliers) -> float:
-        """Return how much of the column the multipliers have; of a fixed component, both signs have it."""
-        own = {STATE: multipliers.mu, CONTROL: multipliers.nu}
-        array = own.get(self.family, multipliers.stage.get(self.family))
-        return 0.0 if array is None else max(self.sign * float(array[self.place]), 0.0)
+        """Return the multiplier of the column, >= 0; that of a fixed component counts for both signs."""
+        families = {STATE: multipliers.mu, CONTROL: multipliers.nu}
+        array = families.get(self.family, multipliers.stage.get(self.family))
+        return 0.0 if array is None else max(self.sign * float(array[self.location]), 0.0)
 
 
 def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> list[list[Normal]]:
     """Return the active bounds of x_t and u_t and the active hard rows of t alone, for t = 0 .. T-1.
 
-    Balls, cones and soft sets are not among them: their multipliers are kept.
+    Balls, cones and soft sets are left out: their multipliers do not change.
     """
-    found: list[list[Normal]] = [[] for _ in range(problem.horizon)]
+    normals: list[list[Normal]] = [[] for _ in range(problem.horizon)]
     natural, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
     tubes, first = (problem.state_tube, problem.control_tube), 0
     for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, natural, strict=True):
@@ -99,7 +99,7 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
             for t, k in np.argwhere(active):
                 column = np.zeros(problem.state_dim + problem.control_dim)
                 column[first + k] = sign
-                found[t].append(Normal(family, (int(t), int(k)), sign, column))
+                normals[t].append(Normal(family, (int(t), int(k)), sign, column))
         first = problem.state_dim
     for term in problem.terms:
         rows = term.polyhedron(problem.state_dim, problem.control_dim)
@@ -110,15 +110,15 @@ def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> lis
         near = ACTIVE_DISTANCE * np.where(sizes > 0, sizes, 1.0)
         for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
             if rows.times[group] < problem.horizon:
-                place = int(group), int(row)
-                found[rows.times[group]].append(Normal(term.name, place, 1.0, rows.matrix(int(group))[row]))
-    return found
+                location = int(group), int(row)
+                normals[rows.times[group]].append(Normal(term.name, location, 1.0, rows.matrix(int(group))[row]))
+    return normals
 
 
-GOOD_FIT = 1e-8  # relative residual up to which normals stay as they are: solvers leave 1e-9, the judge allows 1e-6
+GOOD_FIT = 1e-8  # relative residual up to which normals do not change: solvers leave 1e-9, the judge allows 1e-6
 
 
-def weighted(
+def multipliers_with_weights(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
     sequence: Indices,
@@ -128,7 +128,7 @@ def weighted(
     """Return the multipliers of the map, with weights of active modes, from those of ``problem.with_modes(sequence)``.
 
     The latter have region multipliers under the name REGION (zero by default); ``pushed`` (T, n + m) is added to
-    G_s' lambda. The result is the best fit to Clarke's rule with this adjoint, be it good or not.
+    G_s' lambda. The result is the best fit to Clarke's rule with this adjoint; it may be a poor one.
     """
     arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
     times, active = np.arange(problem.horizon), arrays.active_modes(x, u)
@@ -154,23 +154,23 @@ def weighted(
         if len(modes) == 1 and not (np.abs(across[t]) > GOOD_FIT * scale).any():
             continue
         differences = (slopes[t, modes] - slopes[t, s] + across[t]) / scale
-        held = np.array([normal.value(multipliers) for normal in normals[t]])
+        values = np.array([normal.value(multipliers) for normal in normals[t]])
         columns = np.array([normal.column / scale for normal in normals[t]]).reshape(-1, len(scale))
-        weights[t, modes], _, residual = _polytope(differences, columns[:0])
+        weights[t, modes], _, residual = _nearest_combination(differences, columns[:0])
         if residual <= GOOD_FIT or not normals[t]:
-            continue  # the multipliers of the normals stay as they are
-        alpha, changed, with_normals = _polytope(differences + held @ columns, columns)
+            continue  # the multipliers of the normals do not change
+        alpha, changed, with_normals = _nearest_combination(differences + values @ columns, columns)
         if with_normals < residual:
             weights[t, modes] = alpha
             for normal in normals[t]:
-                parts[normal.family][normal.place] = 0.0
+                parts[normal.family][normal.location] = 0.0
             for normal, value in zip(normals[t], changed, strict=True):  # of a fixed component, both signs add up
-                parts[normal.family][normal.place] += normal.sign * value
+                parts[normal.family][normal.location] += normal.sign * value
     mu, nu = parts.pop(STATE), parts.pop(CONTROL)
     return Multipliers(multipliers.eta_C, multipliers.eta, mu, nu, multipliers.rho_u, multipliers.rho_x, parts, weights)
 
 
-def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
+def _nearest_combination(points: Array, rays: Array) -> tuple[Array, Array, float]:
     """Return alpha, nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
     from scipy.optimize import nnls  # slow to import
 
@@ -178,9 +178,9 @@ def _polytope(points: Array, rays: Array) -> tuple[Array, Array, float]:
     norms = np.where(norms > 0, norms, 1.0)
     matrix = np.hstack([points.T, -(rays / norms[:, None]).T])
     total = np.concatenate([np.ones(len(points)), np.zeros(len(rays))])
-    found, _ = nnls(np.vstack([matrix, total]), np.append(np.zeros(len(matrix)), 1.0))
-    found = found / found[: len(points)].sum()
-    return found[: len(points)], found[len(points) :] / norms, float(np.abs(matrix @ found).max())
+    shares, _ = nnls(np.vstack([matrix, total]), np.append(np.zeros(len(matrix)), 1.0))
+    shares = shares / shares[: len(points)].sum()
+    return shares[: len(points)], shares[len(points) :] / norms, float(np.abs(matrix @ shares).max())
 
 
 WEIGHT_FITS = 12  # fits of weights, each with the adjoint of the last
@@ -190,36 +190,34 @@ SMALLEST_KINK = 1e-9  # difference of two maps' derivatives, relative to their l
 
 def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Multipliers]:
     """Yield multipliers with eta_C = 1, the best guess first; NumericalError if the first fit could not be solved."""
-    point = _FitPoint.of(problem, trajectory)
-    common = weighted(problem, trajectory, point.sequence, point.multipliers(fitted_duals(*_hull(point))[0]))
+    point = _FitPoint.at(problem, trajectory)
+    common = multipliers_with_weights(
+        problem, trajectory, point.sequence, point.multipliers(fitted_duals(*_hull_program(point))[0])
+    )
     yield common
     if not point.stages:
         return
     try:
-        program, pushes = _on_kinks(point)
+        program, pushes = _kink_program(point)
         y, _ = fitted_duals(program, point.z)
         pushed = (y[len(point.program.lower) :] @ pushes).reshape(problem.horizon, -1)
-        on_kinks = weighted(problem, trajectory, point.sequence, point.multipliers(y), pushed)
+        on_kinks = multipliers_with_weights(problem, trajectory, point.sequence, point.multipliers(y), pushed)
         yield on_kinks
         with suppress(UnsupportedError):  # too many gradients
             if uniqueness(linear_along(problem, trajectory), trajectory).unique:
                 return  # the active gradients are independent: there are no other multipliers
         for start in (on_kinks, common):
-            yield from _with_weights_of(point, start.eta)
+            eta = start.eta
+            for _ in range(WEIGHT_FITS):
+                fit = point.multipliers(fitted_duals(*_weight_program(point, eta))[0])
+                # without weights: the judge fits them again
+                stage = {name: values for name, values in fit.stage.items() if name != REGION}
+                yield Multipliers(1.0, fit.eta, fit.mu, fit.nu, fit.rho_u, fit.rho_x, stage)
+                if np.abs(fit.eta - eta).max() <= SAME_ADJOINT * np.abs(fit.eta).max():
+                    break
+                eta = fit.eta
     except NumericalError:
         return
-
-
-def _with_weights_of(point: _FitPoint, eta: Array) -> Iterator[Multipliers]:
-    """Yield the fits with weights, starting from an adjoint; the judge finds the weights again."""
-    for _ in range(WEIGHT_FITS):
-        y, _ = fitted_duals(*_weight_program(point, eta))
-        fit = point.multipliers(y)
-        stage = {name: weights for name, weights in fit.stage.items() if name != REGION}
-        yield Multipliers(1.0, fit.eta, fit.mu, fit.nu, fit.rho_u, fit.rho_x, stage)
-        if np.abs(fit.eta - eta).max() <= SAME_ADJOINT * np.abs(fit.eta).max():
-            return
-        eta = fit.eta
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,8 +225,8 @@ class _FitPoint:
     """A trajectory as a point z of the scaled program of its mode sequence, with the active modes and facets.
 
     ``signals`` (T, n + m) are the variables of (x_t, u_t). ``rows`` has, for each multiplier, the number of its row in
-    the program, counted from 1 (0: no row); ``stages`` are the (time, mode) of active modes other than the sequence's
-    own.
+    the program, counted from 1 (0: no row). ``stages`` are (time, mode) of all active modes that are not in the
+    sequence.
     """
 
     arrays: ModeArrays
@@ -245,7 +243,7 @@ class _FitPoint:
     stages: list[tuple[int, int]]
 
     @classmethod
-    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _FitPoint:
+    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _FitPoint:
         arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
         sequence, active = arrays.sequence(x, u), arrays.active_modes(x, u)
         linear, scaling, program = scaled_program(problem.with_modes(sequence))
@@ -275,7 +273,7 @@ class _FitPoint:
         return sorted({t for t, _ in self.stages})
 
 
-def _without_regions(point: _FitPoint) -> Program:
+def _free_regions(point: _FitPoint) -> Program:
     """Return the program without region rows where several modes are active."""
     upper = point.program.upper.copy()
     for t in point.times:
@@ -284,25 +282,25 @@ def _without_regions(point: _FitPoint) -> Program:
     return replace(point.program, upper=upper)
 
 
-def _on_kinks(point: _FitPoint) -> tuple[Program, Array]:
-    """Return the program on the kinks, and what a dual of each new row adds to stationarity, (rows, T * (n + m)).
+def _kink_program(point: _FitPoint) -> tuple[Program, Array]:
+    """Return the program on the kinks, and the share of each new row's dual in stationarity, (rows, T (n + m)).
 
     Where several modes are active, (x_t, u_t) is fixed in all directions in which their maps differ.
     """
     rows, pushes = list[sp.csc_array](), list[Array]()
     for t in point.times:
         signals, maps = point.signals[t], point.arrays.maps[t]
-        units, held = point.scaling.columns[signals], maps[point.active[t]]
-        differences = ((held - maps[point.sequence[t]]) * units).reshape(-1, len(signals))
+        units, active_maps = point.scaling.columns[signals], maps[point.active[t]]
+        differences = ((active_maps - maps[point.sequence[t]]) * units).reshape(-1, len(signals))
         _, sizes, across = np.linalg.svd(differences, full_matrices=False)
-        across = across[sizes > SMALLEST_KINK * np.abs(held * units).max()]
+        across = across[sizes > SMALLEST_KINK * np.abs(active_maps * units).max()]
         row, column = np.nonzero(np.ones_like(across))
         rows.append(sp.csc_array((across.ravel(), (row, signals[column])), shape=(len(across), len(point.z))))
         push = np.zeros((len(across), len(point.sequence), len(signals)))
         push[:, t] = across / units / point.scaling.cost
         pushes.append(push.reshape(len(across), len(point.sequence) * len(signals)))
     fixed = sp.csc_array(sp.vstack(rows))
-    return _augment(_without_regions(point), fixed, np.asarray(fixed @ point.z), equations=True), np.vstack(pushes)
+    return _augment(_free_regions(point), fixed, np.asarray(fixed @ point.z), equations=True), np.vstack(pushes)
 
 
 def _weight_program(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
@@ -320,10 +318,10 @@ def _weight_program(point: _FitPoint, eta: Array) -> tuple[Program, Array]:
         rows[k, variables + times.index(t)] = -1.0
     rows[count:, variables:] = -np.eye(len(times))
     z, sparse = np.append(point.z, np.zeros(len(times))), sp.csc_array(rows)
-    return _augment(_without_regions(point), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
+    return _augment(_free_regions(point), sparse, np.asarray(rows @ z), prices=np.ones(len(times))), z
 
 
-def _hull(point: _FitPoint) -> tuple[Program, Array]:
+def _hull_program(point: _FitPoint) -> tuple[Program, Array]:
     """Return the program with a direction d_j for every other active mode, and the point with d = 0."""
     program, width = point.program, point.signals.shape[1]
     further = width * len(point.stages)
@@ -332,7 +330,18 @@ def _hull(point: _FitPoint) -> tuple[Program, Array]:
     entries, cones = list[tuple[Indices, Indices, Array]](), list[sp.csc_array]()
     for k, (t, j) in enumerate(point.stages):
         units = point.scaling.columns[point.signals[t]]
-        rows, coefficients = _own_rows(point, t, j)
+        # the rows with d_j: F_j - F_s in the dynamics, and minus the rows of the region of mode s and of the sets
+        s, maps, numbers = int(point.sequence[t]), point.arrays.maps[t], point.rows
+        lines = {int(row): -line for row, line in zip(numbers.eta[t], maps[j] - maps[s], strict=True)}
+        lines |= {
+            int(numbers.stage[REGION][t, row]): -point.arrays.rows[t, s, row]
+            for row in np.flatnonzero(point.facets[t, s])
+        }
+        families = {STATE: numbers.mu, CONTROL: numbers.nu} | dict(numbers.stage)
+        for normal in point.normals[t]:
+            lines[int(families[normal.family][normal.location])] = -normal.sign * normal.column
+        lines.pop(0, None)  # the program has no such row
+        rows, coefficients = np.array(list(lines), dtype=int) - 1, np.array(list(lines.values()))
         scaled = point.scaling.rows[rows, None] * coefficients * units
         row, column = np.nonzero(scaled)
         entries.append((rows[row], k * width + column, scaled[row, column]))
@@ -341,27 +350,11 @@ def _hull(point: _FitPoint) -> tuple[Program, Array]:
         norms = np.linalg.norm(cone, axis=1)
         cones.append(sp.csc_array(cone[norms > 0] / norms[norms > 0, None]))
     row, column, value = (np.concatenate(part) for part in zip(*entries, strict=True))
-    beside = sp.csc_array((value, (row, column)), shape=(program.A.shape[0], further))
+    new_columns = sp.csc_array((value, (row, column)), shape=(program.A.shape[0], further))
     cone = sp.block_diag(cones)
     rows = sp.csc_array(sp.hstack([sp.csc_array((cone.shape[0], len(point.z))), cone]))
-    extended = _augment(program, rows, np.zeros(cone.shape[0]), prices=np.zeros(further), beside=beside)
+    extended = _augment(program, rows, np.zeros(cone.shape[0]), prices=np.zeros(further), new_columns=new_columns)
     return extended, np.append(point.z, np.zeros(further))
-
-
-def _own_rows(point: _FitPoint, t: int, j: int) -> tuple[Indices, Array]:
-    """Return the program's rows with d_j, and its coefficients, (rows, n + m).
-
-    These are F_j - F_s in the dynamics, and minus the rows of the own mode's region and of the stage's sets.
-    """
-    own, maps, numbers = int(point.sequence[t]), point.arrays.maps[t], point.rows
-    found = {int(row): -line for row, line in zip(numbers.eta[t], maps[j] - maps[own], strict=True)}
-    for row in np.flatnonzero(point.facets[t, own]):
-        found[int(numbers.stage[REGION][t, row])] = -point.arrays.rows[t, own, row]
-    families = {STATE: numbers.mu, CONTROL: numbers.nu} | dict(numbers.stage)
-    for normal in point.normals[t]:
-        found[int(families[normal.family][normal.place])] = -normal.sign * normal.column
-    found.pop(0, None)  # the program has no such row
-    return np.array(list(found), dtype=int) - 1, np.array(list(found.values()))
 
 
 def _augment(
@@ -370,20 +363,20 @@ def _augment(
     limits: Array,
     equations: bool = False,
     prices: Array | None = None,
-    beside: sp.csc_array | None = None,
+    new_columns: sp.csc_array | None = None,
 ) -> Program:
     """Return the program with new rows <= limits (or equations) and new variables.
 
-    The variables have these prices, and the coefficients ``beside`` in the rows of the program.
+    The variables have these prices, and the coefficients ``new_columns`` in the rows of the program.
     """
     prices = np.zeros(0) if prices is None else prices
     count = program.A.shape[0], len(prices)
-    beside = sp.csc_array(count) if beside is None else beside
+    new_columns = sp.csc_array(count) if new_columns is None else new_columns
     return replace(
         program,
         P=sp.csc_array(sp.block_diag([program.P, sp.csc_array((len(prices), len(prices)))])),
         q=np.append(program.q, prices),
-        A=sp.csc_array(sp.vstack([sp.hstack([program.A, beside]), rows])),
+        A=sp.csc_array(sp.vstack([sp.hstack([program.A, new_columns]), rows])),
         lower=np.append(program.lower, limits if equations else np.full(len(limits), -np.inf)),
         upper=np.append(program.upper, limits),
     )

@@ -1,4 +1,4 @@
-"""One node of a search over modes: its relaxation is solved as well as the search needs it.
+"""One node of a search over modes: its relaxation is solved as accurately as the search needs it.
 
 Path relaxations are solved by compiled code if available; by Clarabel otherwise, or if it stalls. The duals of either
 enter the bound over boxes (program/hybrid/path_relaxation.py), and only that bound closes a node.
@@ -24,12 +24,12 @@ from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
 from lin_freq_ocp.program.program import StandardForm
 
-# Relative residual and gap of a point that is good enough to say that a node must be split
+# Relative residual and gap of a point at which a node is known to need a split
 CLEAR_RESIDUAL, CLEAR_GAP = 1e-3, 3e-5
 
 
 @dataclass(frozen=True, eq=False)
-class Relaxed:
+class NodeSolution:
     """The solution of one relaxation: a lower bound (inf: infeasible; -inf: not solved), and weights (T, modes)."""
 
     reach: Reach
@@ -47,16 +47,16 @@ class Relaxed:
 
 @dataclass(frozen=True)
 class Decision:
-    """When the relaxation of a node with several sequences is known well enough, with the cutoff in its objective.
+    """The test by which a solver stops early at a node with several sequences, with the cutoff in its objective.
 
-    Its bound is computed anew from the duals (``ModeRelaxation.proven``), so that they need not be those of a solution.
+    The bound is computed anew from the duals (``ModeRelaxation.proven``), so that these need not solve the relaxation.
     """
 
     cutoff: float
     several: bool
 
     def __call__(self, cost: float, dual: float, residual: float) -> bool:
-        """Return whether the bound is above the cutoff, or the node must be split, as far as a solver can tell."""
+        """Return whether, by the solver's values, the bound is above the cutoff or the node must be split."""
         gap = cost - dual
         if residual > CLEAR_RESIDUAL or gap < 0:
             return False
@@ -64,40 +64,40 @@ class Decision:
         return split or dual - gap > self.cutoff
 
 
-COMPILED_TOLERANCE = 5e-8  # residual and gap: a tenth of what leaves leave of the gap to be proven
-# Part of what is left to the cutoff by which the bound of a node that is split may miss its cost: points within give
+COMPILED_TOLERANCE = 5e-8  # residual and gap: a tenth of the half of the gap that closed leaves do not use
+# A node is split as soon as its bound misses its cost by this part of the distance to the cutoff: interior points give
 # better splits than solutions, and take fewer steps
 CLEAR = 0.7
-PROVEN = 2e-7  # a bound this close to the cost, relative to it, is that of a solution
+PROVEN = 2e-7  # distance of bound and cost, relative to the cost, at which a node is solved
 
 
-def relaxed_path(
+def solve_path_relaxation(
     relaxation: PathRelaxation,
     reach: Reach,
     tolerances: Sequence[float],
     end: float,
     cutoff: float | None,
     compiled: bool,
-) -> Relaxed | None:
-    """Solve the path relaxation of a reach, as ``relaxed``; None where there is none, or no solver solves it.
+) -> NodeSolution | None:
+    """Solve the path relaxation of a reach, as ``solve_relaxation``; None if there is none, or no solver solves it.
 
-    ``compiled`` allows compiled code, which takes longer to be loaded than a few nodes take without.
+    ``compiled`` allows compiled code: loading it takes longer than a few nodes without it.
     """
     member = relaxation.path_member(reach)
     if member is None:
         return None
     if member.program is None:
-        return Relaxed(reach, np.inf, relaxation.no_path())
-    if compiled and compiled_is_there():
-        found = _by_compiled_code(relaxation, reach, member.program, cutoff)
-        if found is not None:
-            return found
+        return NodeSolution(reach, np.inf, relaxation.no_path())
+    if compiled and has_compiled_code():
+        solution = _by_compiled_code(relaxation, reach, member.program, cutoff)
+        if solution is not None:
+            return solution
     duals_of, point_of = partial(relaxation.form_duals, member.program), partial(relaxation.path_point, member.program)
     return solve_by_clarabel(relaxation, reach, path_form(member.program), duals_of, point_of, tolerances, end, cutoff)
 
 
 @cache
-def compiled_is_there() -> bool:
+def has_compiled_code() -> bool:
     """Whether the code of path relaxations is compiled and cached; compiling it takes longer than most searches."""
     if find_spec("numba") is None:
         return False
@@ -106,7 +106,7 @@ def compiled_is_there() -> bool:
     return paths.KERNELS.ready
 
 
-def compiled_is_loaded() -> bool:
+def has_loaded_code() -> bool:
     """Whether this process has loaded the compiled code of path relaxations."""
     paths = sys.modules.get("lin_freq_ocp.methods.hybrid.search.path_kernels")
     return paths is not None and paths.KERNELS.loaded
@@ -114,8 +114,8 @@ def compiled_is_loaded() -> bool:
 
 def _by_compiled_code(
     relaxation: PathRelaxation, reach: Reach, program: PathProgram, cutoff: float | None
-) -> Relaxed | None:
-    """Return the node if compiled code decides it, and its bound holds."""
+) -> NodeSolution | None:
+    """Return the solution of a node if compiled code decides it, and its bound is proven."""
     from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
 
     paths.KERNELS.prepare()
@@ -135,21 +135,21 @@ def _by_compiled_code(
         program.j,
         n,
     )
-    clear = 0.0 if cutoff is None else CLEAR * _leaves_several(reach)
+    clear = 0.0 if cutoff is None else CLEAR * _is_undecided(reach)
     decisive = np.inf if cutoff is None else relaxation.objective(cutoff)
     rows = len(data.G), len(program.t)
     point = np.empty(data.cost.shape), np.empty(len(program.b)), np.empty(rows), np.empty(rows)
     numbers = np.empty(paths.NUMBERS)
-    end = paths.path_run(*data, *point, numbers, COMPILED_TOLERANCE, PROVEN, decisive, clear)
+    end = paths.run_path(*data, *point, numbers, COMPILED_TOLERANCE, PROVEN, decisive, clear)
     w, p, z, tau = point[0].T, point[1], point[2][: data.linear].T, float(numbers[paths.TAU])
     if end == paths.STALLED or not (np.isfinite(p).all() and np.isfinite(z).all()):
         return None
     if end == paths.INFEASIBLE:
         unit = tau * float(numbers[paths.BOUND])
         duals = relaxation.path_duals(program, p / unit, z / unit, None)
-        return Relaxed(reach, np.inf, duals) if relaxation.proven(reach, duals) == np.inf else None
+        return NodeSolution(reach, np.inf, duals) if relaxation.proven(reach, duals) == np.inf else None
     duals, bound = relaxation.path_duals(program, p / tau, z / tau, w / tau), float(numbers[paths.PROVEN])
-    return Relaxed(reach, relaxation.cost(bound), duals, *relaxation.path_point(program, w / tau))
+    return NodeSolution(reach, relaxation.cost(bound), duals, *relaxation.path_point(program, w / tau))
 
 
 def solve_by_clarabel(
@@ -161,38 +161,38 @@ def solve_by_clarabel(
     tolerances: Sequence[float],
     end: float,
     cutoff: float | None,
-) -> Relaxed | None:
-    """Return the node if Clarabel solves its form to a tolerance, or a rough solution decides; None where neither.
+) -> NodeSolution | None:
+    """Return the solution of a node: to a tolerance, or a rough one that decides; None if Clarabel finds neither.
 
-    ``duals_of`` makes duals of (y, z), or of the ray y; ``point_of`` makes trajectory and weights of z.
+    ``duals_of`` turns (y, z), or the ray y, into duals; ``point_of`` turns z into trajectory and weights.
     """
     from lin_freq_ocp.program.backends.clarabel_ import solve_form  # slow to import
 
     attempts: list[tuple[float, Decision | None]] = [(tolerance, None) for tolerance in tolerances]
     if cutoff is not None and relaxation.proves:
-        attempts.insert(0, (tolerances[0], Decision(relaxation.objective(cutoff), _leaves_several(reach))))
+        attempts.insert(0, (tolerances[0], Decision(relaxation.objective(cutoff), _is_undecided(reach))))
     for tolerance, enough in attempts:
         left = end - now()
         if left <= 0:
-            return Relaxed(reach, -np.inf)
+            return NodeSolution(reach, -np.inf)
         solution = solve_form(form, tolerance, None if left == np.inf else left, enough)
         y, z = solution.y, solution.z
         if solution.claim is Claim.INTERRUPTED:
             raise KeyboardInterrupt
         if y is not None and enough is None and solution.claim is Claim.INFEASIBLE:
-            return Relaxed(reach, np.inf, duals_of(y, None))
+            return NodeSolution(reach, np.inf, duals_of(y, None))
         if y is None or z is None or solution.claim not in (Claim.SOLVED, Claim.STOPPED):
             continue
         duals = duals_of(y, z)
         if enough is None:
-            return Relaxed(reach, relaxation.cost(form.dual_objective(z, y)), duals, *point_of(z))
+            return NodeSolution(reach, relaxation.cost(form.dual_objective(z, y)), duals, *point_of(z))
         # a rough solution may decide: the node is closed by its duals, or to be split
         bound = relaxation.proven(reach, duals)
         if (enough.several and solution.claim is Claim.STOPPED) or not relaxation.objective(bound) <= enough.cutoff:
-            return Relaxed(reach, bound, duals, *point_of(z))
+            return NodeSolution(reach, bound, duals, *point_of(z))
     return None
 
 
-def _leaves_several(reach: Reach) -> bool:
+def _is_undecided(reach: Reach) -> bool:
     """Whether a reach leaves several modes at some time."""
     return bool((reach.allowed.sum(axis=1) > 1).any())

@@ -1,8 +1,8 @@
 """Branch and bound whose sub-trees are searched by the workers of any executor of ``concurrent.futures``.
 
 The first nodes are searched here, until PARTS are open; each is then a search of its own, which begins with the best
-sequence known, and its tree replaces its root. The tree does not depend on the number or order of the workers; a part
-whose worker was lost is searched here.
+sequence known, and its tree replaces its root. The tree does not depend on the number or order of the workers. If a
+worker is lost, its part is searched here.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 LOST = (BrokenExecutor, CancelledError, ConnectionError)  # raised by a future whose worker died or was cut off
-PARTS = 32  # enough to keep a few workers busy to the end; few, as parts do not share better sequences
+PARTS = 32  # enough to keep a few workers busy to the end; not more, as parts do not share better sequences
 
 
 def search_in_parts(
@@ -43,42 +43,44 @@ def search_in_parts(
         executor.submit(search_part, problem, reach, outcome.sequence, left): (root, reach)
         for root, reach in first.open_nodes
     }
-    found: dict[int, SearchOutcome] = {}
+    outcomes: dict[int, SearchOutcome] = {}
     message, interrupted = "", False
     try:
         for future in as_completed(futures):
             root, reach = futures[future]
             try:
-                found[root] = future.result()
+                outcomes[root] = future.result()
             except LOST:
-                found[root] = search_part(problem, reach, outcome.sequence, left)
+                outcomes[root] = search_part(problem, reach, outcome.sequence, left)
             if progress is not None:
-                cost = min(outcome.cost, *(part.cost for part in found.values()))
+                cost = min(outcome.cost, *(part.cost for part in outcomes.values()))
                 bound = min((node.bound for node in outcome.tree.nodes if node.proof is not None), default=-np.inf)
-                solved = outcome.nodes + sum(part.nodes for part in found.values())
+                solved = outcome.nodes + sum(part.nodes for part in outcomes.values())
                 seconds = now() - started
-                progress(SearchProgress(cost, min(bound, cost), solved, len(futures) - len(found), seconds))
+                progress(SearchProgress(cost, min(bound, cost), solved, len(futures) - len(outcomes), seconds))
     except KeyboardInterrupt:
         message, interrupted = "interrupted", True
         for future in futures:
             future.cancel()
-    # the first search with the trees of the parts in place of their roots, in the order of these
+    # the first tree, with the trees of the parts instead of their roots, in the order of the roots
     nodes: list[ModeNode] = list(outcome.tree.nodes)
     best = outcome
-    for root in sorted(found):
-        part = found[root]
-        own, shift = part.tree.nodes, len(nodes) - 1
-        nodes[root] = replace(nodes[root], proof=own[0].proof or (nodes[root].proof if len(own) == 1 else None))
-        nodes += [replace(node, parent=root if node.parent == 0 else node.parent + shift) for node in own[1:]]
+    for root in sorted(outcomes):
+        part = outcomes[root]
+        part_nodes, shift = part.tree.nodes, len(nodes) - 1
+        nodes[root] = replace(
+            nodes[root], proof=part_nodes[0].proof or (nodes[root].proof if len(part_nodes) == 1 else None)
+        )
+        nodes += [replace(node, parent=root if node.parent == 0 else node.parent + shift) for node in part_nodes[1:]]
         best = part if part.cost < best.cost else best
         message = message or part.message
-    solved = outcome.nodes + sum(part.nodes for part in found.values())
-    interrupted = interrupted or any(part.interrupted for part in found.values())
+    solved = outcome.nodes + sum(part.nodes for part in outcomes.values())
+    interrupted = interrupted or any(part.interrupted for part in outcomes.values())
     return SearchOutcome(best.sequence, best.cost, ModeTree(tuple(nodes)), message, interrupted, solved, outcome.setup)
 
 
 def search_part(
     problem: OptimalControlProblem, reach: Reach, start: Indices | None, limits: SearchLimits
 ) -> SearchOutcome:
-    """Search the sequences within a reach, in the same way be compiled code loaded or not."""
+    """Search the sequences within a reach, with compiled code at once: so a part does not depend on its worker."""
     return TreeSearch(problem, limits, compiled_from=0).run(start, reach)

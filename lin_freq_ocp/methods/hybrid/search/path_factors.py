@@ -35,12 +35,13 @@ class PathData(NamedTuple):
 
 
 PathFactors = tuple[Array, Array, Array, Array, Array]
-"""L (W, W, E), X (R + a, W, E), the factor of the band (rows, width), the border beyond it, the factor of the rest."""
+"""L (W, W, E), X (R + a, W, E), the factor of the band (rows, width), the bordering rows, the factor of the Schur
+complement of the band."""
 
 
 @jit
 def band_width(places: Indices) -> int:
-    """Return how many entries a row of the band has, its diagonal included."""
+    """Return the number of entries of a row of the band, with the diagonal."""
     width = 1
     for e in range(places.shape[1]):
         least, most = -1, -1
@@ -57,17 +58,17 @@ def band_cholesky(S: Array) -> None:
     rows, width = S.shape
     last = width - 1
     for i in range(rows):
-        first, own = max(0, i - last), S[i, last]
+        first, diagonal = max(0, i - last), S[i, last]
         for j in range(first, i):
             value = S[i, j - i + last]
             for m in range(first, j):
                 value -= S[i, m - i + last] * S[j, m - j + last]
             value /= S[j, last]
             S[i, j - i + last] = value
-        pivot = own
+        pivot = diagonal
         for m in range(first, i):
             pivot -= S[i, m - i + last] ** 2
-        S[i, last] = np.sqrt(max(pivot, PIVOT * own)) if own > 0.0 else 1.0
+        S[i, last] = np.sqrt(max(pivot, PIVOT * diagonal)) if diagonal > 0.0 else 1.0
 
 
 @jit
@@ -96,7 +97,7 @@ def band_backward(S: Array, v: Array) -> None:
 
 
 @jit
-def edges_weighted(G: Array, linear: int, inverse: tuple[Array, Array]) -> Array:
+def edge_hessians(G: Array, linear: int, inverse: tuple[Array, Array]) -> Array:
     """Return the lower triangles of G'W^-2 G, (W, W, E), from (w, eta) of W^-1."""
     rows, size, edges = G.shape
     w, eta = inverse[0], inverse[1][0]
@@ -121,18 +122,18 @@ def edges_weighted(G: Array, linear: int, inverse: tuple[Array, Array]) -> Array
 
 
 @jit
-def edges_factored(L: Array, rows: Array) -> Array:
+def factor_edges(L: Array, rows: Array) -> Array:
     """Replace Phi by its factors, and return X."""
     count, size, edges = rows.shape
-    X, own = rows.copy(), np.empty(edges)
+    X, smallest = rows.copy(), np.empty(edges)
     for j in range(size):
         for e in range(edges):
-            own[e] = PIVOT * L[j, j, e]
+            smallest[e] = PIVOT * L[j, j, e]
         for m in range(j):
             for e in range(edges):
                 L[j, j, e] -= L[j, m, e] * L[j, m, e]
         for e in range(edges):
-            L[j, j, e] = np.sqrt(max(L[j, j, e], own[e]))
+            L[j, j, e] = np.sqrt(max(L[j, j, e], smallest[e]))
         for i in range(j + 1, size):
             for m in range(j):
                 for e in range(edges):
@@ -149,12 +150,12 @@ def edges_factored(L: Array, rows: Array) -> Array:
 
 
 @jit
-def path_factored(data: PathData, L: Array, width: int) -> PathFactors:
+def factor_path(data: PathData, L: Array, width: int) -> PathFactors:
     """Return the factors; L (W, W, E) is Phi first."""
     rows, places, times, coupled, b = data.rows, data.places, data.times, data.coupled, data.b
     (whole, size, edges), q, count = rows.shape, len(coupled), len(places)
     a, vertices, last = whole - count, len(b) - q, width - 1
-    X, S, value = edges_factored(L, rows), np.zeros((vertices, width)), np.empty(edges)
+    X, S, value = factor_edges(L, rows), np.zeros((vertices, width)), np.empty(edges)
     border, rest, moments = np.zeros((vertices, q)), np.zeros((q, q)), np.zeros((coupled.shape[1], a, a))
     for r in range(whole):
         for c in range(r + 1):
@@ -174,13 +175,13 @@ def path_factored(data: PathData, L: Array, width: int) -> PathFactors:
                     for row in range(q):
                         border[j, row] += coupled[row, times[e], r - count] * value[e]
     band_cholesky(S)
-    rest_factored(coupled, moments, S, border, rest)
+    factor_remainder(coupled, moments, S, border, rest)
     return L, X, S, border, rest
 
 
 @jit
-def rest_factored(coupled: Array, moments: Array, S: Array, border: Array, rest: Array) -> None:
-    """Replace the border by L^-1 border, and write the factor of what is left."""
+def factor_remainder(coupled: Array, moments: Array, S: Array, border: Array, rest: Array) -> None:
+    """Replace the border by L^-1 border, and write the factor of the Schur complement."""
     q, times, a = coupled.shape
     for r in range(q):
         for c in range(r + 1):
@@ -199,7 +200,7 @@ def rest_factored(coupled: Array, moments: Array, S: Array, border: Array, rest:
 
 
 @jit
-def path_solved(data: PathData, factors: PathFactors, of_w: Array, of_p: Array) -> tuple[Array, Array]:
+def solve_path(data: PathData, factors: PathFactors, of_w: Array, of_p: Array) -> tuple[Array, Array]:
     """Return (w, p) with Phi w + C'p = of_w (W, E), C w = of_p, C with the rows over all times."""
     (L, X, S, border, rest), q = factors, len(data.coupled)
     (_, size, edges), vertices = X.shape, len(of_p) - q

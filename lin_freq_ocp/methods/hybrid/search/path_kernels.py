@@ -1,4 +1,4 @@
-"""The embedding of path relaxations, compiled as a whole: nodes of a search take some ten steps of it.
+"""The embedding of path relaxations, compiled as a whole: a node of a search takes some ten steps.
 
 minimise cost'w subject to C w = b, G w + s = 0, s in K. With multipliers p and z, and homogeneous in tau,
 
@@ -22,11 +22,11 @@ from lin_freq_ocp.methods.hybrid.search.path_factors import (
     add_adjoint,
     add_rows,
     band_width,
-    edges_weighted,
-    path_factored,
-    path_solved,
+    edge_hessians,
+    factor_path,
+    solve_path,
 )
-from lin_freq_ocp.methods.hybrid.search.path_lengths import path_proven
+from lin_freq_ocp.methods.hybrid.search.path_lengths import proven_path_bound
 from lin_freq_ocp.methods.structured import embedding
 from lin_freq_ocp.methods.structured.embedding import FRACTION, INTERIOR, MOVED
 from lin_freq_ocp.methods.structured.kkt import dense, kernels
@@ -36,7 +36,7 @@ from lin_freq_ocp.methods.structured.kkt.kernels import dot, largest
 
 @overload(cones.inner, jit_options={"fastmath": FASTMATH, "error_model": "numpy"})
 def sum_products(a: Array, b: Array) -> Callable[[Array, Array], Array]:
-    """Return what stands for ``cones.inner`` in compiled code: loops that need no array of the products."""
+    """Return the compiled version of ``cones.inner``: loops, without an array of the products."""
 
     def inner(a: Array, b: Array) -> Array:
         out = np.zeros(a.shape[1])
@@ -50,7 +50,7 @@ def sum_products(a: Array, b: Array) -> Callable[[Array, Array], Array]:
 
 @overload(cones.largest, jit_options={"fastmath": FASTMATH, "error_model": "numpy"})
 def compare_entries(v: Array) -> Callable[[Array], float]:
-    """Return what stands for ``cones.largest`` in compiled code: one maximum for each member first, side by side."""
+    """Return the compiled version of ``cones.largest``: first one maximum for each member, vectorised over members."""
 
     def largest_entry(v: Array) -> float:
         most, value = np.zeros(v.shape[1]), 0.0
@@ -72,19 +72,19 @@ for function in ALGEBRA:  # compiled code may call these, which become part of i
     register_jitable(fastmath=FASTMATH, error_model="numpy")(function)
 
 OPTIMAL, DECIDED, INFEASIBLE, STALLED = range(4)
-"""How ``path_run`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
+"""How ``run_path`` ends: at the tolerance; where the cutoff decides; with a ray; without any of these."""
 
 MOST_STEPS = 60
 SHORTEST_PATH_STEP = 1e-5  # a step that makes no progress
-VANISHED_TAU = 1e-2  # tau, relative to kappa, below which a ray is looked for; who uses it checks it
+VANISHED_TAU = 1e-2  # tau, relative to kappa, below which a ray is tried; the search verifies it
 PATH_RAY = 1e-7  # residual of a ray relative to -b'p
-CLEAR_RESIDUAL = 1e-3  # of a point whose cost is good enough to say that a node must be split
+CLEAR_RESIDUAL = 1e-3  # of a point accurate enough to decide that a node must be split
 BOUNDED_FROM = 4  # steps: the bounds of points before prove nothing of use
 
 NUMBERS = 10
 TAU, KAPPA, COST, BOUND, OF_PRIMAL, OF_DUAL, OF_RAY, MU, STEPS, PROVEN = range(NUMBERS)
-"""What is known of a point: cost and bound of (w, p)/tau, relative residuals, that of (p, z) as a ray, the bound that
-its multipliers prove by a shortest path."""
+"""Numbers of a point: cost and bound of (w, p)/tau, relative residuals, that of (p, z) as a ray, the bound that its
+multipliers prove by a shortest path."""
 
 Point = tuple[Array, Array, Array, Array]
 """w (W, E), p, z (rows, E), s."""
@@ -112,8 +112,8 @@ def subtract_cone_adjoint(G: Array, z: Array, out: Array) -> None:
 
 
 @inlined
-def path_measure(data: PathData, point: Point, residuals: Residuals, numbers: Array) -> None:
-    """Write the residuals of a point and the numbers beside tau, kappa and the steps."""
+def measure_path(data: PathData, point: Point, residuals: Residuals, numbers: Array) -> None:
+    """Write the residuals of a point, and all its numbers except tau, kappa and the steps."""
     (w, p, z, s), (r_w, r_p, r_s), tau = point, residuals, numbers[TAU]
     r_w[:], r_p[:], r_s[:] = 0.0, 0.0, s
     add_rows(data, data.rows, w, r_p)
@@ -132,10 +132,10 @@ def path_measure(data: PathData, point: Point, residuals: Residuals, numbers: Ar
 
 
 @inlined
-def ended(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear: float) -> int:
-    """Return how the run ends at a point, or -1; tolerances of the point, and of the bound that it proves.
+def end_of_run(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear: float) -> int:
+    """Return how the run ends at a point, or -1; the tolerances are those of the point and of its proven bound.
 
-    A node is to be split where the bound misses the cost by less than ``clear`` times what is left to the cutoff.
+    A node must be split if the bound misses the cost by less than ``clear`` times the distance to the cutoff.
     """
     cost, proven = numbers[COST], numbers[PROVEN]
     gap, size = abs(cost - numbers[BOUND]), max(1.0, min(abs(cost), abs(proven)))
@@ -150,7 +150,7 @@ def ended(numbers: Array, tolerances: tuple[float, float], cutoff: float, clear:
 
 
 @inlined
-def path_directed(
+def path_direction(
     data: PathData,
     factors: PathFactors,
     inverse: tuple[Array, Array],
@@ -163,16 +163,16 @@ def path_directed(
 ) -> tuple[Array, Array, Array, Array, Array, tuple[float, float, float]]:
     """Return dw, dp, dz, ds, W^-1 ds o W dz; dtau, dkappa, and 1/a for the longest step a.
 
-    inverse: (w, eta) of W^-1. scaled_rows: W^-1 r_s. aim: what is taken from lam o lam. numbers: sigma, r_tau, tau,
+    inverse: (w, eta) of W^-1. scaled_rows: W^-1 r_s. aim: subtracted from lam o lam. numbers: sigma, r_tau, tau,
     kappa, d_kappa.
     """
     (r_w, r_p, r_s), (w, eta), ends = residuals, inverse, (data.linear, len(data.G))
     sigma, r_tau, tau, kappa, d_kappa = numbers
     rest = 1.0 - sigma
-    moved = rest * scaled_rows - cones.quotient(ends, lam, aim)
+    shifted_rows = rest * scaled_rows - cones.quotient(ends, lam, aim)
     of_w = -rest * r_w
-    subtract_cone_adjoint(data.G, cones.apply_scaling(ends, w, eta, moved), of_w)
-    dw, dp = path_solved(data, factors, of_w, -rest * r_p)
+    subtract_cone_adjoint(data.G, cones.apply_scaling(ends, w, eta, shifted_rows), of_w)
+    dw, dp = solve_path(data, factors, of_w, -rest * r_p)
     cost, b = data.cost.ravel(), data.b
     steepness = dot(cost, constant[0].ravel()) + dot(b, constant[1]) - kappa / tau
     dtau = (-rest * r_tau + d_kappa / tau - dot(cost, dw.ravel()) - dot(b, dp)) / steepness
@@ -181,7 +181,7 @@ def path_directed(
     of_rows = np.zeros(r_s.shape)
     add_cone_rows(data.G, dw, of_rows)
     of_s = cones.apply_scaling(ends, w, eta, of_rows)
-    of_z = of_s + moved
+    of_z = of_s + shifted_rows
     of_s = -rest * scaled_rows - of_s
     dz, ds = cones.apply_scaling(ends, w, eta, of_z), -rest * r_s - of_rows
     dkappa = -(d_kappa + kappa * dtau) / tau
@@ -190,34 +190,34 @@ def path_directed(
 
 
 @inlined
-def path_step(data: PathData, point: Point, residuals: Residuals, numbers: Array, width: int) -> float:
+def take_path_step(data: PathData, point: Point, residuals: Residuals, numbers: Array, width: int) -> float:
     """Move the point by predictor and corrector; return the length of the step."""
     (w, p, z, s), tau, kappa = point, numbers[TAU], numbers[KAPPA]
     ends = data.linear, len(data.G)
     inverse = cones.compute_scaling(ends, z, s)
     lam = cones.apply_scaling(ends, inverse[0], inverse[1], s)
     scaled_rows, square = cones.apply_scaling(ends, inverse[0], inverse[1], residuals[2]), cones.product(ends, lam, lam)
-    factors = path_factored(data, edges_weighted(data.G, data.linear, inverse), width)
-    constant = path_solved(data, factors, -data.cost, data.b)
+    factors = factor_path(data, edge_hessians(data.G, data.linear, inverse), width)
+    constant = solve_path(data, factors, -data.cost, data.b)
     r_tau = kappa + tau * (numbers[COST] - numbers[BOUND])
     sigma, d_kappa, aim, a = 0.0, kappa * tau, square, 0.0
     for phase in range(2):
-        given = sigma, r_tau, tau, kappa, d_kappa
-        dw, dp, dz, ds, second, found = path_directed(
-            data, factors, inverse, lam, residuals, scaled_rows, constant, aim, given
+        parameters = sigma, r_tau, tau, kappa, d_kappa
+        dw, dp, dz, ds, second, scalars = path_direction(
+            data, factors, inverse, lam, residuals, scaled_rows, constant, aim, parameters
         )
         if phase == 0:
-            sigma = (1 - min(1 / max(found[2], FRACTION), 1.0)) ** 3
+            sigma = (1 - min(1 / max(scalars[2], FRACTION), 1.0)) ** 3
             aim = square + second
             aim[: data.linear + 1] -= sigma * numbers[MU]
-            d_kappa += found[1] * found[0] - sigma * numbers[MU]
+            d_kappa += scalars[1] * scalars[0] - sigma * numbers[MU]
         else:
-            a = FRACTION / max(found[2], FRACTION)
+            a = FRACTION / max(scalars[2], FRACTION)
             w += a * dw
             p += a * dp
             z += a * dz
             s += a * ds
-            numbers[TAU], numbers[KAPPA] = tau + a * found[0], kappa + a * found[1]
+            numbers[TAU], numbers[KAPPA] = tau + a * scalars[0], kappa + a * scalars[1]
     return a
 
 
@@ -230,13 +230,13 @@ def move_within(linear: int, v: Array) -> None:
 
 
 @inlined
-def path_begin(data: PathData, point: Point, width: int) -> None:
+def start_path(data: PathData, point: Point, width: int) -> None:
     """Write the first point, from the solution at W = 1."""
     (w, p, z, s), linear = point, data.linear
     unit = np.zeros(s.shape)
     unit[: linear + 1] = 1.0
-    factors = path_factored(data, edges_weighted(data.G, linear, (unit, np.ones((1, s.shape[1])))), width)
-    first = path_solved(data, factors, -data.cost, data.b)
+    factors = factor_path(data, edge_hessians(data.G, linear, (unit, np.ones((1, s.shape[1])))), width)
+    first = solve_path(data, factors, -data.cost, data.b)
     w[:], p[:], z[:] = first[0], first[1], 0.0
     add_cone_rows(data.G, w, z)
     s[:] = -z
@@ -245,7 +245,7 @@ def path_begin(data: PathData, point: Point, width: int) -> None:
 
 
 @jit
-def path_run(
+def run_path(
     rows: Array,
     places: Indices,
     times: Indices,
@@ -268,7 +268,7 @@ def path_run(
     cutoff: float,
     clear: float,
 ) -> int:
-    """Run from the first point until it ends; return how. ``PathData``, ``Point``, and ``ended``.
+    """Run from the first point until it ends; return how. ``PathData``, ``Point``, and ``end_of_run``.
 
     Arguments are flat, as it takes numba long to look into tuples.
     """
@@ -276,15 +276,15 @@ def path_run(
     point, width = (w, p, z, s), band_width(places)
     residuals = np.empty(cost.shape), np.empty(len(b)), np.empty(s.shape)
     numbers[TAU], numbers[KAPPA], numbers[STEPS], numbers[PROVEN] = 1.0, 1.0, 0.0, -np.inf
-    path_begin(data, point, width)
+    start_path(data, point, width)
     while numbers[STEPS] <= MOST_STEPS:
-        path_measure(data, point, residuals, numbers)
+        measure_path(data, point, residuals, numbers)
         if numbers[STEPS] >= BOUNDED_FROM:
-            numbers[PROVEN] = path_proven(data, w, p, z, numbers[TAU])
-        end = ended(numbers, (tolerance, proven), cutoff, clear)
+            numbers[PROVEN] = proven_path_bound(data, w, p, z, numbers[TAU])
+        end = end_of_run(numbers, (tolerance, proven), cutoff, clear)
         if end >= 0:
             return end
-        if not (path_step(data, point, residuals, numbers, width) > SHORTEST_PATH_STEP and numbers[TAU] > 0.0):
+        if not (take_path_step(data, point, residuals, numbers, width) > SHORTEST_PATH_STEP and numbers[TAU] > 0.0):
             return STALLED
         numbers[STEPS] += 1
     return STALLED
@@ -297,4 +297,4 @@ _DATA += _TWO, WRITTEN_INDICES, WRITTEN_INDICES, types.intp
 _POINT = _TWO, _ONE, _TWO, _TWO, _ONE
 _SOURCES = __file__, cones.__file__, path_factors.__file__, path_lengths.__file__
 _SOURCES += kernels.__file__, dense.__file__, embedding.__file__
-KERNELS = Kernels(_SOURCES, (path_run, (*_DATA, *_POINT, _REAL, _REAL, _REAL, _REAL)))
+KERNELS = Kernels(_SOURCES, (run_path, (*_DATA, *_POINT, _REAL, _REAL, _REAL, _REAL)))

@@ -1,4 +1,4 @@
-"""What multipliers of a path relaxation prove, compiled: a shortest path, as program/hybrid/path_relaxation.py.
+"""The bound that multipliers of a path relaxation prove, compiled: a shortest path (program/hybrid/path_relaxation.py).
 
 An edge with delta = 1 has the share w = (v, 1, epsilon), |v| <= 1, and the length
 
@@ -32,7 +32,7 @@ def path_slopes(data: PathData, p: Array, z: Array, tau: float) -> Array:
                 if data.shares[i, e] > 0.0:
                     slope[m, e] += data.G[first + i, m, e] * z[first + i, e]
     n = data.images
-    for d in range(n):  # what is common to both sides of an image counts as zero: that is the width of its box
+    for d in range(n):  # the part common to both bounds of an image counts as zero: it is the width of its box
         up, low = len(data.shares) - 2 * n + d, len(data.shares) - n + d
         for e in range(slope.shape[1]):
             of_up, of_low = data.shares[up, e], data.shares[low, e]
@@ -70,7 +70,7 @@ def path_lengths(data: PathData, slope: Array, w: Array) -> Array:
                 if sweep == SWEEPS:
                     phi[e] += slope[j, e] * v[j, e] - gradient[e] * v[j, e] - abs(gradient[e])
                     continue
-                most = 2.0 * curvature[e]  # a step that leads across the whole box, or none
+                most = 2.0 * curvature[e]  # a longer step would cross the whole box
                 step = gradient[e] / curvature[e] if abs(gradient[e]) < most else np.sign(gradient[e]) * 2.0
                 gradient[e] = min(max(v[j, e] - step, -1.0), 1.0) - v[j, e]
             if sweep < SWEEPS:
@@ -97,7 +97,7 @@ def shortest_path(data: PathData, phi: Array) -> float:
 
 
 @jit
-def path_proven(data: PathData, w: Array, p: Array, z: Array, tau: float) -> float:
-    """Return what (p, z)/tau prove of the objective."""
+def proven_path_bound(data: PathData, w: Array, p: Array, z: Array, tau: float) -> float:
+    """Return the lower bound on the objective that (p, z)/tau prove."""
     phi = path_lengths(data, path_slopes(data, p, z, tau), w)
     return shortest_path(data, phi) - dot(data.b, p) / tau

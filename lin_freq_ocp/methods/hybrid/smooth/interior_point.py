@@ -2,12 +2,12 @@
 
     minimise J(y) - mu log det s   subject to   x_{t+1} = c_t(y_t),   other rows of y:  A y + s = b,  s in the cone
 
-Newton's method on the conditions of this problem, with the scalings of Nesterov and Todd for z o s = mu e, while mu
-falls to zero: each step is one system of the structured method. Its Hessian is that of the Lagrangian where the reduced
-problem is convex with it, else that of the cost: then multipliers stay those of a convex problem. Steps are shortened
-until a filter takes them (Waechter and Biegler, 2006: pairs of infeasibility theta and objective phi), and corrected
-where the curvature of the dynamics is what it rejects. Where even short steps fail, the infeasibility alone is reduced
-first, by steps to the nearest point of the linearised constraints.
+Newton's method solves the conditions of this problem, with the scalings of Nesterov and Todd for z o s = mu e, while mu
+falls to zero. Each step is one system of the structured method. Its Hessian is that of the Lagrangian if the reduced
+problem is convex with it, otherwise that of the cost: the multipliers are then those of a convex problem. Steps are
+shortened until a filter accepts them (Waechter and Biegler, 2006: pairs of infeasibility theta and objective phi), and
+corrected if the filter rejects them for the curvature of the dynamics. If even short steps fail, steps to the nearest
+point of the linearised constraints first reduce the infeasibility alone.
 
 The file has, in this order: the filter, the barrier problem at a point, the iteration, and the local optimum of a
 problem from a trajectory that need not be feasible.
@@ -33,7 +33,6 @@ from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
 from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, STAGES, KKTSolver, StepSystem, System, Values, largest
-from lin_freq_ocp.methods.structured.stages import Stages
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -55,7 +54,7 @@ class Measure:
 
 @dataclass(eq=False)
 class Filter:
-    """What trial points are compared with; ``first`` is the infeasibility of the first point."""
+    """The points with which trial points are compared; ``first`` is the infeasibility of the first point."""
 
     first: float
     entries: list[Measure] = field(default_factory=list[Measure])
@@ -63,35 +62,35 @@ class Filter:
     def accepts(self, trial: Measure) -> bool:
         """Whether a point improves on every point of the filter."""
         near = trial.theta <= FAR * max(1.0, self.first) and bool(np.isfinite(trial.phi))
-        return near and all(trial.theta < one.theta or trial.phi < one.phi for one in self.entries)
+        return near and all(trial.theta < entry.theta or trial.phi < entry.phi for entry in self.entries)
 
-    def takes(self, here: Measure, trial: Measure, slope: float, length: float) -> bool:
+    def takes(self, current: Measure, trial: Measure, slope: float, length: float) -> bool:
         """Whether a step of a length leads to an acceptable point; then the filter knows where it began.
 
         ``slope`` is the predicted change of the objective by a full step.
         """
-        rounding = ROUNDING * abs(here.phi)
+        rounding = ROUNDING * abs(current.phi)
         if not self.accepts(Measure(trial.theta, trial.phi - rounding)):
             return False
-        feasible = here.theta <= FEASIBLE * max(1.0, self.first)
+        feasible = current.theta <= FEASIBLE * max(1.0, self.first)
         # the switching condition: the predicted decrease of the objective outweighs the infeasibility
-        if feasible and slope < 0 and length * (-slope) ** SLOPE_POWER > here.theta**INFEASIBILITY_POWER:
-            return trial.phi <= here.phi + ARMIJO * length * slope + rounding
-        less = trial.theta <= (1 - IMPROVED) * here.theta
-        if not less and trial.phi > here.phi - IMPROVED * here.theta + rounding:
+        if feasible and slope < 0 and length * (-slope) ** SLOPE_POWER > current.theta**INFEASIBILITY_POWER:
+            return trial.phi <= current.phi + ARMIJO * length * slope + rounding
+        less = trial.theta <= (1 - IMPROVED) * current.theta
+        if not less and trial.phi > current.phi - IMPROVED * current.theta + rounding:
             return False
-        self.add(here)
+        self.add(current)
         return True
 
-    def add(self, here: Measure) -> None:
-        """Exclude what does not improve on a point."""
-        self.entries.append(Measure((1 - IMPROVED) * here.theta, here.phi - IMPROVED * here.theta))
+    def add(self, current: Measure) -> None:
+        """Exclude all points that do not improve on this one."""
+        self.entries.append(Measure((1 - IMPROVED) * current.theta, current.phi - IMPROVED * current.theta))
 
 
 MARGIN = 1e-2  # distance of the first point to the boundary, in units in which limits are of order 1
 
 
-NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second side to know that a step is convex
+NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second solver to know that a step is convex
 FRACTION = 0.99  # of the way to the boundary, at least
 
 
@@ -114,14 +113,20 @@ class Objective:
     curved: bool
 
 
-class Local:
+class BarrierPoint:
     """A barrier problem near a point."""
 
     def __init__(
-        self, model: SmoothModel, objective: Objective, loops: Loops, point: EmbeddedPoint, found: Derivatives
+        self, model: SmoothModel, objective: Objective, loops: Loops, point: EmbeddedPoint, derivatives: Derivatives
     ):
-        self._model, self._objective, self._loops, self.point, self._found = model, objective, loops, point, found
-        self.system = System(model.linearised(point.y, found), loops)
+        self._model, self._objective, self._loops, self.point, self._derivatives = (
+            model,
+            objective,
+            loops,
+            point,
+            derivatives,
+        )
+        self.system = System(model.linearised(point.y, derivatives), loops)
         rows = zip(self.system.rows(point.y), self.system.b, strict=True)
         self.left: Values = [values - right for values, right in rows]
         for i, s in point.s.items():
@@ -151,40 +156,39 @@ class Local:
         """Return the infeasibility and the objective here."""
         return Measure(self.theta, self.phi(self.point.y, self.point.s, mu))
 
-    def factor(self, mu: float, sides: Sequence[KKTSolver]) -> None:
+    def factor(self, mu: float, solvers: Sequence[KKTSolver]) -> None:
         """Factor the system of a step, with the curvature of the dynamics if the problem stays convex.
 
-        Convexity is that on the dynamics or, where a side sees it, on the rows that couple times. The first side is
-        taken unless only another one sees it.
+        Convexity is that on the dynamics or, if a solver can detect it, on the rows that couple times. The first solver
+        is taken unless only another one detects it.
         """
         stages, self.mu = self.system.stages, mu
-        for i, own in self.cones.items():
-            own.scale(self.point.s[i], self.point.z[i])
-        if not (self._objective.curved and self.point.z[DYNAMICS].any() and self._exact(sides)):
+        for i, cone in self.cones.items():
+            cone.scale(self.point.s[i], self.point.z[i])
+        convex = False
+        if self._objective.curved and self.point.z[DYNAMICS].any():
+            curved = -np.einsum("ti,tijk->tjk", self.point.z[DYNAMICS][:-1], self._derivatives.curvatures)
+            count, cone = curved.shape[1], self.cones[STAGES]
+            stages.H[:-1, :count, :count] += curved
+            Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
+            if self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed):  # on the dynamics
+                self._factor_system(solvers[0])
+                convex = True
+            elif self.theta <= NEAR:
+                convex = any(solver.indefinite and self._factor_system(solver) for solver in solvers)
+        if not convex:
             stages.H[:] = self._objective.H
-            self._factor_system(sides[0])
-        squares = {i: own.product(own.lam, own.lam) - mu * own.identity for i, own in self.cones.items()}
-        self._centred = {i: own.scaled(own.quotient(squares[i]), 1) for i, own in self.cones.items()}
+            self._factor_system(solvers[0])
+        squares = {i: cone.product(cone.lam, cone.lam) - mu * cone.identity for i, cone in self.cones.items()}
+        self._centred = {i: cone.scaled(cone.quotient(squares[i]), 1) for i, cone in self.cones.items()}
 
-    def _exact(self, sides: Sequence[KKTSolver]) -> bool:
-        """Factor the system with the curvature of the dynamics; return whether the problem is convex with it."""
-        stages, cone = self.system.stages, self.cones[STAGES]
-        curved = -np.einsum("ti,tijk->tjk", self.point.z[DYNAMICS][:-1], self._found.curvatures)
-        count = curved.shape[1]
-        stages.H[:-1, :count, :count] += curved
-        Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
-        if self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed):  # on the dynamics
-            self._factor_system(sides[0])
-            return True
-        return self.theta <= NEAR and any(side.indefinite and self._factor_system(side) for side in sides)
-
-    def _factor_system(self, side: KKTSolver) -> bool:
-        """Factor the system by a side; return what it sees of convexity."""
-        self._step = StepSystem(self.system, side.exchanged(self.system.stages))
+    def _factor_system(self, solver: KKTSolver) -> bool:
+        """Factor the system; return whether the solver finds the problem convex."""
+        self._step = StepSystem(self.system, solver.exchanged(self.system.stages))
         return self._step.factor()
 
     def step(self, left: Values | None = None) -> tuple[Array, Values, dict[int, Array]]:
-        """Return the change of y, z and s that takes away residuals of the rows, by default those here."""
+        """Return the change of y, z and s that removes residuals of the rows, by default those at this point."""
         left = self.left if left is None else left
         right = [-part for part in left]
         for i, centred in self._centred.items():
@@ -199,13 +203,13 @@ class Local:
         return float(np.vdot(self._gradient, y)) - self.mu * barrier
 
     def longest(self, change: dict[int, Array], power: int) -> float:
-        """Return the part of a step of slacks (power -1) or duals (1) that stays inside, at most 1."""
+        """Return the largest part of a step, up to 1, with slacks (power -1) or duals (1) inside the cone."""
         lengths = [cone.longest(cone.scaled(change[i], power)) for i, cone in self.cones.items()]
         return min([1.0, *(max(FRACTION, 1 - self.mu) * length for length in lengths)])
 
     def trial(self, y: Array, s: dict[int, Array], length: float) -> Trial | None:
         """Return the point at a part of a step; None if the map is not defined there."""
-        after, slacks = self.point.y + length * y, {i: own + length * s[i] for i, own in self.point.s.items()}
+        after, slacks = self.point.y + length * y, {i: slack + length * s[i] for i, slack in self.point.s.items()}
         defects = self._model.defects(after)
         if not np.isfinite(defects).all():
             return None
@@ -230,7 +234,7 @@ ACCURATE = 1e-10  # residuals in units of order 1
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class BarrierResult:
     """The last point, and the largest violation of its rows."""
 
     end: End
@@ -252,11 +256,15 @@ class Barrier:
     def __post_init__(self):
         stages = self.model.stages
         self._cost = Objective(stages.H, stages.h, stages.constant, curved=True)
-        self._sides = sides_for(stages, self.loops)
+        self._solvers: tuple[KKTSolver, ...] = (choose_kkt_solver(stages, self.loops),)
+        if stages.coupling.count <= FEW_ROWS:
+            # the null-space solver, which detects convexity on stop bands, is slower with few rows: it comes second
+            null_space = (NullSpaceSolver(stages, self.loops, DenseReduced),) if sort_rows(stages)[0] else ()
+            self._solvers = range_space_solver(stages, self.loops), *null_space
         self._steps = 0
-        self._last: Local | None = None
+        self._last: BarrierPoint | None = None
 
-    def run(self, y: Array) -> Answer:
+    def run(self, y: Array) -> BarrierResult:
         """Iterate from a point until it is accurate, no step helps, or the time is over."""
         try:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # seen by numbers that are not finite
@@ -267,8 +275,8 @@ class Barrier:
             ended = End.INTERRUPTED
         last = self._last
         if last is None:
-            return Answer(ended, EmbeddedPoint(y, [], {}), np.inf, 0)
-        return Answer(ended, last.point, largest(last.left), self._steps)
+            return BarrierResult(ended, EmbeddedPoint(y, [], {}), np.inf, 0)
+        return BarrierResult(ended, last.point, largest(last.left), self._steps)
 
     def _iterate_newton(self, y: Array) -> End:
         mu, last, system = self.mu, 0.0, System(self.model.stages, self.loops)
@@ -298,35 +306,41 @@ class Barrier:
             last = now() - clock  # the next one takes about as long
         return End.STALLED
 
-    def _at(self, point: EmbeddedPoint, objective: Objective | None = None) -> Local | None:
-        """Return what there is at a point; None if the map is not defined there."""
-        found = self.model.derivatives(point.y)
-        return Local(self.model, objective or self._cost, self.loops, point, found) if found.finite else None
+    def _at(self, point: EmbeddedPoint, objective: Objective | None = None) -> BarrierPoint | None:
+        """Return the barrier problem at a point; None if the map is not defined there."""
+        derivatives = self.model.derivatives(point.y)
+        return (
+            BarrierPoint(self.model, objective or self._cost, self.loops, point, derivatives)
+            if derivatives.finite
+            else None
+        )
 
-    def _filter_step(self, local: Local, entries: Filter, mu: float) -> Local | None:
+    def _filter_step(self, local: BarrierPoint, entries: Filter, mu: float) -> BarrierPoint | None:
         """Return the next point by a step that the filter takes; None if it takes none."""
-        local.factor(mu, self._sides)
+        local.factor(mu, self._solvers)
         y, z, s = local.step()
-        here, slope = local.measure(mu), local.slope(y, s)
+        current, slope = local.measure(mu), local.slope(y, s)
         of_duals = local.longest({i: z[i] for i in s}, 1)
         first = length = local.longest(s, -1)
         while length > SHORTEST:
             trial = local.trial(y, s, length)
             if trial is not None:
-                taken = entries.takes(here, trial.measure, slope, length)
-                if not taken and length == first and trial.measure.theta >= here.theta:
+                taken = entries.takes(current, trial.measure, slope, length)
+                if not taken and length == first and trial.measure.theta >= current.theta:
                     trial = self._corrected_step(local, entries, trial, slope, length)
                     taken = trial is not None
                 if taken and trial is not None:
-                    after = self._at(_moved_point(local.point, trial, z, length, of_duals))
+                    after = self._at(_point_after(local.point, trial, z, length, of_duals))
                     if after is not None:
                         return after
             length /= 2
         return None
 
-    def _corrected_step(self, local: Local, entries: Filter, trial: Trial, slope: float, length: float) -> Trial | None:
+    def _corrected_step(
+        self, local: BarrierPoint, entries: Filter, trial: Trial, slope: float, length: float
+    ) -> Trial | None:
         """Return a point that the filter takes by steps corrected for the curvature of the dynamics, or None."""
-        here, left, part = local.measure(local.mu), [*local.left], length
+        current, left, part = local.measure(local.mu), [*local.left], length
         for _ in range(CORRECTIONS):
             left[DYNAMICS] = part * left[DYNAMICS]
             left[DYNAMICS][:-1] += trial.defects
@@ -335,14 +349,14 @@ class Barrier:
             after = local.trial(y, s, part)
             if after is None:
                 return None
-            if entries.takes(here, after.measure, slope, length):
+            if entries.takes(current, after.measure, slope, length):
                 return after
             if after.measure.theta > CORRECTED * trial.measure.theta:
                 return None
             trial = after
         return None
 
-    def _restore_feasibility(self, local: Local, entries: Filter, mu: float) -> Local | None:
+    def _restore_feasibility(self, local: BarrierPoint, entries: Filter, mu: float) -> BarrierPoint | None:
         """Return a point of less infeasibility that the filter accepts, by steps without the cost; None if none."""
         target, stages = RESTORED * local.theta, self.model.stages
         entries.add(local.measure(mu))
@@ -351,20 +365,20 @@ class Barrier:
         point = local.point
         for _ in range(MOST_RESTORING):
             z = [part if i in point.s else np.zeros_like(part) for i, part in enumerate(point.z)]
-            here = self._at(replace(point, z=z), near)  # rows without slacks have no multipliers
-            if here is None or now() > self.end:
+            restoring = self._at(replace(point, z=z), near)  # rows without slacks have no multipliers
+            if restoring is None or now() > self.end:
                 return None
-            if here.theta <= target:
-                after = self._at(here.point)
+            if restoring.theta <= target:
+                after = self._at(restoring.point)
                 if after is not None and entries.accepts(after.measure(mu)):
                     return after
-            here.factor(mu, self._sides)
-            y, z, s = here.step()
-            of_duals, length = here.longest({i: z[i] for i in s}, 1), here.longest(s, -1)
+            restoring.factor(mu, self._solvers)
+            y, z, s = restoring.step()
+            of_duals, length = restoring.longest({i: z[i] for i in s}, 1), restoring.longest(s, -1)
             while length > SHORTEST:
-                trial = here.trial(y, s, length)
-                if trial is not None and trial.measure.theta <= (1 - LEAST_DECREASE * length) * here.theta:
-                    point = _moved_point(point, trial, z, length, of_duals)
+                trial = restoring.trial(y, s, length)
+                if trial is not None and trial.measure.theta <= (1 - LEAST_DECREASE * length) * restoring.theta:
+                    point = _point_after(point, trial, z, length, of_duals)
                     break
                 length /= 2
             else:
@@ -372,25 +386,14 @@ class Barrier:
         return None
 
 
-def sides_for(stages: Stages, loops: Loops) -> tuple[KKTSolver, ...]:
-    """Return the side of steps and, beside it, that of what stop bands keep, which sees if they make a problem convex.
-
-    With few rows the latter is slower, as more of it depends on the dynamics.
-    """
-    if stages.coupling.count > FEW_ROWS:
-        return (choose_kkt_solver(stages, loops),)
-    kept = (NullSpaceSolver(stages, loops, DenseReduced),) if sort_rows(stages)[0] else ()
-    return range_space_solver(stages, loops), *kept
-
-
-def _moved_point(point: EmbeddedPoint, trial: Trial, z: list[Array], length: float, of_duals: float) -> EmbeddedPoint:
-    """Return a point with new variables, and its duals moved: those of cones by a length of their own."""
+def _point_after(point: EmbeddedPoint, trial: Trial, z: list[Array], length: float, of_duals: float) -> EmbeddedPoint:
+    """Return the point after a step; the duals of cones have a step length of their own."""
     lengths = [of_duals if i in trial.s else length for i in range(len(z))]
-    moved = [own + part * change for own, part, change in zip(point.z, lengths, z, strict=True)]
-    return EmbeddedPoint(trial.y, moved, trial.s)
+    duals = [dual + part * change for dual, part, change in zip(point.z, lengths, z, strict=True)]
+    return EmbeddedPoint(trial.y, duals, trial.s)
 
 
-WARM_MU = 1e-3  # first weight of the barrier at a start that is believed to be near
+WARM_MU = 1e-3  # first weight of the barrier at a start that is taken to be near
 FEW_STEPS = 60  # from others: 15 to 50 are common, and another start is better than many more
 
 
@@ -405,8 +408,8 @@ def smooth_optimum(
 ) -> tuple[LocalOptimum | None, End]:
     """Return the local optimum near a trajectory, or the last point, and how the iteration ended.
 
-    None if the map is not defined at the start. ``end`` is by ``clock.now``. ``warm``: the start is believed to
-    be near, and worth many steps.
+    None if the map is not defined at the start. ``end`` is by ``clock.now``. ``warm``: the start is taken to be
+    near an optimum, and worth many steps.
     """
     model = SmoothModel.at(problem, start)
     first = (WARM_MU, MOST_STEPS) if warm else (FIRST_MU, FEW_STEPS)

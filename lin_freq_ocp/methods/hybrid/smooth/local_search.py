@@ -19,7 +19,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, is_smooth, smooth_optimum
-from lin_freq_ocp.methods.hybrid.smooth.sequential import PRICES, LocalOptimum, flipped, local_optimum
+from lin_freq_ocp.methods.hybrid.smooth.sequential import PRICES, LocalOptimum, local_optimum, neighbouring_sequences
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -69,9 +69,9 @@ def grid_trajectories(
     far = 10 * (1 + spread) * problem.horizon
     end = problem.ends[1]
     distance = np.maximum(np.maximum(end.lower - states, states - end.upper), 0.0) / np.maximum(upper - lower, 1e-300)
-    last, missed = costs.last(states.reshape(-1, n)).reshape(states.shape[:-1]), spread * distance.sum(axis=-1)
-    for price in END_PRICES if missed.any() else END_PRICES[:1]:
-        value = last + price * missed
+    last, distance_cost = costs.last(states.reshape(-1, n)).reshape(states.shape[:-1]), spread * distance.sum(axis=-1)
+    for price in END_PRICES if distance_cost.any() else END_PRICES[:1]:
+        value = last + price * distance_cost
         following: list[RegularGridInterpolator] = []
         for t in range(problem.horizon - 1, -1, -1):
             if now() > deadline:
@@ -79,9 +79,9 @@ def grid_trajectories(
             following.append(RegularGridInterpolator(axes, value, bounds_error=False, fill_value=far))
             total = costs.at(t, pairs) + np.nan_to_num(following[-1](after), nan=far)
             value = np.minimum(total.reshape(-1, len(controls)).min(axis=1), far).reshape(value.shape)
-        found = _follow_values(problem, costs, following[::-1], far)
-        if found is not None:
-            yield found
+        trajectory = _follow_values(problem, costs, following[::-1], far)
+        if trajectory is not None:
+            yield trajectory
 
 
 def _follow_values(
@@ -134,14 +134,14 @@ class _StageCosts:
 def _successors(problem: OptimalControlProblem, pairs: Array) -> Array:
     """Return the successors of pairs in the first mode that holds, (points, n); NaN where none does."""
     dynamics = piecewise_smooth(problem)
-    found = np.full((len(pairs), problem.state_dim), np.nan)
+    successors = np.full((len(pairs), problem.state_dim), np.nan)
     missing = np.ones(len(pairs), dtype=bool)
     for mode in dynamics.modes:
         values, region, domain = (values_of(part, pairs) for part in (mode.f, mode.region, mode.domain))
-        here = missing & (region <= 0).all(axis=1) & (domain > 0).all(axis=1) & np.isfinite(values).all(axis=1)
-        found[here] = values[here]
-        missing &= ~here
-    return found
+        holds = missing & (region <= 0).all(axis=1) & (domain > 0).all(axis=1) & np.isfinite(values).all(axis=1)
+        successors[holds] = values[holds]
+        missing &= ~holds
+    return successors
 
 
 def _controls(problem: OptimalControlProblem, points: int) -> Array:
@@ -238,8 +238,8 @@ class LocalSearch:
                     return self
             self._on_grid(None)
             for trajectory, sequence in self._starts():
-                found = self.best is not None and self.best.feasible
-                if self._late() or (self._smooth and found and self.tried >= SMOOTH_STARTS):
+                feasible = self.best is not None and self.best.feasible
+                if self._late() or (self._smooth and feasible and self.tried >= SMOOTH_STARTS):
                     break
                 self._try(trajectory, sequence)
             if self._smooth and self.best is not None and not self.best.feasible:
@@ -274,7 +274,7 @@ class LocalSearch:
         before = self.best
         if before is None:
             return False
-        for sequence in flipped(self.problem, before):
+        for sequence in neighbouring_sequences(self.problem, before):
             if self._late():
                 return False
             self._try(before.trajectory, sequence, PRICES[:1])
@@ -288,17 +288,23 @@ class LocalSearch:
             return
         self._known.add(key)
         self.tried += 1
-        found = None
+        optimum = None
         if self._smooth:
             try:
-                found, ended = smooth_optimum(self.problem, start, self._end, warm)
+                optimum, ended = smooth_optimum(self.problem, start, self._end, warm)
                 self.interrupted = ended is End.INTERRUPTED
             except UnsupportedError:  # too large for the structured method
                 self._smooth = False
         if not self._smooth:
-            found = local_optimum(self.problem, start, sequence, prices, self._end)
-        if found is not None and (self.best is None or _better(self.problem, found, self.best)):
-            self.best = found
+            optimum = local_optimum(self.problem, start, sequence, prices, self._end)
+        best = self.best
+        if optimum is not None and best is not None and optimum.feasible == best.feasible:
+            # both are trajectories: the cheaper one; else the one with the smaller violation
+            decrease = DECREASE * search_scale(self.problem, best.trajectory)
+            better = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
+            self.best = optimum if better else best
+        elif optimum is not None and (best is None or optimum.feasible):
+            self.best = optimum
         if self.progress is not None:
             known = self.best is not None and self.best.feasible
             self.progress(SmoothProgress(self.best.cost if known and self.best else np.inf, -np.inf, self.tried))
@@ -346,11 +352,3 @@ def _middle(box: Box, share: Array) -> Array:
     low = np.where(np.isfinite(lower), lower, np.minimum(np.where(np.isfinite(upper), upper, 0.0), 0.0))
     high = np.where(np.isfinite(upper), upper, np.maximum(low, 0.0))
     return low + share * (high - low)
-
-
-def _better(problem: OptimalControlProblem, one: LocalOptimum, other: LocalOptimum) -> bool:
-    if one.feasible != other.feasible:
-        return one.feasible
-    if not one.feasible:
-        return one.violation < other.violation
-    return one.cost < other.cost - DECREASE * search_scale(problem, other.trajectory)

@@ -1,8 +1,8 @@
 """A problem with one smooth map over stages: all but the dynamics is that of the structured method, in its units.
 
 With y_t = (x_t, w_t), the dynamics are x_{t+1} = c_t(y_t); c_t is the map f in deviations from an origin and in units.
-What the end is fixed to has a weight in the cost, too, which changes no answer: without it, a reduced Hessian that is
-positive definite only because of the fixed end would be none for the recursion, which does not know of the end.
+The distance from a fixed end has a weight in the cost, too, which changes no solution. Without it, the recursion, which
+ignores the end, would reject a reduced Hessian that is positive definite only because of the fixed end.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 
 TERMINAL_WEIGHT = 1e2  # of the distance from a fixed end, relative to the largest curvature of the cost
-LEAST_CURVATURE = 1e-3  # of order 1 are the units
+LEAST_CURVATURE = 1e-3  # in units of order 1
 
 
 class Derivatives(NamedTuple):
@@ -50,11 +50,18 @@ class SmoothModel:
     def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
         """Return the model with units that follow from the linearisation at a trajectory."""
         assembly = stages_of(replace(problem, dynamics=problem.dynamics_along(trajectory)))
-        return cls(problem, replace(assembly, stages=_with_terminal_weight(assembly.stages)))
+        stages = assembly.stages
+        H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
+        largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
+        weight = TERMINAL_WEIGHT * max(LEAST_CURVATURE, largest)  # of the distance of x_T from its fixed components
+        H[-1, terminal, terminal] += weight
+        h[-1, terminal] -= weight * end
+        constant = stages.constant + 0.5 * weight * float(end @ end)
+        return cls(problem, replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)))
 
     @property
     def stages(self) -> Stages:
-        """Return the stages, of which A, B and d are those of the first trajectory."""
+        """Return the stages; A, B and d are linearised at the first trajectory."""
         return self.assembly.stages
 
     def trajectory(self, y: Array) -> Trajectory:
@@ -75,21 +82,21 @@ class SmoothModel:
         return y[1:, : self.problem.state_dim] - self._deviations(values)
 
     def derivatives(self, y: Array) -> Derivatives:
-        """Return c with its derivatives at a point; those by controls that are held are zero."""
-        found = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
+        """Return c with its derivatives at a point; those with respect to fixed controls are zero."""
+        map_jets = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
         units = self._units[:-1].copy()
         units[:, self.problem.state_dim :][self.assembly.fixed] = 0.0
         after = self._units[1:, : self.problem.state_dim]
-        slopes = found.slopes * units[:, None, :] / after[:, :, None]
-        curvatures = found.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]
-        return Derivatives(self._deviations(found.values), slopes, curvatures)
+        slopes = map_jets.slopes * units[:, None, :] / after[:, :, None]
+        curvatures = map_jets.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]
+        return Derivatives(self._deviations(map_jets.values), slopes, curvatures)
 
-    def linearised(self, y: Array, found: Derivatives) -> Stages:
+    def linearised(self, y: Array, derivatives: Derivatives) -> Stages:
         """Return the stages linearised at a point, with a copy of the Hessian of the cost."""
-        stages, n, count = self.stages, self.problem.state_dim, found.slopes.shape[2]
+        stages, n, count = self.stages, self.problem.state_dim, derivatives.slopes.shape[2]
         A, B, d = np.zeros_like(stages.A), np.zeros_like(stages.B), np.zeros_like(stages.d)
-        A[:-1], B[:-1, :, : count - n] = found.slopes[:, :, :n], found.slopes[:, :, n:]
-        d[:-1] = found.successors - np.einsum("tij,tj->ti", found.slopes, y[:-1, :count])
+        A[:-1], B[:-1, :, : count - n] = derivatives.slopes[:, :, :n], derivatives.slopes[:, :, n:]
+        d[:-1] = derivatives.successors - np.einsum("tij,tj->ti", derivatives.slopes, y[:-1, :count])
         return replace(stages, A=A, B=B, d=d, H=stages.H.copy())
 
     @property
@@ -102,13 +109,3 @@ class SmoothModel:
 
     def _deviations(self, values: Array) -> Array:
         return (values - self.assembly.program.origin.x[1:]) / self._units[1:, : self.problem.state_dim]
-
-
-def _with_terminal_weight(stages: Stages) -> Stages:
-    """Return the stages with the weight of the distance from what x_T is fixed to."""
-    H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
-    largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
-    weight = TERMINAL_WEIGHT * max(LEAST_CURVATURE, largest)
-    H[-1, terminal, terminal] += weight
-    h[-1, terminal] -= weight * end
-    return replace(stages, H=H, h=h, constant=stages.constant + 0.5 * weight * float(end @ end))

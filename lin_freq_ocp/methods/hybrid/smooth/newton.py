@@ -76,7 +76,9 @@ class NewtonSystem:
     rows_u: Array
 
     @classmethod
-    def of(cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float) -> NewtonSystem:
+    def around(
+        cls, problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, near: float
+    ) -> NewtonSystem:
         """Return the system near a trajectory."""
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         linear = LinearProgram(problem.affine_at(trajectory).with_modes(sequence))
@@ -85,7 +87,7 @@ class NewtonSystem:
         rows_x = linear.sparse.A[linear.sparse.rows[Block.STATE_SPECTRUM], : linear.states].toarray()
         rows_u = linear.sparse.A[linear.sparse.rows[Block.CONTROL_SPECTRUM], linear.states : linear.signals].toarray()
         of_x, of_u = in_x[np.abs(rows_x).argmax(axis=1) % n], in_u[np.abs(rows_u).argmax(axis=1) % m]
-        switches = _switches(problem, trajectory, sequence, np.append(in_x, in_u), near)
+        switches = _switches_near(problem, trajectory, sequence, np.append(in_x, in_u), near)
         y = np.hstack([trajectory.x[:T], trajectory.u])
         norms: list[tuple[Formula, int]] = []
         for norm in piecewise_smooth(problem).norms:
@@ -134,23 +136,23 @@ class NewtonSystem:
         dynamics, selections = piecewise_smooth(problem), dict[Formula, Array]()
         for (norm, t), xi in zip(self.norms, self.xi, strict=True):
             selections.setdefault(norm, np.full((T, len(norm.arguments)), np.nan))[t] = v[xi]
-        found = dynamics.jets_at(y, selections)
+        mode_jets = dynamics.jets_at(y, selections)
         times = np.arange(T)
-        values, slopes, curvatures = jets_of(found, times, self.sequence)
+        values, slopes, curvatures = jets_of(mode_jets, times, self.sequence)
         active = slopes.copy()
         F, J = np.zeros(len(v)), np.zeros((len(v), len(v)))
         for k, (t, second, row) in enumerate(self.switches):
-            other = jets_of(found, np.array([t]), np.array([second]))
-            region = found.regions[self.sequence[t]]
+            second_jets = jets_of(mode_jets, np.array([t]), np.array([second]))
+            region = mode_jets.regions[self.sequence[t]]
             switch, gradient = region.values[t, row], region.slopes[t, row]
-            kink = other[1][0] - slopes[t]
+            kink = second_jets[1][0] - slopes[t]
             F[self.alpha[k]] = -switch
             J[self.alpha[k], at[t]] = -gradient
             J[at[t], self.alpha[k]] -= kink.T @ eta[t]
             if switch > 0:
-                values[t], active[t] = other[0][0], other[1][0]
+                values[t], active[t] = second_jets[0][0], second_jets[1][0]
             slopes[t] = slopes[t] + alpha[k] * kink
-            curvatures[t] = curvatures[t] + alpha[k] * (other[2][0] - curvatures[t])
+            curvatures[t] = curvatures[t] + alpha[k] * (second_jets[2][0] - curvatures[t])
         cost_x, cost_u = problem.quadratic.gradient(x, u)
         F[self.x], F[self.u] = cost_x, cost_u
         F[self.x[1:]] += eta
@@ -173,27 +175,27 @@ class NewtonSystem:
             F[rho] = rows @ v[signals]
             J[np.ix_(signals, rho)] += rows.T
             J[np.ix_(rho, signals)] += rows
-        for (norm, t), own in zip(self.norms, self.xi, strict=True):
+        for (norm, t), columns in zip(self.norms, self.xi, strict=True):
             inner = jets(norm.arguments, y[t : t + 1])
-            q, of_q, xi = inner.values[0], inner.slopes[0], v[own]
+            q, of_q, xi = inner.values[0], inner.slopes[0], v[columns]
             reached = xi + q
             length = float(np.linalg.norm(reached))
             projection, onto = reached, np.eye(len(q))
             if length > 1:
                 projection = reached / length
                 onto = (np.eye(len(q)) - np.outer(projection, projection)) / length
-            F[own] = xi - projection
-            J[np.ix_(own, own)] = np.eye(len(q)) - onto
-            J[np.ix_(own, at[t])] = -onto @ of_q
+            F[columns] = xi - projection
+            J[np.ix_(columns, columns)] = np.eye(len(q)) - onto
+            J[np.ix_(columns, at[t])] = -onto @ of_q
             pull = dynamics.pull_of_norm(norm, y[t], int(self.sequence[t]), eta[t])
-            J[np.ix_(at[t], own)] -= pull * of_q.T
+            J[np.ix_(at[t], columns)] -= pull * of_q.T
         return F, J
 
 
-def jets_of(found: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
+def jets_of(mode_jets: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
     """Return values, slopes and curvatures of the maps of some modes at some times."""
     values, slopes, curvatures = (
-        np.stack([getattr(jet, part) for jet in found.f], axis=1)[times, modes]
+        np.stack([getattr(jet, part) for jet in mode_jets.f], axis=1)[times, modes]
         for part in ("values", "slopes", "curvatures")
     )
     return values, slopes, curvatures
@@ -225,35 +227,35 @@ def _fischer_burmeister(a: Array, b: Array) -> tuple[Array, Array, Array]:
     return length - a - b, np.where(zero, diagonal, a / safe) - 1, np.where(zero, diagonal, b / safe) - 1
 
 
-def _switches(
+def _switches_near(
     problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, units: Array, near: float
 ) -> list[tuple[int, int, int]]:
     """Return (time, second mode, row) where a row of the first mode's region is nearly zero and the second holds."""
     T = problem.horizon
-    found = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
-    defined = found.defined()
+    mode_jets = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+    defined = mode_jets.defined()
 
     def distances(mode: int, t: int) -> Array:
-        region = found.regions[mode]
+        region = mode_jets.regions[mode]
         sizes = np.linalg.norm(region.slopes[t] * units, axis=-1)
         return region.values[t] / np.where(sizes > 0, sizes, 1.0)
 
     switches: list[tuple[int, int, int]] = []
     for t in range(T):
-        own = distances(int(sequence[t]), t)
+        row_distances = distances(int(sequence[t]), t)
         others = [
             mode
             for mode in np.flatnonzero(defined[t])
             if mode != sequence[t] and distances(int(mode), t).max(initial=-np.inf) <= near
         ]
-        zero = np.flatnonzero(np.abs(own) <= near)
+        zero = np.flatnonzero(np.abs(row_distances) <= near)
         if len(others) and len(zero):
             switches.append((t, int(others[0]), int(zero[0])))
     return switches
 
 
 NEAR_KINK = 1e-3  # distance in natural units at which a switching surface or zero of a norm gets a selection
-CONVERGED = 1e-12  # |Phi| of equations of order 1 at which nothing is left to gain
+CONVERGED = 1e-12  # |Phi| of equations of order 1: a further step gains nothing
 SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14  # Armijo's constant, and the shortest step
 SMALL_NORMALS = 1e-2  # weight of multipliers of bounds in the fit of multipliers: the others come first
 SINGULAR = 1e-13  # reciprocal condition number of the linearised equations below which a step is damped
@@ -288,16 +290,16 @@ def newton(
     """
     if problem.terms:
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
-    system = NewtonSystem.of(problem, trajectory, sequence, near)
+    system = NewtonSystem.around(problem, trajectory, sequence, near)
     runs: list[NewtonRun] = []
     for halved in (False, True):
-        runs.append(_run(system, starting_point(system, trajectory, multipliers, near, halved), most_steps))
+        runs.append(_iterate_from(system, starting_point(system, trajectory, multipliers, near, halved), most_steps))
         if runs[-1].converged or multipliers is not None or not system.switches:
             break
     return min(runs, key=lambda run: run.residuals[-1])
 
 
-def _run(system: NewtonSystem, v: Array, most_steps: int) -> NewtonRun:
+def _iterate_from(system: NewtonSystem, v: Array, most_steps: int) -> NewtonRun:
     value = system.at(v)
     residuals = [float(np.linalg.norm(value.phi))]
     while residuals[-1] > CONVERGED and len(residuals) <= most_steps:
@@ -362,7 +364,7 @@ def starting_point(
             regions = piecewise_smooth(system.problem).jets_at(y).regions
             crossed = [regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.switches]
             v[system.alpha] = np.array(crossed, dtype=float)
-        return _fit_multipliers_near(system, v / system.units, near)
+        return _fit_multipliers(system, v / system.units, near)
     v[system.eta] = multipliers.eta
     for block, rows, signal in (
         (system.rho_x, system.rows_x, system.problem.in_time(multipliers.rho_x)),
@@ -375,7 +377,7 @@ def starting_point(
     return v / system.units
 
 
-def _fit_multipliers_near(system: NewtonSystem, v: Array, near: float) -> Array:
+def _fit_multipliers(system: NewtonSystem, v: Array, near: float) -> Array:
     """Return the unknowns with the multipliers of least squares."""
     from scipy.optimize import lsq_linear  # slow to import
 
@@ -383,16 +385,16 @@ def _fit_multipliers_near(system: NewtonSystem, v: Array, near: float) -> Array:
     signals = np.concatenate([system.x.ravel(), system.u.ravel()])
     signals = signals[system.lower[signals] < system.upper[signals]]
     at_lower, at_upper = v[signals] <= system.lower[signals] + near, v[signals] >= system.upper[signals] - near
-    held = np.flatnonzero(at_lower | at_upper)
-    found = np.concatenate([system.eta.ravel(), system.rho_x, system.rho_u])
-    slopes = system.scales[signals, None] * J[np.ix_(signals, found)] * system.units[found]
-    normals = np.zeros((len(signals), len(held)))
-    normals[held, np.arange(len(held))] = 1.0
-    small = np.hstack([np.zeros((len(held), len(found))), SMALL_NORMALS * np.eye(len(held))])
-    right = np.concatenate([-system.scales[signals] * F[signals], np.zeros(len(held))])
-    free = np.full(len(found), np.inf)
-    above = np.where(at_upper[held], np.inf, 0.0)
-    below = np.where(at_lower[held], -np.inf, 0.0)
+    at_bounds = np.flatnonzero(at_lower | at_upper)
+    multipliers = np.concatenate([system.eta.ravel(), system.rho_x, system.rho_u])
+    slopes = system.scales[signals, None] * J[np.ix_(signals, multipliers)] * system.units[multipliers]
+    normals = np.zeros((len(signals), len(at_bounds)))
+    normals[at_bounds, np.arange(len(at_bounds))] = 1.0
+    small = np.hstack([np.zeros((len(at_bounds), len(multipliers))), SMALL_NORMALS * np.eye(len(at_bounds))])
+    right = np.concatenate([-system.scales[signals] * F[signals], np.zeros(len(at_bounds))])
+    free = np.full(len(multipliers), np.inf)
+    above = np.where(at_upper[at_bounds], np.inf, 0.0)
+    below = np.where(at_lower[at_bounds], -np.inf, 0.0)
     bounds = np.append(-free, below), np.append(free, above)
-    v[found] = lsq_linear(np.vstack([np.hstack([slopes, normals]), small]), right, bounds).x[: len(found)]
+    v[multipliers] = lsq_linear(np.vstack([np.hstack([slopes, normals]), small]), right, bounds).x[: len(multipliers)]
     return v

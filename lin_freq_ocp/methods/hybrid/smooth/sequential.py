@@ -71,16 +71,16 @@ def local_optimum(
     """
     best: LocalOptimum | None = None
     for price in prices:
-        found = _descend(problem, start if best is None else best.trajectory, sequence, price, end)
-        if found is None:
+        optimum = _solve_at_price(problem, start if best is None else best.trajectory, sequence, price, end)
+        if optimum is None:
             return best
-        best = found
+        best = optimum
         if best.feasible or now() > end:
             break
     return best
 
 
-def flipped(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Indices]:
+def neighbouring_sequences(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Indices]:
     """Yield the sequences with one mode changed, first where the multipliers of regions are largest."""
     T, modes = problem.horizon, len(piecewise_smooth(problem).modes)
     largest = local.multipliers.stage.get(REGION, np.zeros((T, 1))).max(axis=1, initial=0.0)
@@ -92,10 +92,10 @@ def flipped(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Ind
                 yield changed
 
 
-def _descend(
+def _solve_at_price(
     problem: OptimalControlProblem, start: Trajectory, sequence: Indices, price: float, end: float
 ) -> LocalOptimum | None:
-    fixed = _SequenceProgram.of(problem, start, sequence)
+    fixed = _SequenceProgram.build(problem, start, sequence)
     z = None if fixed is None else fixed.within_sets(start)
     point = None if fixed is None or z is None else fixed.at(z, None)
     radius, taken, steps = FIRST_RADIUS, None, 0
@@ -104,23 +104,23 @@ def _descend(
         if now() > end:
             break
         steps += 1
-        step = _step(point, price, radius)
+        step = _trust_region_step(point, price, radius)
         if step is None:
             break
         z, y, predicted = step
-        moved = float(np.abs(z - point.z).max())
-        found = point.fixed.multipliers(y)
-        after = point.fixed.at(z, found.eta)
+        length = float(np.abs(z - point.z).max())
+        multipliers_after = point.fixed.multipliers(y)
+        after = point.fixed.at(z, multipliers_after.eta)
         gained = -np.inf if after is None else point.merit(price) - after.merit(price)
-        if moved <= SMALLEST_STEP or predicted <= MERIT_ROUNDING * abs(point.merit(price)):
-            multipliers, taken = found, point if gained < 0 else after
+        if length <= SMALLEST_STEP or predicted <= MERIT_ROUNDING * abs(point.merit(price)):
+            multipliers, taken = multipliers_after, point if gained < 0 else after
             break
         if after is not None and gained >= ACCEPTED * predicted:
-            point, multipliers, taken = after, found, after
+            point, multipliers, taken = after, multipliers_after, after
             radius = min(2 * radius, LARGEST_RADIUS) if gained >= GOOD * predicted else radius
         else:
-            radius = 0.25 * min(radius, moved)
-            point = replace(point, eta=found.eta)
+            radius = 0.25 * min(radius, length)
+            point = replace(point, eta=multipliers_after.eta)
     if taken is None or multipliers is None:
         return None
     cost = problem.value(taken.trajectory.x, taken.trajectory.u)
@@ -145,7 +145,7 @@ class _SequenceProgram:
     regions: Indices
 
     @classmethod
-    def of(cls, problem: OptimalControlProblem, start: Trajectory, sequence: Indices) -> _SequenceProgram | None:
+    def build(cls, problem: OptimalControlProblem, start: Trajectory, sequence: Indices) -> _SequenceProgram | None:
         """Return the program in the natural units at the start; None if a piece is not defined there."""
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         dynamics = piecewise_smooth(problem)
@@ -163,8 +163,8 @@ class _SequenceProgram:
         of_maps, of_regions = np.isin(row, maps), np.isin(row, regions[regions >= 0])
         after = np.full(len(program.lower), -1)
         after[maps] = np.arange(n, (T + 1) * n).reshape(T, n)
-        kept = np.where(of_maps, after[row] == column, ~of_regions)
-        A = sp.csc_array((entries.data[kept], (row[kept], column[kept])), shape=program.A.shape)
+        constant = np.where(of_maps, after[row] == column, ~of_regions)
+        A = sp.csc_array((entries.data[constant], (row[constant], column[constant])), shape=program.A.shape)
         program = replace(program, A=A)
         return cls(problem, sequence, linear, scaling, program, signals, maps, regions)
 
@@ -179,9 +179,9 @@ class _SequenceProgram:
     def within_sets(self, trajectory: Trajectory) -> Array | None:
         """Return the nearest point that satisfies all but maps and regions; None if it was not found."""
         z, program = self.scaling.scaled_primal(self.linear.point(trajectory)), self.program
-        kept = np.ones(len(program.lower), dtype=bool)
-        kept[self.maps] = kept[self.regions[self.regions >= 0]] = False
-        lower, upper = np.where(kept, program.lower, -np.inf), np.where(kept, program.upper, np.inf)
+        other_rows = np.ones(len(program.lower), dtype=bool)
+        other_rows[self.maps] = other_rows[self.regions[self.regions >= 0]] = False
+        lower, upper = np.where(other_rows, program.lower, -np.inf), np.where(other_rows, program.upper, np.inf)
         sets = replace(program, lower=lower, upper=upper)
         if sets.residuals(z, np.zeros(len(lower))).primal <= VIOLATION:
             return z
@@ -195,15 +195,15 @@ class _SequenceProgram:
         """Return the linearised program at a point; None if a piece is not defined there."""
         problem, T = self.problem, self.problem.horizon
         trajectory, times = self.trajectory(z), np.arange(T)
-        found = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
-        if not found.defined()[times, self.sequence].all():
+        mode_jets = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
+        if not mode_jets.defined()[times, self.sequence].all():
             return None
-        values, slopes, curvatures = jets_of(found, times, self.sequence)
+        values, slopes, curvatures = jets_of(mode_jets, times, self.sequence)
         most = self.regions.shape[1]
         switching, facets = np.full((T, most), -np.inf), np.zeros((T, most, self.signals.shape[1]))
-        for i, region in enumerate(found.regions):
-            here, rows = self.sequence == i, region.values.shape[1]
-            switching[here, :rows], facets[here, :rows] = region.values[here], region.slopes[here]
+        for i, region in enumerate(mode_jets.regions):
+            in_mode, rows = self.sequence == i, region.values.shape[1]
+            switching[in_mode, :rows], facets[in_mode, :rows] = region.values[in_mode], region.slopes[in_mode]
         scale, base, chosen = self.scaling.rows, self.program, self.regions >= 0
         maps, regions = self.maps.ravel(), self.regions[chosen]
         rows = np.concatenate([maps, regions])
@@ -254,9 +254,9 @@ class _Linearised:
         shape, fixed = (len(self.z), len(self.z)), self.fixed
         if self.eta is None:
             return sp.csc_array(shape)
-        own = np.broadcast_to(fixed.problem.quadratic.stage_hessians(), self.curvatures[:, 0].shape)
-        values, vectors = np.linalg.eigh(own - np.einsum("ti,tijk->tjk", self.eta, self.curvatures))
-        added = np.einsum("tij,tj,tkj->tik", vectors, np.maximum(values, 0.0), vectors) - own
+        hessians = np.broadcast_to(fixed.problem.quadratic.stage_hessians(), self.curvatures[:, 0].shape)
+        values, vectors = np.linalg.eigh(hessians - np.einsum("ti,tijk->tjk", self.eta, self.curvatures))
+        added = np.einsum("tij,tj,tkj->tik", vectors, np.maximum(values, 0.0), vectors) - hessians
         units = fixed.scaling.columns[fixed.signals]
         scaled = fixed.scaling.cost * added * units[:, :, None] * units[:, None, :]
         row = np.broadcast_to(fixed.signals[:, :, None], scaled.shape).ravel()
@@ -264,7 +264,7 @@ class _Linearised:
         return sp.csc_array(sp.coo_array((scaled.ravel(), (row, column)), shape=shape))
 
 
-def _step(point: _Linearised, price: float, radius: float) -> tuple[Array, Array, float] | None:
+def _trust_region_step(point: _Linearised, price: float, radius: float) -> tuple[Array, Array, float] | None:
     """Solve the program in the trust region; return the point, its duals, and the predicted improvement."""
     program, fixed, count = point.program, point.fixed, len(point.z)
     maps, regions = fixed.maps.ravel(), fixed.regions[fixed.regions >= 0]
@@ -298,6 +298,6 @@ def _step(point: _Linearised, price: float, radius: float) -> tuple[Array, Array
     solution = backend("clarabel")(penalised, QP_TOLERANCE, None)
     if solution.z is None or solution.y is None or solution.claim not in (Claim.SOLVED, Claim.FAILED):
         return None
-    here = np.concatenate([np.maximum(-point.defects, 0.0), np.maximum(point.defects, 0.0), point.outside])
-    before = penalised.objective(np.append(point.z, here))
+    slacks_before = np.concatenate([np.maximum(-point.defects, 0.0), np.maximum(point.defects, 0.0), point.outside])
+    before = penalised.objective(np.append(point.z, slacks_before))
     return solution.z[:count], solution.y, before - penalised.objective(solution.z)
