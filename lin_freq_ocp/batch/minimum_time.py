@@ -324,11 +324,11 @@ def _spectra_in_the_way(problem: OptimalControlProblem) -> Iterator[str]:
     for term in problem.terms:
         if not term.hard or not term.kind.is_spectrum:
             continue
-        if term.everywhere is None:
+        if term.semi_infinite is None:
             yield f"{term.name}: it is about bins, or all samples, of its own horizon"
-        elif (term.everywhere.map.window != 1).any():
+        elif (term.semi_infinite.map.window != 1).any():
             yield f"{term.name}: its window belongs to one horizon"
-        elif (C := term.everywhere.map.C) is not None and any(problem.ends[1].support(y) != 0 for y in (C, -C)):
+        elif (C := term.semi_infinite.map.C) is not None and any(problem.ends[1].support(y) != 0 for y in (C, -C)):
             yield f"{term.name}: the sample that is appended is not zero"
 
 
@@ -354,7 +354,7 @@ def _data_of_first_steps(problem: OptimalControlProblem, horizon: int) -> dict[s
     masks = list[object]()
     for term in problem.terms:
         if term.hard and term.kind.is_spectrum:
-            mask = term.everywhere
+            mask = term.semi_infinite
             others = [] if mask is None else [value for field, value in vars(mask).items() if field != "map"]
             masks.append((term.name, mask and [mask.map.C, mask.map.D], others))
     found: dict[str, object] = {

@@ -48,11 +48,11 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.semi_infinite import (
-    Continuum,
-    Frequencies,
-    HeldFrequencies,
     Limits,
-    PlantBox,
+    MagnitudeMask,
+    SemiInfiniteConstraint,
+    VibrationLimit,
+    ZeroOrderHoldMask,
     peaks_above,
 )
 
@@ -279,7 +279,7 @@ class HeldSeries(Series):
 
 def peak_points(problem: OptimalControlProblem, x: Array, u: Array, above: float) -> dict[str, Array]:
     """Return the points of all local maxima above a ratio, by name of the terms that have some."""
-    sets = {term.name: term.everywhere for term in problem.terms if term.everywhere is not None}
+    sets = {term.name: term.semi_infinite for term in problem.terms if term.semi_infinite is not None}
     found = {name: peaks_above(everywhere, x, u, above)[0] for name, everywhere in sets.items()}
     return {name: points for name, points in found.items() if len(points)}
 
@@ -291,7 +291,7 @@ EXTENDED = float(np.finfo(np.longdouble).eps)
 DOUBLE = float(np.finfo(np.float64).eps)
 
 
-def certified_vibration(samples: Array, box: PlantBox) -> Peak:
+def certified_vibration(samples: Array, box: VibrationLimit) -> Peak:
     """Return the largest |V| / limit of samples (N,), with proof."""
     size = float(np.abs(samples).max(initial=0.0))
     if size == 0 or not np.isfinite(size):
@@ -305,7 +305,7 @@ def certified_vibration(samples: Array, box: PlantBox) -> Peak:
     return Peak(peak.ratio, peak.found, frequency, damping)
 
 
-def _cells(values: Array, box: PlantBox, limit: float, number: int, edge: tuple[complex, complex]) -> Cells:
+def _cells(values: Array, box: VibrationLimit, limit: float, number: int, edge: tuple[complex, complex]) -> Cells:
     """Return the cells of an edge; their parameter is twice the edge's number, plus the share of the way along it."""
     (start, end), W = edge, 2 * np.pi * float(box.high[0]) * box.duration
     R = float(np.log1p(CIRCLE_GROWTH / W))
@@ -346,21 +346,21 @@ def _at(values: Array, points: ComplexArray, sampling_time: float) -> ComplexArr
 
 
 @singledispatch
-def proven_peak(everywhere: Continuum, samples: Array) -> Peak:
+def proven_peak(everywhere: SemiInfiniteConstraint, samples: Array) -> Peak:
     """Return the largest |V| / l of windowed samples (N,) over a parameter set; by kind of set."""
     raise NotImplementedError(type(everywhere).__name__)
 
 
 @proven_peak.register
-def _(everywhere: Frequencies, samples: Array) -> Peak:
+def _(everywhere: MagnitudeMask, samples: Array) -> Peak:
     return certified_peak(samples, everywhere.limits)
 
 
 @proven_peak.register
-def _(everywhere: HeldFrequencies, samples: Array) -> Peak:
+def _(everywhere: ZeroOrderHoldMask, samples: Array) -> Peak:
     return certified_peak(samples, everywhere.limits, HeldSeries)
 
 
 @proven_peak.register
-def _(everywhere: PlantBox, samples: Array) -> Peak:
+def _(everywhere: VibrationLimit, samples: Array) -> Peak:
     return certified_vibration(samples, everywhere)

@@ -28,7 +28,7 @@ from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_indices, entries_of
-from lin_freq_ocp.problem.terms.semi_infinite import Continuum
+from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -172,8 +172,8 @@ def _limited_about_zero(problem: OptimalControlProblem) -> Mask:
             moved = term.map.values(steady, none) - term.map.values(rest, none)
             sizes = term.map.sizes(steady, none)
             found[i] |= bool((np.abs(moved) > ROUNDING * sizes).any())
-            if term.everywhere is not None:
-                found[i] |= bool(term.everywhere.map.signal(steady, none).any())
+            if term.semi_infinite is not None:
+                found[i] |= bool(term.semi_infinite.map.signal(steady, none).any())
     return found
 
 
@@ -220,11 +220,11 @@ def augment_states(
         state_set=augmented_set,
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
-        state_spectrum=[more for one in entries_of(problem.state_spectrum) for more in one.extended(n, k)] or None,
+        state_spectrum=[more for one in entries_of(problem.state_spectrum) for more in one.augmented(n, k)] or None,
         stage_rows=[
             StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
         ],
-        output_spectrum=[one.extended(n, k) for one in entries_of(problem.output_spectrum)] or None,
+        output_spectrum=[one.augmented(n, k) for one in entries_of(problem.output_spectrum)] or None,
     )
 
 
@@ -353,25 +353,25 @@ def rate_limit(problem: OptimalControlProblem, limit: Bound, previous: ArrayLike
     return OwnStates(problem, replace(remembering, stage_rows=[*remembering.stage_rows, rows]))
 
 
-Kind = TypeVar("Kind", bound=Continuum)
+Kind = TypeVar("Kind", bound=SemiInfiniteConstraint)
 
 
-def everywhere_of(problem: OptimalControlProblem, kind: type[Kind]) -> list[tuple[Term, Kind]]:
+def semi_infinite_terms(problem: OptimalControlProblem, kind: type[Kind]) -> list[tuple[Term, Kind]]:
     """Return the terms whose infinitely many constraints are of a kind, and these."""
-    return [(term, found) for term in problem.terms if isinstance(found := term.everywhere, kind)]
+    return [(term, found) for term in problem.terms if isinstance(found := term.semi_infinite, kind)]
 
 
 def at_frequencies(
-    problem: OptimalControlProblem, frequencies: Mapping[str, Array], relaxed: bool = False
+    problem: OptimalControlProblem, frequencies: Mapping[str, Array], points_only: bool = False
 ) -> OptimalControlProblem:
     """Return the problem whose terms stand at these points, (groups,) in rad/sample or (groups, 2), by their name.
 
-    Others stay where they are. ``relaxed``: nothing is required at other points.
+    Others stay where they are. ``points_only``: nothing is required at other points.
     """
-    found = [term for term in problem.terms if term.everywhere is not None]
-    if not found or not (frequencies or relaxed):
+    found = [term for term in problem.terms if term.semi_infinite is not None]
+    if not found or not (frequencies or points_only):
         return problem
-    pending = iter([frequencies.get(term.name, term.map.places) for term in found])
+    pending = iter([frequencies.get(term.name, term.map.locations) for term in found])
 
     def placed(given: object, names: Sequence[str]) -> list[FrequencyConstraint]:
         """Return the entries of a field; those at every frequency take the next points, one array a component."""
@@ -379,7 +379,7 @@ def at_frequencies(
         for constraint in entries_of(given):
             if constraint.every_frequency:
                 count = len(component_indices("spectrum", constraint.component, names))
-                constraint = constraint.at_frequencies([next(pending) for _ in range(count)], relaxed)
+                constraint = constraint.at_frequencies([next(pending) for _ in range(count)], points_only)
             constraints.append(constraint)
         return constraints
 
@@ -415,4 +415,4 @@ class SampledMasks(Inverse):
 
 def sampled_masks(problem: OptimalControlProblem, points: Mapping[str, Array]) -> SampledMasks:
     """Return the problem with its semi-infinite constraints at points only, and the way back."""
-    return SampledMasks(problem, at_frequencies(problem, points, relaxed=True), points)
+    return SampledMasks(problem, at_frequencies(problem, points, points_only=True), points)

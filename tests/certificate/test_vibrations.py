@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from lin_freq_ocp.certificate.peaks import certified_vibration
-from lin_freq_ocp.problem.terms.semi_infinite import PlantBox, VibrationMap
+from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, VibrationMap
 
 ABOVE = 5e-8  # of the proven ratio over the largest value: 2e-8 of the chord
 
 
 def box_of(N, frequency, damping, limit=1.0, h=0.01):
     plain = VibrationMap(None, np.ones(1), np.ones(N), np.zeros((0, 2)), h)
-    return PlantBox(plain, *np.stack([frequency, damping], axis=1), limit, h)
+    return VibrationLimit(plain, *np.stack([frequency, damping], axis=1), limit, h)
 
 
 def amplitude(samples, modes, h=0.01):

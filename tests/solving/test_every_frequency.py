@@ -108,7 +108,7 @@ def test_limits_and_bands(limit, band, fields):
         assert peak.found > 1 - 1e-6  # the limit is active
     samples = result.trajectory.u[:, 0] * (np.hanning(100) if "window" in fields else 1)
     w = np.linspace(0, np.pi, 5001)
-    kept = (result.problem.terms[0].everywhere.limits.at(w)) * (1 + 1e-6)
+    kept = (result.problem.terms[0].semi_infinite.limits.at(w)) * (1 + 1e-6)
     assert (np.abs(spectrum(samples, w)) <= kept).all()
 
 

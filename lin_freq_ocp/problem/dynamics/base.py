@@ -155,7 +155,7 @@ class Dynamics(ABC):
         return self.standard_form.augmented(A, B, names, horizon)
 
 
-def as_sequence(field: str, sequence: ArrayLike, horizon: int, modes: int) -> Indices:
+def mode_sequence(field: str, sequence: ArrayLike, horizon: int, modes: int) -> Indices:
     """Return a mode sequence as integers (T,), or raise ProblemError."""
     expected = f"{horizon} mode numbers from 0 to {modes - 1}"
     try:
@@ -251,7 +251,7 @@ class StateEquations(StandardDynamics):
         """Return what residuals of ``pull_back`` are relative to."""
 
 
-def in_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form:
+def require_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form:
     """Return the standard form of dynamics, which must be of this kind."""
     form = dynamics.standard_form
     if isinstance(form, kind):

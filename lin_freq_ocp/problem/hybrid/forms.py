@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lin_freq_ocp.problem.dynamics.base import in_form
+from lin_freq_ocp.problem.dynamics.base import require_form
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
@@ -13,12 +13,12 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 def piecewise_affine(problem: OptimalControlProblem) -> PiecewiseAffineDynamics:
     """Return the dynamics of a problem, which must be piecewise affine; else raise UnsupportedError."""
-    return in_form(problem.dynamics, PiecewiseAffineDynamics)
+    return require_form(problem.dynamics, PiecewiseAffineDynamics)
 
 
 def piecewise_smooth(problem: OptimalControlProblem) -> PiecewiseSmoothDynamics:
     """Return the dynamics of a problem, which must be piecewise smooth; else raise UnsupportedError."""
-    return in_form(problem.dynamics, PiecewiseSmoothDynamics)
+    return require_form(problem.dynamics, PiecewiseSmoothDynamics)
 
 
 def measured_modes(problem: OptimalControlProblem) -> ModeArrays:

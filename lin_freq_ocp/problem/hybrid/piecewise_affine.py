@@ -20,10 +20,10 @@ from lin_freq_ocp.formulas.text import Formulas
 from lin_freq_ocp.problem.dynamics.base import (
     StandardDynamics,
     Step,
-    as_sequence,
     counted,
     mode_facts,
     mode_labels,
+    mode_sequence,
     signal_labels,
     unique_names,
 )
@@ -438,7 +438,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
 
     def with_modes(self, sequence: ArrayLike, horizon: int) -> tuple[LinearDynamics, StageRows]:
         """Return the linear dynamics of a mode sequence (T,), checked, and the rows of its regions."""
-        modes = as_sequence("sequence", sequence, horizon, len(self.modes))
+        modes = mode_sequence("sequence", sequence, horizon, len(self.modes))
         return self.along(modes), self.region_rows(modes)
 
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:

@@ -1,5 +1,8 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``FrequencyConstraint``)
-"""A bound on what a move leaves ringing in a mode that is known up to a box of frequencies and damping ratios."""
+# ruff: noqa: D102
+"""A bound on the residual vibration of all modes in a box of natural frequencies and damping ratios.
+
+``FrequencyConstraint`` documents the methods without a docstring.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from lin_freq_ocp.base.arrays import Array, assign, brief, positive_number, real
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST, number
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
-from lin_freq_ocp.problem.terms.semi_infinite import PlantBox, VibrationMap
+from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, VibrationMap
 from lin_freq_ocp.problem.terms.term import Term
 
 
@@ -79,10 +82,10 @@ class ResidualVibration(FrequencyConstraint):
         low, high = np.stack([self.frequency, self.damping], axis=1)
         samples = np.ones(signal.length), np.zeros((0, 2))
         maps = (VibrationMap(C, D, *samples, h) for _, C, D in signal.rows(field, self.component))
-        boxes = (PlantBox(values, low, high, self.limit, h) for values in maps)
+        boxes = (VibrationLimit(values, low, high, self.limit, h) for values in maps)
         yield from self.semi_infinite_terms("residual vibration of", signal, boxes, source)
 
-    def extended(self, n: int, k: int) -> Sequence[ResidualVibration]:
+    def augmented(self, n: int, k: int) -> Sequence[ResidualVibration]:
         return self.on_components(n)
 
     @property
