@@ -20,7 +20,7 @@ from lin_freq_ocp.formulas.text import Formulas
 from lin_freq_ocp.problem.dynamics.base import (
     StandardDynamics,
     Step,
-    counted,
+    dimension_words,
     mode_facts,
     mode_labels,
     mode_sequence,
@@ -92,7 +92,7 @@ def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None,
         got = sizes if mode is None else (mode.linear.state_dim, mode.linear.control_dim)
         if got != sizes:
             expected = f"{sizes[0]} and {sizes[1]}, as in the first"
-            raise ProblemError(f"guards.modes[{pattern!r}]", counted(*got), expected)
+            raise ProblemError(f"guards.modes[{pattern!r}]", dimension_words(*got), expected)
     guards = _guards(G, H, d, *sizes)
     for pattern in maps:
         if not isinstance(pattern, str) or len(pattern) != guards.count or set(pattern) - {*SIGNS, ANY}:
@@ -244,7 +244,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
         for i, mode in enumerate(modes):
             got = mode.linear.state_dim, mode.linear.control_dim
             if got != (n, m):
-                raise ProblemError(f"dynamics.modes[{i}]", counted(*got), f"{n} and {m}, as in the first")
+                raise ProblemError(f"dynamics.modes[{i}]", dimension_words(*got), f"{n} and {m}, as in the first")
         assign(self, modes=tuple(modes), **signal_labels(n, m, sampling_time, state_names, control_names))
         _ = self.mode_names  # all different
 
