@@ -30,7 +30,8 @@ ln w + i phi, is largest on an edge of the rectangle of all y, as ln |V| is subh
 (problem/terms/semi_infinite.py). An edge is divided into cells of half-length r about y_c. Q at K points of the
 circle of radius r about y_c has the Fourier coefficients a_j = q_j + q_{j+K} + ..., where Q = sum_j q_j ((y - y_c) /
 r)^j. By Cauchy, |q_j| <= M (r/R)^j with |Q| <= M on the circle of radius R: with W = N h max w, M = 2 exp(W (e^R - 1))
-sum |v_t|. The limit times sin(phi), which is concave, is above its chord.
+sum |v_t|. The limit times sin(phi), which is concave, is above its chord. A relative limit has Q without z - 1, for
+which M is large enough, and no sin(phi).
 """
 
 from __future__ import annotations
@@ -318,7 +319,7 @@ def _cells(values: Array, box: VibrationLimit, limit: float, number: int, edge: 
     direction = step / radius if step else 1.0
     centre, turns = start + (end - start) * share, np.exp(2j * np.pi * np.arange(TERMS) / TERMS)
     circles = (centre[:, None] + radius * direction * turns).astype(np.complex128)
-    found = _at(values, circles, box.sampling_time)
+    found = _at(values, circles, box.sampling_time, box.map.relative)
     a = np.fft.fft(found.reshape(count, TERMS), axis=1) / TERMS
     if not step:
         a[:, 1:] = 0.0
@@ -326,14 +327,15 @@ def _cells(values: Array, box: VibrationLimit, limit: float, number: int, edge: 
     rest = 4 * total * np.exp(CIRCLE_GROWTH) * (radius / R) ** TERMS / (1 - radius / R)
     near = 2 * total * np.exp(W * np.expm1(radius))  # what Q cannot exceed on the small circles
     rounding = (2 * np.sqrt(len(values)) + 30 + 4 * W) * EXTENDED + (TERMS + 4 * W) * DOUBLE
-    sines = np.sin(np.array([start.imag, *(start + (end - start) * (np.arange(count) + 1) / count).imag]))
+    phi = np.array([start.imag, *(start + (end - start) * (np.arange(count) + 1) / count).imag])
+    sines = np.ones(count + 1) if box.map.relative else np.sin(phi)
     below, slope = limit * (sines[:-1] + sines[1:]) / 2, limit * np.diff(sines) / 2
     ones = np.ones(count)
     error = (rest + rounding * near) * ones
     return Cells(a, 2 * number + share, ones / (2 * count), below, slope, error)
 
 
-def _at(values: Array, points: ComplexArray, sampling_time: float) -> ComplexArray:
+def _at(values: Array, points: ComplexArray, sampling_time: float, relative: bool) -> ComplexArray:
     """Return Q of samples at points y, flattened, in extended precision before it is rounded."""
     y, N = points.reshape(-1, 1).astype(np.clongdouble), len(values)
     sh = np.exp(y) * np.longdouble(sampling_time)
@@ -342,7 +344,8 @@ def _at(values: Array, points: ComplexArray, sampling_time: float) -> ComplexArr
     powers = np.zeros(A * B, dtype=values.dtype)
     powers[:N] = values[::-1]
     inner = np.exp(sh * np.arange(B)) @ powers.reshape(A, B).T
-    return (np.expm1(sh[:, 0]) * (np.exp(sh * (B * np.arange(A))) * inner).sum(axis=1)).astype(np.complex128)
+    total = (np.exp(sh * (B * np.arange(A))) * inner).sum(axis=1)
+    return (total if relative else np.expm1(sh[:, 0]) * total).astype(np.complex128)
 
 
 @singledispatch

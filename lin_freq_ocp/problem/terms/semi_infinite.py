@@ -264,9 +264,10 @@ def sinc(w: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class VibrationMap(ScaledMap):
-    """(Re, Im) of V for modes ``at``, (groups, 2): natural frequency in Hz and damping ratio; V as in the limit."""
+    """(Re, Im) of V for modes ``at``, (groups, 2): natural frequency in Hz, damping ratio; see ``VibrationLimit``."""
 
     sampling_time: float
+    relative: bool = False  # V is the sum of the samples alone
 
     @property
     def real(self) -> Mask:
@@ -274,7 +275,9 @@ class VibrationMap(ScaledMap):
 
     @property
     def gain(self) -> ComplexArray:
-        """Return (z - 1) / sqrt(1 - zeta^2), (groups,)."""
+        """Return (z - 1) / sqrt(1 - zeta^2), (groups,); 1 if relative."""
+        if self.relative:
+            return np.ones(len(self.at), dtype=np.clongdouble)
         turned: ComplexArray = np.exp(self._angles)
         return (turned - 1) / np.sqrt(1 - self._damping_ratio**2)
 
@@ -306,7 +309,8 @@ class VibrationLimit(SemiInfiniteConstraint):
 
     In y = ln s = ln w + i phi, the sum times (z - 1) is analytic and sqrt(1 - zeta^2) = sin(phi). Hence ln |V| is
     subharmonic: -ln sin(phi) has the second derivative 1/sin(phi)^2 > 0. The box of (w, zeta) is a rectangle in y, so
-    that the largest |V| lies on its edges.
+    that the largest |V| lies on its edges. With a ``relative`` map, V is the sum alone, whose logarithm is subharmonic,
+    too.
     """
 
     low: Array  # natural frequency in Hz and damping ratio, (2,)

@@ -81,6 +81,7 @@ class Term:
     source: tuple[str, int] | None = None  # the field of the problem that states it, and the index there
     per_limit: float = 1.0  # the penalty's limit per unit of the stated limit (of the root of a stated energy)
     semi_infinite: SemiInfiniteConstraint | None = None  # the constraint that the map samples at its points
+    band: str = ""  # of the constraint: it names terms that would have the same name
 
     @property
     def hard(self) -> bool:
