@@ -19,7 +19,7 @@ from functools import partial
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
@@ -279,13 +279,14 @@ def _moving_ends(problem: OptimalControlProblem, first: int) -> Iterator[str]:
     moved = np.abs((A - identity) @ x + d) > ROUNDING * (np.abs(A) @ np.abs(x) + np.abs(x) + np.abs(d))
     moves = moved.any(axis=0) | change[..., ~fixed].any(axis=(0, 2))
     inside = (end.support(A) + d <= end.upper) & (end.lower <= d - end.support(-A))
-    moves &= ~inside.all(axis=0) | _limited_with_others(problem)
+    if moves.any():
+        moves &= ~inside.all(axis=0) | _limited_with_others(problem)
     if moves.any():
         names = ", ".join(problem.state_names[i] for i in np.flatnonzero(moves))
         yield f"with a control of zero the state does not stay at every admissible end ({names})"
 
 
-def _limited_with_others(problem: OptimalControlProblem) -> Array:
+def _limited_with_others(problem: OptimalControlProblem) -> Mask:
     """Return the states that an end, a state set or an equation on both ends limits together with others, (n,)."""
     terms = [term for term in problem.terms if term.hard and not term.kind.is_spectrum]
     terms = [term for term in terms if term.kind.of == "states" or term.kind.is_link]

@@ -159,7 +159,8 @@ class LinearDynamics(StateEquations):
         states, controls = state_names or labels[0], control_names or labels[1]
         continuous, step = clock("plant", dt, sampling_time)
         if continuous and step is not None:
-            return cls.from_continuous(A, B, step, state_names=states, control_names=controls)
+            named = {"state_names": states, "control_names": controls}
+            return cls.from_continuous(A, B, step, **{key: names for key, names in named.items() if names})
         return cls(A, B, None, step, states, controls)
 
     @classmethod

@@ -115,7 +115,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
             yield replace(edge, put=partial(SpectrumBound.with_band, put=edge.put))
         yield from super().numbers(axis)
 
-    def with_band(self, value: float, put: Callable[[Band, float], Band]) -> Self:
+    def with_band(self, value: float, put: Callable[..., object]) -> Self:
         """Return the bound with the band that ``put`` makes of its own."""
         return self.changed(band=put(self.band, value))
 

@@ -277,7 +277,7 @@ class VibrationMap(ScaledMap):
     def gain(self) -> ComplexArray:
         """Return (z - 1) / sqrt(1 - zeta^2), (groups,); 1 if relative."""
         if self.relative:
-            return np.ones(len(self.at), dtype=np.clongdouble)
+            return extended(np.ones(len(self.at)) + 0j)
         turned: ComplexArray = np.exp(self._angles)
         return (turned - 1) / np.sqrt(1 - self._damping_ratio**2)
 
@@ -313,6 +313,7 @@ class VibrationLimit(SemiInfiniteConstraint):
     too.
     """
 
+    map: VibrationMap
     low: Array  # natural frequency in Hz and damping ratio, (2,)
     high: Array
     limit: float
