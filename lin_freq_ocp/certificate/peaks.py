@@ -37,7 +37,7 @@ which M is large enough, and no sin(phi).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import singledispatch
 from math import factorial
 from typing import TypeVar
@@ -71,19 +71,23 @@ MOST_CELLS = 2_000_000  # at a time
 class Peak:
     """The largest |V| / l: proven to be at most ``ratio``; ``found`` at ``frequency`` in rad/sample.
 
-    Of a residual vibration: at a natural frequency in Hz, and a damping ratio.
+    Of a residual vibration: at a natural frequency in Hz, and a damping ratio. Texts have the frequency of a mask in Hz if
+    its band is stated in Hz: ``hertz`` per rad/sample.
     """
 
     ratio: float
     found: float
     frequency: float
     damping: float | None = None
+    hertz: float | None = None
 
     def __str__(self) -> str:
-        what, unit = ("|V|", "rad/sample") if self.damping is None else ("the vibration", "Hz")
-        where = "" if self.damping is None else f", damping ratio {self.damping:.6g}"
-        found = f"it is {self.found:.12g} at {self.frequency:.6g} {unit}{where}"
-        return f"{what} is at most {self.ratio:.12g} of its limit, proven; {found}"
+        what, where = "|V|", f"{self.frequency:.6g} rad/sample"
+        if self.damping is not None:
+            what, where = "the vibration", f"{self.frequency:.6g} Hz, damping ratio {self.damping:.6g}"
+        elif self.hertz is not None:
+            where = f"{self.hertz * self.frequency:.6g} Hz"
+        return f"{what} is at most {self.ratio:.12g} of its limit, proven; it is {self.found:.12g} at {where}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,12 +360,12 @@ def proven_peak(everywhere: SemiInfiniteConstraint, samples: Array) -> Peak:
 
 @proven_peak.register
 def _(everywhere: MagnitudeMask, samples: Array) -> Peak:
-    return certified_peak(samples, everywhere.limits)
+    return replace(certified_peak(samples, everywhere.limits), hertz=everywhere.hertz)
 
 
 @proven_peak.register
 def _(everywhere: ZeroOrderHoldMask, samples: Array) -> Peak:
-    return certified_peak(samples, everywhere.limits, HeldSeries)
+    return replace(certified_peak(samples, everywhere.limits, HeldSeries), hertz=everywhere.hertz)
 
 
 @proven_peak.register

@@ -156,6 +156,8 @@ def _conditions(conditions: Sequence[Condition]) -> list[FileTable]:
     tables = [{**asdict(condition), "passed": condition.passed} for condition in conditions]
     for table in tables:
         del table["rounding"]  # of the judge alone
+        if table["peak"] is not None:
+            del table["peak"]["hertz"]  # the unit of a text; tables are in rad/sample
     return [{key: value for key, value in table.items() if key != "peak" or value is not None} for table in tables]
 
 

@@ -291,7 +291,9 @@ class MagnitudeBound(SpectrumBound):
         window, penalty = self.samples(signal.length, field), float(weight_of(self.penalty))
         mask, values = (ZeroOrderHoldMask, ZeroOrderHoldMap) if self.hold else (MagnitudeMask, FrequencyMap)
         maps = (values(C, D, window, np.zeros(0)) for _, C, D in signal.rows(field, self.component))
-        masks = (mask(spectrum, limits, price=penalty) for spectrum in maps)
+        step = signal.sampling_time if self.band.unit == "Hz" else None
+        hertz = None if step is None else 1 / (2 * np.pi * step)
+        masks = (mask(spectrum, limits, price=penalty, hertz=hertz) for spectrum in maps)
         yield from self.semi_infinite_terms(f"{'held ' if self.hold else ''}mask on", signal, masks, source)
 
     def describe(self, names: Sequence[str]) -> str:

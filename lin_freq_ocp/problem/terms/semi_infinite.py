@@ -148,6 +148,7 @@ class MagnitudeMask(SemiInfiniteConstraint):
     """|V(w)| <= l(w) at every frequency w in rad/sample of the intervals of the limits."""
 
     limits: Limits
+    hertz: float | None = field(default=None, kw_only=True)  # per rad/sample, if the band is stated in Hz
     highest: ClassVar[float] = np.pi  # no point lies above
 
     def limit_at(self, points: Array) -> Array:
