@@ -71,8 +71,8 @@ MOST_CELLS = 2_000_000  # at a time
 class Peak:
     """The largest |V| / l: proven to be at most ``ratio``; ``found`` at ``frequency`` in rad/sample.
 
-    Of a residual vibration: at a natural frequency in Hz, and a damping ratio. Texts have the frequency of a mask in Hz if
-    its band is stated in Hz: ``hertz`` per rad/sample.
+    Of a residual vibration: at a natural frequency in Hz, and a damping ratio. Texts state a mask's frequency in Hz if
+    its band is in Hz: ``hertz`` per rad/sample.
     """
 
     ratio: float

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, cast
+from operator import methodcaller
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,7 +51,7 @@ Labels = Sequence[str] | None
 def state_equation(plant: object) -> tuple[Array, Array, float | None, Labels, Labels]:
     """Return A, B, the sampling time (0: continuous) and the labels of states and controls of a linear plant."""
     if type(plant).__module__.startswith("scipy.signal") and hasattr(plant, "to_ss"):
-        system = cast(Any, plant).to_ss()
+        system = methodcaller("to_ss")(plant)
         return np.asarray(system.A), np.asarray(system.B), 0.0 if system.dt is None else system.dt, None, None
     import control  # here, because it takes seconds to import and only its users need it
 
