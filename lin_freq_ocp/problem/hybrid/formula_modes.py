@@ -74,7 +74,7 @@ class FormulaPiece:
                 label = branching.names[choice] if branching.names else f"{'max' if sign > 0 else 'min'} {choice}"
                 yield replace(
                     self,
-                    region=(*self.region, *(one for one, row in differences if row is None or row[:-1].any())),
+                    region=(*self.region, *(formula for formula, row in differences if row is None or row[:-1].any())),
                     rows=rows,
                     choices={**self.choices, branching: choice},
                     arguments={**self.arguments, branching: chosen},

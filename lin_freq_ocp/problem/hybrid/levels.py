@@ -128,7 +128,7 @@ class FiniteSet(ConvexSet):
 
     may_be_soft: ClassVar[bool] = False  # its costs are prices already
 
-    given: tuple[Levels, ...]  # of each component, or of all
+    components: tuple[Levels, ...]  # the levels of each component, or one for all
     single: bool  # whether one sequence applies to all components
     duty_cycles: bool
 
@@ -149,38 +149,35 @@ class FiniteSet(ConvexSet):
                 raise ProblemError("FiniteSet.costs", got, "costs of the shape of levels")
         names = ["" if single else f"[{i}]" for i in range(len(rows))]
         components = tuple(_levels(*row) for row in zip(names, rows, priced, strict=True))
-        assign(self, given=components, single=single, duty_cycles=bool(duty_cycles))
-        for name, one in zip(names, components, strict=True):
-            if not duty_cycles and one.above.any():
-                j = int(np.argmax(one.above))
-                got = (
-                    f"{one.costs[j]:g} for the level {one.values[j]:g}, {one.above[j]:g} above the line between others"
-                )
-                advice = (
-                    "With duty_cycles=True such a level is never used; the search over whole levels needs convex costs."
-                )
+        assign(self, components=components, single=single, duty_cycles=bool(duty_cycles))
+        for name, component in zip(names, components, strict=True):
+            if not duty_cycles and component.above.any():
+                j = int(np.argmax(component.above))
+                cost, level, above = (values[j] for values in (component.costs, component.values, component.above))
+                got = f"{cost:g} for the level {level:g}, {above:g} above the line between others"
+                advice = "duty_cycles=True would never use this level; a search over whole levels needs convex costs."
                 raise ProblemError(f"FiniteSet.costs{name}", got, "costs that lie on a convex curve", advice)
 
     @property
     def levels(self) -> list[list[float]] | list[float]:
         """Return the increasing levels as lists."""
-        rows = [component.values.tolist() for component in self.given]
+        rows = [component.values.tolist() for component in self.components]
         return rows[0] if self.single else rows
 
     @property
     def costs(self) -> list[list[float]] | list[float] | None:
         """Return the costs of the levels as lists; None if all are zero."""
-        rows = [component.costs.tolist() for component in self.given]
-        free = not any(component.costs.any() for component in self.given)
+        rows = [component.costs.tolist() for component in self.components]
+        free = not any(component.costs.any() for component in self.components)
         return None if free else rows[0] if self.single else rows
 
     @property
     def dimension(self) -> int | None:
-        return None if self.single else len(self.given)
+        return None if self.single else len(self.components)
 
     @property
     def bounds(self) -> Bounds:
-        ends = np.array([component.values[[0, -1]] for component in self.given]).T
+        ends = np.array([component.values[[0, -1]] for component in self.components]).T
         lower, upper = ends[:, 0] if self.single else ends
         return frozen(np.asarray(lower)), frozen(np.asarray(upper))
 
@@ -195,7 +192,7 @@ class FiniteSet(ConvexSet):
 
     def of(self, dimension: int) -> tuple[Levels, ...]:
         """Return the levels of each component, ``dimension`` of them."""
-        return self.given * dimension if self.single else self.given
+        return self.components * dimension if self.single else self.components
 
     def points(self, dimension: int) -> Array | None:
         if self.duty_cycles:
@@ -213,7 +210,7 @@ class FiniteSet(ConvexSet):
         return [component.shares(u[:, i]) for i, component in enumerate(self.of(u.shape[1]))]
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        rows = [(i, one.hinges) for i, one in enumerate(self.of(dimension)) if one.costs.any()]
+        rows = [(i, component.hinges) for i, component in enumerate(self.of(dimension)) if component.costs.any()]
         if not rows:
             return ()
         F = np.vstack([signs[:, None] * np.eye(dimension)[i] for i, (signs, _, _) in rows])
@@ -225,9 +222,9 @@ class FiniteSet(ConvexSet):
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         words = list[str]()
-        for name, one in zip(names, self.of(len(names)), strict=True):
-            costs = f" at the costs {vector(one.costs)}" if one.costs.any() else ""
-            words.append(f"{short_name(name)} in {vector(one.values)}{costs}")
+        for name, component in zip(names, self.of(len(names)), strict=True):
+            costs = f" at the costs {vector(component.costs)}" if component.costs.any() else ""
+            words.append(f"{short_name(name)} in {vector(component.values)}{costs}")
         return "; ".join(words) + (", switching within samples" if self.duty_cycles else "")
 
 
