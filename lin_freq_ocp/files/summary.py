@@ -155,13 +155,13 @@ def _certificate(certificate: Certificate | None) -> FileTable | None:
 def _conditions(conditions: Sequence[Condition]) -> list[FileTable]:
     tables = list[FileTable]()
     for condition in conditions:
-        table = asdict(condition) | {"passed": condition.passed}
+        table = asdict(condition)
         del table["rounding"]  # of the judge alone
         if condition.peak is None:
             del table["peak"]
         else:
             del table["peak"]["hertz"]  # the unit of a text; tables are in rad/sample
-        tables.append(table)
+        tables.append(table | {"passed": condition.passed})
     return tables
 
 
