@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable, Generator
 from concurrent.futures import Executor
@@ -10,7 +11,7 @@ from dataclasses import replace
 from html import escape
 from importlib import import_module
 from multiprocessing import parent_process
-from typing import ParamSpec, Protocol
+from typing import Never, ParamSpec, Protocol
 
 from lin_freq_ocp.api.result import Result, shown_as
 from lin_freq_ocp.base.clock import now
@@ -19,8 +20,10 @@ from lin_freq_ocp.base.errors import (
     LimitError,
     LinFreqOCPError,
     NumericalError,
+    ProblemError,
     SolveError,
     UnboundedError,
+    suggestion,
 )
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -58,6 +61,7 @@ def solve(
     start: object = None,
     gap: float | None = None,
     global_bound: bool | None = None,
+    **unknown: Never,
 ) -> Result:
     """Solve a problem, and judge the answer.
 
@@ -113,7 +117,7 @@ def solve(
     MissingExtraError
         If the package of the backend is not installed.
     ProblemError
-        If the start does not fit the problem.
+        If the start does not fit the problem, or a keyword is unknown.
 
     References
     ----------
@@ -127,6 +131,11 @@ def solve(
     >>> result.status, result.certificate.globally_optimal
     ('optimal', True)
     """
+    for name, value in unknown.items():
+        known = [key for key in inspect.signature(solve).parameters if key not in ("problem", "unknown")]
+        solver = f"backend={str(value).lower()!r} chooses the solver, method= the algorithm."
+        advice = solver if name == "solver" else suggestion(name, known)
+        raise ProblemError(name, repr(value), f"one of the keywords {', '.join(known)}", advice)
     started = now()
     limits = backend, tolerance, gap, node_limit
     with report_progress(progress, str) as report:

@@ -1,9 +1,9 @@
 """The least feasible horizon of a range, by bisection where feasibility is proven monotone, and from below otherwise.
 
-Feasibility is monotone, if zeros can be appended: after any feasible trajectory of T steps, u_T = 0 keeps the state,
-x_{T+1} = x_T, and that is feasible for T + 1 steps. ``obstacles`` checks what this needs, one condition after another;
-costs, and constraints that may be violated at a price, play no part. The conditions are sufficient: where one fails,
-nothing is said.
+Feasibility is monotone if zeros can be appended: after any feasible trajectory of T steps, u_T = 0 keeps the state, or
+at least keeps it within the bounds of the end, and that is feasible for T + 1 steps. ``obstacles`` checks what this
+needs, one condition after another; costs, and constraints that may be violated at a price, play no part. The conditions
+are sufficient: where one fails, nothing is said.
 
 A search is a run of tasks, as a sweep over the horizon is, that chooses its points: its file is that of a sweep.
 """
@@ -19,7 +19,7 @@ from functools import partial
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, brief
+from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
@@ -28,6 +28,7 @@ from lin_freq_ocp.batch.sweep import Row, failed_point, row_of
 from lin_freq_ocp.batch.tasks import Record, Work, finish_run, finish_tasks
 from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.reformulations import RATE_LIMIT
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -266,7 +267,10 @@ def obstacles(at: At, shortest: int, longest: int, same_data: bool) -> list[str]
 
 
 def _moving_ends(problem: OptimalControlProblem, first: int) -> Iterator[str]:
-    """Yield the states in which A_t x + d_t differs from x for an admissible end x, at some t from ``first`` on."""
+    """Yield the states that a control of zero moves out of the admissible ends, at some t from ``first`` on.
+
+    Every component of A_t x + d_t is that of x, or within its bounds for all x of the bounds if nothing else limits it.
+    """
     dynamics, end = problem.linear, problem.ends[1]
     A, d = _entries_from(dynamics.A, first, 2), _entries_from(dynamics.offset, first, 1)
     x, fixed, identity = np.where(end.fixed, end.lower, 0.0), end.fixed, np.eye(problem.state_dim)
@@ -274,9 +278,26 @@ def _moving_ends(problem: OptimalControlProblem, first: int) -> Iterator[str]:
     change = np.where((identity > 0) & (change <= ROUNDING), 0.0, change)
     moved = np.abs((A - identity) @ x + d) > ROUNDING * (np.abs(A) @ np.abs(x) + np.abs(x) + np.abs(d))
     moves = moved.any(axis=0) | change[..., ~fixed].any(axis=(0, 2))
+    inside = (end.support(A) + d <= end.upper) & (end.lower <= d - end.support(-A))
+    if moves.any():
+        moves &= ~inside.all(axis=0) | _limited_with_others(problem)
     if moves.any():
         names = ", ".join(problem.state_names[i] for i in np.flatnonzero(moves))
         yield f"with a control of zero the state does not stay at every admissible end ({names})"
+
+
+def _limited_with_others(problem: OptimalControlProblem) -> Mask:
+    """Return the states that an end, a state set or an equation on both ends limits together with others, (n,)."""
+    terms = [term for term in problem.terms if term.hard and not term.kind.is_spectrum]
+    terms = [term for term in terms if term.kind.of == "states" or term.kind.is_link]
+    x, u = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
+    limited = np.zeros(problem.state_dim, dtype=bool)
+    for i in range(problem.state_dim if terms else 0):
+        last, always = x.copy(), x.copy()
+        last[-1, i], always[:, i] = 1.0, 1.0
+        values = [[term.map.values(state, u) for state in (x, last, always)] for term in terms]
+        limited[i] = any((zero != one).any() or (zero != all_times).any() for zero, one, all_times in values)
+    return limited
 
 
 def _entries_from(values: Array, first: int, dimensions: int) -> Array:
@@ -313,7 +334,8 @@ def _rows_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str
     for rows in problem.stage_rows:
         C, e = _entries_from(rows.C, first, 2), _entries_from(rows.e, first, 1)
         if rows.penalty is None and (end.support(C) > e).any():
-            yield f"stage_rows: '{rows.name}' does not hold at every admissible end with a control of zero"
+            advice = " (it does with following=0 in rate_limited)" if rows.name == RATE_LIMIT else ""
+            yield f"stage_rows: '{rows.name}' does not hold at every admissible end with a control of zero{advice}"
 
 
 def _spectra_in_the_way(problem: OptimalControlProblem) -> Iterator[str]:
@@ -324,11 +346,11 @@ def _spectra_in_the_way(problem: OptimalControlProblem) -> Iterator[str]:
     for term in problem.terms:
         if not term.hard or not term.kind.is_spectrum:
             continue
-        if term.everywhere is None:
+        if term.semi_infinite is None:
             yield f"{term.name}: it is about bins, or all samples, of its own horizon"
-        elif (term.everywhere.map.window != 1).any():
+        elif (term.semi_infinite.map.window != 1).any():
             yield f"{term.name}: its window belongs to one horizon"
-        elif (C := term.everywhere.map.C) is not None and any(problem.ends[1].support(y) != 0 for y in (C, -C)):
+        elif (C := term.semi_infinite.map.C) is not None and any(problem.ends[1].support(y) != 0 for y in (C, -C)):
             yield f"{term.name}: the sample that is appended is not zero"
 
 
@@ -354,7 +376,7 @@ def _data_of_first_steps(problem: OptimalControlProblem, horizon: int) -> dict[s
     masks = list[object]()
     for term in problem.terms:
         if term.hard and term.kind.is_spectrum:
-            mask = term.everywhere
+            mask = term.semi_infinite
             others = [] if mask is None else [value for field, value in vars(mask).items() if field != "map"]
             masks.append((term.name, mask and [mask.map.C, mask.map.D], others))
     found: dict[str, object] = {

@@ -29,7 +29,7 @@ from lin_freq_ocp.certificate.tolerances import (
     TRIVIALITY,
 )
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.semi_infinite import Continuum
+from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 
 # By kind of term: the labels of the condition that it holds, and of that on its multipliers
@@ -258,13 +258,14 @@ def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Cond
     holds, fits = LABELS[term.kind]
     subgradient = term_subgradient(fits, priced, level, least)
     if not term.hard:
-        return [subgradient if term.everywhere is None else _soft_mask_condition(subgradient, priced, term.everywhere)]
-    if term.everywhere is not None:
-        return [holds_everywhere(holds, priced, term.everywhere, least), subgradient]
+        mask = term.semi_infinite
+        return [subgradient if mask is None else _soft_mask_condition(subgradient, priced, mask)]
+    if term.semi_infinite is not None:
+        return [holds_everywhere(holds, priced, term.semi_infinite, least), subgradient]
     return [term_holds(holds, priced, least), subgradient]
 
 
-def holds_everywhere(label: str, priced: PricedTerm, everywhere: Continuum, least: Array) -> Condition:
+def holds_everywhere(label: str, priced: PricedTerm, everywhere: SemiInfiniteConstraint, least: Array) -> Condition:
     """C-vi, C-vii, S-yhat everywhere: |V| <= l; compared with l, or a part of the norm of the samples."""
     peak = proven_peak(everywhere, priced.signal)
     frequency, plants = peak.frequency, peak.damping is not None
@@ -276,14 +277,14 @@ def holds_everywhere(label: str, priced: PricedTerm, everywhere: Continuum, leas
     return Condition(label, name, residual, scale, PEAK_TOLERANCE, time, peak=peak)
 
 
-def _bin_of(peak: Peak | None, everywhere: Continuum) -> int | None:
+def _bin_of(peak: Peak | None, everywhere: SemiInfiniteConstraint) -> int | None:
     """Return the bin of the signal's DFT nearest to a peak; None of a vibration, and above Nyquist."""
     if peak is None or peak.damping is not None or peak.frequency > np.pi:
         return None
     return round(peak.frequency * everywhere.map.samples / (2 * np.pi))
 
 
-def _soft_mask_condition(subgradient: Condition, priced: PricedTerm, everywhere: Continuum) -> Condition:
+def _soft_mask_condition(subgradient: Condition, priced: PricedTerm, everywhere: SemiInfiniteConstraint) -> Condition:
     """N-... of a soft mask: the sum over its atoms, with the largest excess at all other frequencies."""
     gap = np.abs(priced.gap).sum() + MISFIT_SHARE * priced.misfit.sum() + abs(priced.beyond)
     never = np.abs(priced.given - priced.weights) * priced.sizes

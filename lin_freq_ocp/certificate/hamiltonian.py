@@ -151,7 +151,7 @@ def _priced_terms(
         values, weights = term.map.values(x, u), term.penalty.subgradient(extended(given), multipliers.eta_C)
         sizes = term.map.sizes(trajectory.x, trajectory.u)
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
-        misfit, everywhere = term.penalty.misfit(values, weights), term.everywhere
+        misfit, everywhere = term.penalty.misfit(values, weights), term.semi_infinite
         signal = np.zeros(0) if everywhere is None else everywhere.map.signal(trajectory.x, trajectory.u)
         peak, beyond = None, 0.0
         if everywhere is not None and not term.hard:  # the proven largest excess, whether its values have it or not

@@ -30,13 +30,14 @@ ln w + i phi, is largest on an edge of the rectangle of all y, as ln |V| is subh
 (problem/terms/semi_infinite.py). An edge is divided into cells of half-length r about y_c. Q at K points of the
 circle of radius r about y_c has the Fourier coefficients a_j = q_j + q_{j+K} + ..., where Q = sum_j q_j ((y - y_c) /
 r)^j. By Cauchy, |q_j| <= M (r/R)^j with |Q| <= M on the circle of radius R: with W = N h max w, M = 2 exp(W (e^R - 1))
-sum |v_t|. The limit times sin(phi), which is concave, is above its chord.
+sum |v_t|. The limit times sin(phi), which is concave, is above its chord. A relative limit has Q without z - 1, for
+which M is large enough, and no sin(phi).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import singledispatch
 from math import factorial
 from typing import TypeVar
@@ -48,11 +49,11 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.semi_infinite import (
-    Continuum,
-    Frequencies,
-    HeldFrequencies,
     Limits,
-    PlantBox,
+    MagnitudeMask,
+    SemiInfiniteConstraint,
+    VibrationLimit,
+    ZeroOrderHoldMask,
     peaks_above,
 )
 
@@ -70,19 +71,23 @@ MOST_CELLS = 2_000_000  # at a time
 class Peak:
     """The largest |V| / l: proven to be at most ``ratio``; ``found`` at ``frequency`` in rad/sample.
 
-    Of a residual vibration: at a natural frequency in Hz, and a damping ratio.
+    Of a residual vibration: at a natural frequency in Hz, and a damping ratio. Texts state a mask's frequency in Hz if
+    its band is in Hz: ``hertz`` per rad/sample.
     """
 
     ratio: float
     found: float
     frequency: float
     damping: float | None = None
+    hertz: float | None = None
 
     def __str__(self) -> str:
-        what, unit = ("|V|", "rad/sample") if self.damping is None else ("the vibration", "Hz")
-        where = "" if self.damping is None else f", damping ratio {self.damping:.6g}"
-        found = f"it is {self.found:.12g} at {self.frequency:.6g} {unit}{where}"
-        return f"{what} is at most {self.ratio:.12g} of its limit, proven; {found}"
+        what, where = "|V|", f"{self.frequency:.6g} rad/sample"
+        if self.damping is not None:
+            what, where = "the vibration", f"{self.frequency:.6g} Hz, damping ratio {self.damping:.6g}"
+        elif self.hertz is not None:
+            where = f"{self.hertz * self.frequency:.6g} Hz"
+        return f"{what} is at most {self.ratio:.12g} of its limit, proven; it is {self.found:.12g} at {where}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +284,7 @@ class HeldSeries(Series):
 
 def peak_points(problem: OptimalControlProblem, x: Array, u: Array, above: float) -> dict[str, Array]:
     """Return the points of all local maxima above a ratio, by name of the terms that have some."""
-    sets = {term.name: term.everywhere for term in problem.terms if term.everywhere is not None}
+    sets = {term.name: term.semi_infinite for term in problem.terms if term.semi_infinite is not None}
     found = {name: peaks_above(everywhere, x, u, above)[0] for name, everywhere in sets.items()}
     return {name: points for name, points in found.items() if len(points)}
 
@@ -291,7 +296,7 @@ EXTENDED = float(np.finfo(np.longdouble).eps)
 DOUBLE = float(np.finfo(np.float64).eps)
 
 
-def certified_vibration(samples: Array, box: PlantBox) -> Peak:
+def certified_vibration(samples: Array, box: VibrationLimit) -> Peak:
     """Return the largest |V| / limit of samples (N,), with proof."""
     size = float(np.abs(samples).max(initial=0.0))
     if size == 0 or not np.isfinite(size):
@@ -305,7 +310,7 @@ def certified_vibration(samples: Array, box: PlantBox) -> Peak:
     return Peak(peak.ratio, peak.found, frequency, damping)
 
 
-def _cells(values: Array, box: PlantBox, limit: float, number: int, edge: tuple[complex, complex]) -> Cells:
+def _cells(values: Array, box: VibrationLimit, limit: float, number: int, edge: tuple[complex, complex]) -> Cells:
     """Return the cells of an edge; their parameter is twice the edge's number, plus the share of the way along it."""
     (start, end), W = edge, 2 * np.pi * float(box.high[0]) * box.duration
     R = float(np.log1p(CIRCLE_GROWTH / W))
@@ -318,7 +323,7 @@ def _cells(values: Array, box: PlantBox, limit: float, number: int, edge: tuple[
     direction = step / radius if step else 1.0
     centre, turns = start + (end - start) * share, np.exp(2j * np.pi * np.arange(TERMS) / TERMS)
     circles = (centre[:, None] + radius * direction * turns).astype(np.complex128)
-    found = _at(values, circles, box.sampling_time)
+    found = _at(values, circles, box.sampling_time, box.map.relative)
     a = np.fft.fft(found.reshape(count, TERMS), axis=1) / TERMS
     if not step:
         a[:, 1:] = 0.0
@@ -326,14 +331,15 @@ def _cells(values: Array, box: PlantBox, limit: float, number: int, edge: tuple[
     rest = 4 * total * np.exp(CIRCLE_GROWTH) * (radius / R) ** TERMS / (1 - radius / R)
     near = 2 * total * np.exp(W * np.expm1(radius))  # what Q cannot exceed on the small circles
     rounding = (2 * np.sqrt(len(values)) + 30 + 4 * W) * EXTENDED + (TERMS + 4 * W) * DOUBLE
-    sines = np.sin(np.array([start.imag, *(start + (end - start) * (np.arange(count) + 1) / count).imag]))
+    phi = np.array([start.imag, *(start + (end - start) * (np.arange(count) + 1) / count).imag])
+    sines = np.ones(count + 1) if box.map.relative else np.sin(phi)
     below, slope = limit * (sines[:-1] + sines[1:]) / 2, limit * np.diff(sines) / 2
     ones = np.ones(count)
     error = (rest + rounding * near) * ones
     return Cells(a, 2 * number + share, ones / (2 * count), below, slope, error)
 
 
-def _at(values: Array, points: ComplexArray, sampling_time: float) -> ComplexArray:
+def _at(values: Array, points: ComplexArray, sampling_time: float, relative: bool) -> ComplexArray:
     """Return Q of samples at points y, flattened, in extended precision before it is rounded."""
     y, N = points.reshape(-1, 1).astype(np.clongdouble), len(values)
     sh = np.exp(y) * np.longdouble(sampling_time)
@@ -342,25 +348,26 @@ def _at(values: Array, points: ComplexArray, sampling_time: float) -> ComplexArr
     powers = np.zeros(A * B, dtype=values.dtype)
     powers[:N] = values[::-1]
     inner = np.exp(sh * np.arange(B)) @ powers.reshape(A, B).T
-    return (np.expm1(sh[:, 0]) * (np.exp(sh * (B * np.arange(A))) * inner).sum(axis=1)).astype(np.complex128)
+    total = (np.exp(sh * (B * np.arange(A))) * inner).sum(axis=1)
+    return (total if relative else np.expm1(sh[:, 0]) * total).astype(np.complex128)
 
 
 @singledispatch
-def proven_peak(everywhere: Continuum, samples: Array) -> Peak:
+def proven_peak(everywhere: SemiInfiniteConstraint, samples: Array) -> Peak:
     """Return the largest |V| / l of windowed samples (N,) over a parameter set; by kind of set."""
     raise NotImplementedError(type(everywhere).__name__)
 
 
 @proven_peak.register
-def _(everywhere: Frequencies, samples: Array) -> Peak:
-    return certified_peak(samples, everywhere.limits)
+def _(everywhere: MagnitudeMask, samples: Array) -> Peak:
+    return replace(certified_peak(samples, everywhere.limits), hertz=everywhere.hertz)
 
 
 @proven_peak.register
-def _(everywhere: HeldFrequencies, samples: Array) -> Peak:
-    return certified_peak(samples, everywhere.limits, HeldSeries)
+def _(everywhere: ZeroOrderHoldMask, samples: Array) -> Peak:
+    return replace(certified_peak(samples, everywhere.limits, HeldSeries), hertz=everywhere.hertz)
 
 
 @proven_peak.register
-def _(everywhere: PlantBox, samples: Array) -> Peak:
+def _(everywhere: VibrationLimit, samples: Array) -> Peak:
     return certified_vibration(samples, everywhere)

@@ -89,9 +89,9 @@ def filter_limits(problem: OptimalControlProblem) -> str:
             "every control instead"
         )
     without_bins = [term for term in problem.terms if term.kind.is_spectrum and not len(term.map.nearest_bins)]
-    if any(term.everywhere is None for term in without_bins):
+    if any(term.semi_infinite is None for term in without_bins):
         limits.append("linear equations over all times are nothing that a filter acts on")
-    limits += [f"{term.name} is not about bins" for term in without_bins if term.everywhere is not None]
+    limits += [f"{term.name} is not about bins" for term in without_bins if term.semi_infinite is not None]
     return "; ".join(limits)
 
 

@@ -35,8 +35,8 @@ from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replay_control
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import everywhere_of
-from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
+from lin_freq_ocp.problem.reformulations import semi_infinite_terms
+from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -176,9 +176,9 @@ def why_not_shaped(problem: OptimalControlProblem) -> str:
     return "; ".join(obstacles(lambda _: problem, 1, problem.horizon, same_data=True))
 
 
-def boxes_of(problem: OptimalControlProblem) -> tuple[PlantBox, ...]:
+def boxes_of(problem: OptimalControlProblem) -> tuple[VibrationLimit, ...]:
     """Return the boxes of modes that controls must not leave ringing."""
-    terms = everywhere_of(problem, PlantBox)
+    terms = semi_infinite_terms(problem, VibrationLimit)
     return tuple(box for term, box in terms if term.kind.of == "controls")
 
 
@@ -190,7 +190,7 @@ SHAPERS: dict[str, Sequence[float]] = {
 }
 
 
-def impulses(name: str, box: PlantBox) -> Array:
+def impulses(name: str, box: VibrationLimit) -> Array:
     """Return the impulses of a shaper for the middle of a box of modes, on the samples; their sum is one."""
     frequency, damping = (box.low + box.high) / 2
     root = float(np.sqrt(1 - damping**2))
@@ -203,29 +203,29 @@ def impulses(name: str, box: PlantBox) -> Array:
     return found
 
 
-def shaped(name: str, box: PlantBox, u: Array) -> Array:
+def shaped(name: str, box: VibrationLimit, u: Array) -> Array:
     """Return controls (T, m), each convolved with the impulses of a shaper, and longer by their length less one."""
     given = impulses(name, box)
     return np.stack([np.convolve(column, given) for column in u.T], axis=1)
 
 
-def impulse_text(name: str, box: PlantBox) -> str:
+def impulse_text(name: str, box: VibrationLimit) -> str:
     """Return the impulses of a shaper in words."""
     given = impulses(name, box)
     at = np.flatnonzero(given)
     return ", ".join(f"{given[t]:.4g} at t = {t}" for t in at)
 
 
-def frequencies_around(box: PlantBox) -> Array:
+def frequencies_around(box: VibrationLimit) -> Array:
     """Return the natural frequencies at which vibrations are shown, in Hz."""
     low, high = float(box.low[0]), float(box.high[0])
     beside = max(BESIDE * (high - low), LEAST_BESIDE * high)
     return np.linspace(max(low - beside, 0.05 * low), high + beside, FREQUENCIES)
 
 
-def vibration(box: PlantBox, trajectory: Trajectory, frequencies: Array) -> Array:
+def vibration(box: VibrationLimit, trajectory: Trajectory, frequencies: Array) -> Array:
     """Return what a trajectory leaves at natural frequencies, the largest over the box's damping ratios."""
     dampings = np.linspace(box.low[1], box.high[1], DAMPINGS)
     modes = np.stack(np.meshgrid(frequencies, dampings, indexing="ij"), axis=-1).reshape(-1, 2)
     signal = box.map.signal(trajectory.x, trajectory.u)
-    return np.abs(box.map.placed(modes).transform(signal)).reshape(len(frequencies), -1).max(axis=1)
+    return np.abs(box.map.at_points(modes).transform(signal)).reshape(len(frequencies), -1).max(axis=1)

@@ -24,7 +24,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
-from lin_freq_ocp.problem.terms.semi_infinite import Frequencies, peaks_above
+from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask, peaks_above
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
@@ -124,7 +124,7 @@ class ProblemSignal:
     @property
     def limited_beyond_bins(self) -> bool:
         """Whether it has a limit that is not about bins: on its held spectrum, or on what it leaves ringing."""
-        terms = [one for one in self.problem.terms if one.kind.of == self.kind and one.everywhere is not None]
+        terms = [one for one in self.problem.terms if one.kind.of == self.kind and one.semi_infinite is not None]
         return any(not len(one.map.nearest_bins) and one.map.component == self.index for one in terms)
 
     @property
@@ -136,10 +136,10 @@ class ProblemSignal:
         """Return where its spectrum reaches the limit of a mask at every frequency, and the limits there."""
         w, levels = list[Array](), list[Array]()
         for term in self.problem.terms:
-            if term.everywhere is not None and term.map.spectrum_of(*self._rows):
-                peaks, ratios = peaks_above(term.everywhere, trajectory.x, trajectory.u, 1.0 - REACHED)
+            if term.semi_infinite is not None and term.map.spectrum_of(*self._rows):
+                peaks, ratios = peaks_above(term.semi_infinite, trajectory.x, trajectory.u, 1.0 - REACHED)
                 w.append(peaks[ratios < 1.0 + REACHED])
-                levels.append(term.everywhere.limit_at(w[-1]))
+                levels.append(term.semi_infinite.limit_at(w[-1]))
         return Line(np.concatenate([np.zeros(0), *w]), np.concatenate([np.zeros(0), *levels]))
 
     @property
@@ -174,8 +174,8 @@ def _mask_levels(problem: OptimalControlProblem, kind: str, C: Array | None, D: 
     for term in problem.terms:
         if term.kind.of != kind or not len(term.map.frequencies) or not term.map.spectrum_of(C, D):
             continue
-        match term.everywhere:
-            case Frequencies(limits=given):
+        match term.semi_infinite:
+            case MagnitudeMask(limits=given):
                 pieces = zip(given.low, given.high, given.at_low, given.at_high, strict=True)
                 found += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
             case _:
@@ -385,11 +385,11 @@ def _box_violation(signal: Array, box: Box, least: Array) -> Violation:
 def _term_violation(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
     """Return the violation of the entry that is worst relative to its scale, and what the certificate accepts."""
     x, u = trajectory.x, trajectory.u
-    if term.everywhere is not None:
-        w, ratios = peaks_above(term.everywhere, x, u, 1.0)
+    if term.semi_infinite is not None:
+        w, ratios = peaks_above(term.semi_infinite, x, u, 1.0)
         if not len(w):
             return 0.0, 0.0
-        limits, worst = term.everywhere.limit_at(w), int(np.argmax(ratios))
+        limits, worst = term.semi_infinite.limit_at(w), int(np.argmax(ratios))
         return float((ratios[worst] - 1) * limits[worst]), float(PEAK_TOLERANCE * limits[worst])
     least = term.map.sizes(np.tile(least_x, (len(x), 1)), np.tile(least_u, (len(u), 1))).max(0)
     violation, scale = term.violation(x, u).max(0), np.maximum(term.map.sizes(x, u).max(0), least)

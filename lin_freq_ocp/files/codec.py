@@ -158,8 +158,9 @@ class TableRecord:
 
 def _parameters(make: Callable[..., object]) -> dict[str, bool]:
     """Return the named arguments of a function, and whether each is required."""
-    named = inspect.signature(make).parameters.values()
-    return {given.name: given.default is given.empty for given in named if given.kind is not given.VAR_KEYWORD}
+    parameters = inspect.signature(make).parameters.values()
+    named = [part for part in parameters if part.kind not in (part.VAR_KEYWORD, part.VAR_POSITIONAL)]
+    return {part.name: part.default is part.empty for part in named}
 
 
 class Kinds:

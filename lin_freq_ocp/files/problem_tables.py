@@ -7,7 +7,7 @@ frequency constraints, costs and joint rows, and last the problem itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +29,7 @@ from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.hybrid.pulse_train import PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import rate_limited
 from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
@@ -258,8 +259,8 @@ BINS = checked_value(lambda given: isinstance(given, (list, np.ndarray)), "a lis
 class _Band(TableRecord):
     """A kind of band: its edges from ``first`` on are these arguments, in rad/sample or, with _hz, in Hz."""
 
-    def __init__(self, make: Callable[..., Band], *edges: str, first: int = 0):
-        super().__init__(make, values=self._keys, bins=BINS)
+    def __init__(self, make: Callable[..., Band], *edges: str, first: int = 0, required: Sequence[str] = ()):
+        super().__init__(make, values=self._keys, required=required, bins=BINS)
         self._kind, self._edges, self._first = make.__name__, edges, first
 
     def holds(self, value: object) -> bool:
@@ -280,7 +281,7 @@ BANDS.records |= {
     "high_pass": _Band(high_pass, "cutoff"),  # its second edge is inf
     "band_pass": _Band(band_pass, "lower", "upper"),
     "notch": _Band(notch, "centre", "width"),
-    "stop_band": _Band(stop_band),
+    "stop_band": _Band(stop_band, required=["bins"]),
 }
 
 
@@ -299,6 +300,11 @@ def _bound_values(bound: MagnitudeBound | EnergyBound) -> FileTable:
     }
 
 
+def _vibration_values(vibration: ResidualVibration) -> FileTable:
+    values = {key: getattr(vibration, key) for key in ("frequency", "damping", "limit", "component")}
+    return values | {"relative": vibration.relative or None}
+
+
 NO_LOWER = checked_value(lambda given: False, "an upper limit", NO_LOWER_MASK)
 SPECTRUM = Kinds("frequency constraint")
 SPECTRUM.records |= BANDS.records
@@ -308,7 +314,7 @@ SPECTRUM.records |= {
     ),
     "energy_bound": TableRecord(EnergyBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS),
     "linear_constraint": TableRecord(LinearConstraint),
-    "residual_vibration": TableRecord(ResidualVibration),
+    "residual_vibration": TableRecord(ResidualVibration, values=_vibration_values),
 }
 BOUNDS = Kinds("mask or energy bound")
 BOUNDS.records |= {kind: SPECTRUM.records[kind] for kind in ("magnitude_bound", "energy_bound")}
@@ -352,14 +358,26 @@ def _row_values(rows: StageRows) -> FileTable:
 STAGE_ROWS = TableRecord(StageRows, own="stage_rows", required=["e"], values=_row_values)
 
 
-def _problem(schema: int, **fields: FileValue) -> OptimalControlProblem:
-    return OptimalControlProblem(**fields)
+def _rate_limit(limit: FileValue, previous: FileValue = None, following: FileValue = None) -> FileTable:
+    return {"limit": limit, "previous": previous, "following": following}
+
+
+def _problem(schema: int, rate_limit: FileTable | None = None, **fields: FileValue) -> OptimalControlProblem:
+    problem = OptimalControlProblem(**fields)
+    if rate_limit is None:
+        return problem
+    try:
+        return rate_limited(problem, **rate_limit)
+    except ProblemError as error:
+        field = error.field if error.field == "rate_limit" else f"rate_limit.{error.field}"
+        raise ProblemError(field, error.got, error.expected, error.advice) from None
 
 
 def _problem_values(problem: OptimalControlProblem) -> FileTable:
     """Return the keys of a problem in the order of the file; a list of boxes becomes one box with bounds per time."""
     keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
-    fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key != "schema"}
+    # a rate limit is written as its states and rows
+    fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in ("schema", "rate_limit")}
     dynamics, finite = problem.dynamics.given
     if finite is not None:
         if problem.control_set is not finite.hull:
@@ -389,6 +407,7 @@ PROBLEM = TableRecord(
     state_spectrum=Tables(SPECTRUM),
     stage_rows=Tables(STAGE_ROWS),
     output_spectrum=Tables(OUTPUTS),
+    rate_limit=TableRecord(_rate_limit),
 )
 
 

@@ -153,10 +153,16 @@ def _certificate(certificate: Certificate | None) -> FileTable | None:
 
 
 def _conditions(conditions: Sequence[Condition]) -> list[FileTable]:
-    tables = [{**asdict(condition), "passed": condition.passed} for condition in conditions]
-    for table in tables:
+    tables = list[FileTable]()
+    for condition in conditions:
+        table = asdict(condition)
         del table["rounding"]  # of the judge alone
-    return [{key: value for key, value in table.items() if key != "peak" or value is not None} for table in tables]
+        if condition.peak is None:
+            del table["peak"]
+        else:
+            del table["peak"]["hertz"]  # the unit of a text; tables are in rad/sample
+        tables.append(table | {"passed": condition.passed})
+    return tables
 
 
 def _borders(facts: SwitchingFacts | None) -> FileTable | None:

@@ -58,9 +58,9 @@ def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalCont
     """Return the problem behind states x (k, n) and controls u (k, m), which follow the past it was stated with."""
     return replace(
         problem,
-        control_spectrum=[one.behind(u, 0) for one in entries_of(problem.control_spectrum)] or None,
-        state_spectrum=[one.behind(x, 1) for one in entries_of(problem.state_spectrum)] or None,
-        output_spectrum=[one.behind(x, u) for one in entries_of(problem.output_spectrum)] or None,
+        control_spectrum=[one.with_past(u, 0) for one in entries_of(problem.control_spectrum)] or None,
+        state_spectrum=[one.with_past(x, 1) for one in entries_of(problem.state_spectrum)] or None,
+        output_spectrum=[one.with_past(x, u) for one in entries_of(problem.output_spectrum)] or None,
     )
 
 

@@ -96,7 +96,7 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
         return None
     for term in problem.terms:  # each must be linear rows, or a cost of levels
         lower, upper = term.penalty.hard_bounds(term.shape)
-        rows = term.everywhere is None and (term.penalty.polyhedral or bool((lower == upper).all()))
+        rows = term.semi_infinite is None and (term.penalty.polyhedral or bool((lower == upper).all()))
         if not (rows if term.hard else term.kind == TermKind.CONTROL_SET):
             return None
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim

@@ -30,7 +30,7 @@ from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets, box_of
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.spectrum.bands import Band, bands_of, kept_stopped, low_pass
+from lin_freq_ocp.problem.spectrum.bands import Band, bands_of, bins_far_from_passed, low_pass
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_words, entries_of
 
 SPECTRA = "state_spectrum", "control_spectrum", "output_spectrum"
@@ -320,7 +320,7 @@ class BandLimit(Limit):
 
     def relaxed(self, problem: OptimalControlProblem, amount: float) -> OptimalControlProblem:
         stop = np.array(self._removed_bins(problem))
-        stop[:, self.index] = kept_stopped(stop[:, self.index], amount)
+        stop[:, self.index] = bins_far_from_passed(stop[:, self.index], amount)
         others = [one for one in entries_of(getattr(problem, self.field)) if not one.removes_bins]
         return replace(problem, **{self.field: [*bands_of(stop), *others]})
 
@@ -397,7 +397,7 @@ class EntryLimit(TermLimit):
         entries = list(entries_of(getattr(problem, self.field)))
         entry = entries.pop(self.index)
         if np.isfinite(amount):
-            entries.insert(self.index, entry.with_constraints([one.widened(amount) for one in entry.constraints]))
+            entries.insert(self.index, entry.with_constraints([one.relaxed(amount) for one in entry.constraints]))
         return replace(problem, **{self.field: entries or None})
 
     def numbers(self) -> Iterator[Number]:

@@ -15,7 +15,7 @@ from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, in_form
+from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, require_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.levels import with_levels
 from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, changed, terms_of
@@ -178,12 +178,12 @@ class OptimalControlProblem(ProblemData):
     @cached_property
     def linear(self) -> LinearDynamics:
         """The dynamics, which must be linear; else UnsupportedError."""
-        return in_form(self.dynamics, LinearDynamics, OF_MODES)
+        return require_form(self.dynamics, LinearDynamics, OF_MODES)
 
     @cached_property
     def equations(self) -> StateEquations:
         """The dynamics, which must be linear or known by a frequency response; else UnsupportedError."""
-        return in_form(self.dynamics, StateEquations, OF_MODES)
+        return require_form(self.dynamics, StateEquations, OF_MODES)
 
     def affine_at(
         self, trajectory: Trajectory, selections: Mapping[Formula, Array] | None = None
@@ -224,7 +224,7 @@ class OptimalControlProblem(ProblemData):
 
     def dynamics_along(self, trajectory: Trajectory) -> LinearDynamics:
         """Return the linear dynamics along a trajectory: those of the modes that it is in, linearised if smooth."""
-        return in_form(self.dynamics.linear_at(trajectory.x, trajectory.u), LinearDynamics)
+        return require_form(self.dynamics.linear_at(trajectory.x, trajectory.u), LinearDynamics)
 
     @cached_property
     def borders(self) -> tuple[SwitchingBoundary, ...]:

@@ -225,8 +225,10 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
             raise ProblemError("output_spectrum", brief(outputs), "OutputSpectrum, a list of them, or None")
         found += outputs.terms(n, m, T, step, where, i)
     found += problem.cost.terms(n, m, T)
-    seen = Counter[str]()
-    for k, term in enumerate(found):  # names that would stand twice get a number
+    counts, seen = Counter(term.name for term in found), Counter[str]()
+    for k, term in enumerate(found):  # names that would stand twice get their band, or a number
+        if term.band and counts[term.name] > 1:
+            term = found[k] = replace(term, name=f"{term.name} at {term.band}")
         seen[term.name] += 1
         if seen[term.name] > 1:
             found[k] = replace(term, name=f"{term.name} {seen[term.name]}")

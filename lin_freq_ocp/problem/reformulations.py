@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, one_component, real_array, with_columns, with_rows
+from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array, with_columns, with_rows
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
@@ -28,7 +28,7 @@ from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_indices, entries_of
-from lin_freq_ocp.problem.terms.semi_infinite import Continuum
+from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -172,8 +172,8 @@ def _limited_about_zero(problem: OptimalControlProblem) -> Mask:
             moved = term.map.values(steady, none) - term.map.values(rest, none)
             sizes = term.map.sizes(steady, none)
             found[i] |= bool((np.abs(moved) > ROUNDING * sizes).any())
-            if term.everywhere is not None:
-                found[i] |= bool(term.everywhere.map.signal(steady, none).any())
+            if term.semi_infinite is not None:
+                found[i] |= bool(term.semi_infinite.map.signal(steady, none).any())
     return found
 
 
@@ -186,12 +186,13 @@ class AddedStates:
     initial: Box  # of w_0, bounds (k,)
     lower: Array  # (k,), of w_t at all times
     names: Sequence[str]
+    terminal: Box | None = None  # of w_T
 
 
 def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
     dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
-    return augment_states(problem, dynamics, added.initial, added.lower, problem.quadratic)
+    return augment_states(problem, dynamics, added.initial, added.lower, problem.quadratic, terminal=added.terminal)
 
 
 def augment_states(
@@ -201,8 +202,9 @@ def augment_states(
     lower: Array,
     quadratic: QuadraticCost,
     weight: float = 0.0,
+    terminal: Box | None = None,
 ) -> OptimalControlProblem:
-    """Return the problem in the states (x, w) of other dynamics, with w_0 in a box and w_t >= lower, (k,).
+    """Return the problem in the states (x, w) of other dynamics, with w_0 and w_T in boxes and w_t >= lower, (k,).
 
     Its cost is a quadratic one of x and u, weight/2 |w_t|^2 for t < T, and the nonsmooth costs of the given problem.
     """
@@ -210,6 +212,8 @@ def augment_states(
     free, state_set, boxes = np.full(k, np.inf), problem.state_set, problem.state_boxes
     if isinstance(state_set, Sequence):
         augmented_set: SetOrSets = [_with_box(one, boxes.at(t), Box(lower, free)) for t, one in enumerate(state_set)]
+    elif all((bound == bound[0]).all() for bound in (boxes.lower, boxes.upper)):  # for every horizon
+        augmented_set = _with_box(state_set, boxes.at(0), Box(lower, free))
     else:
         shape = problem.horizon + 1, k
         augmented_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
@@ -219,12 +223,12 @@ def augment_states(
         cost=CostSum([_augmented_cost(quadratic, k, weight), *(one.extended(n, k) for one in problem.cost.norms)]),
         state_set=augmented_set,
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
-        terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
-        state_spectrum=[more for one in entries_of(problem.state_spectrum) for more in one.extended(n, k)] or None,
+        terminal_state=_with_box(problem.terminal_state, problem.terminal_box, terminal or Box(-free, free)),
+        state_spectrum=[more for one in entries_of(problem.state_spectrum) for more in one.augmented(n, k)] or None,
         stage_rows=[
             StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
         ],
-        output_spectrum=[one.extended(n, k) for one in entries_of(problem.output_spectrum)] or None,
+        output_spectrum=[one.augmented(n, k) for one in entries_of(problem.output_spectrum)] or None,
     )
 
 
@@ -283,17 +287,22 @@ RATE_LIMIT = "rate limit"  # of the added rows
 
 
 def rate_limited(
-    problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None
+    problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None, following: ArrayLike | None = None
 ) -> OptimalControlProblem:
     """Return the problem with |u_t - u_{t-1}| <= limit, in the states (x, u_{t-1}).
+
+    A move that starts and ends at rest without a jump of the control has ``previous=0`` and ``following=0``. With
+    ``following=0``, a control of zero can follow the move, so that ``minimum_time`` needs few solves.
 
     Parameters
     ----------
     problem : OptimalControlProblem
     limit : float or (m,)
         Largest change per step, zero or above; None or inf: no limit on that control. A single number holds for all.
-    previous : (m,), or a number for a single control, optional
+    previous : (m,), or a number for all controls, optional
         The control before the first, u_{-1}; without it, the first control is free of the limit.
+    following : (m,), or a number for all controls, optional
+        The control after the last, u_T; without it, the last control is free of the limit.
 
     Returns
     -------
@@ -303,7 +312,7 @@ def rate_limited(
     Raises
     ------
     ProblemError
-        If the limit or the previous control does not fit the problem.
+        If the limit, the previous or the following control does not fit the problem.
 
     Examples
     --------
@@ -312,10 +321,12 @@ def rate_limited(
     3
     """
     require_problem(problem)
-    return rate_limit(problem, limit, previous).problem
+    return rate_limit(problem, limit, previous, following).problem
 
 
-def rate_limit(problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None) -> OwnStates:
+def rate_limit(
+    problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None, following: ArrayLike | None = None
+) -> OwnStates:
     """Return the problem of ``rate_limited``, and the way back to its own states.
 
     The limits keep their multipliers under their name: those of the rows for u_t - u_{t-1} itself.
@@ -333,15 +344,16 @@ def rate_limit(problem: OptimalControlProblem, limit: Bound, previous: ArrayLike
     if any(rows.name == RATE_LIMIT for rows in problem.stage_rows):
         raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{RATE_LIMIT}'")
     k, chosen = len(limited), np.eye(m)[limited]
-    before = np.full((2, k), [[-np.inf], [np.inf]])
+    before = after = Box(np.full(k, -np.inf), np.full(k, np.inf))
     if previous is not None:
-        last = one_component(real_array("previous", previous), m)
-        if last.shape != (m,):
-            raise ProblemError("previous", f"shape {last.shape}", f"one number for each of the {m} controls")
-        before = np.tile(last[limited], (2, 1))
+        first = _outer_control("previous", previous, m)[limited]
+        before = Box(first, first)
+    if following is not None:
+        last = _outer_control("following", following, m)[limited]
+        after = Box(last - limits[limited], last + limits[limited])
     labels = [split_unit(problem.control_names[j]) for j in limited]
     names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
-    added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
+    added = AddedStates(np.zeros((k, k)), chosen, before, np.full(k, -np.inf), names, after)
     remembering = extended(problem, added)
     of_x = np.zeros((k, problem.state_dim))
     rows = StageRows(
@@ -353,25 +365,33 @@ def rate_limit(problem: OptimalControlProblem, limit: Bound, previous: ArrayLike
     return OwnStates(problem, replace(remembering, stage_rows=[*remembering.stage_rows, rows]))
 
 
-Kind = TypeVar("Kind", bound=Continuum)
+def _outer_control(field: str, value: ArrayLike, m: int) -> Array:
+    """Return the control before the first or after the last sample, (m,)."""
+    control = real_array(field, value)
+    if control.shape not in ((), (m,)):
+        raise ProblemError(field, f"shape {control.shape}", f"one number, or one for each of the {m} controls")
+    return np.broadcast_to(control, m)
 
 
-def everywhere_of(problem: OptimalControlProblem, kind: type[Kind]) -> list[tuple[Term, Kind]]:
+Kind = TypeVar("Kind", bound=SemiInfiniteConstraint)
+
+
+def semi_infinite_terms(problem: OptimalControlProblem, kind: type[Kind]) -> list[tuple[Term, Kind]]:
     """Return the terms whose infinitely many constraints are of a kind, and these."""
-    return [(term, found) for term in problem.terms if isinstance(found := term.everywhere, kind)]
+    return [(term, found) for term in problem.terms if isinstance(found := term.semi_infinite, kind)]
 
 
 def at_frequencies(
-    problem: OptimalControlProblem, frequencies: Mapping[str, Array], relaxed: bool = False
+    problem: OptimalControlProblem, frequencies: Mapping[str, Array], points_only: bool = False
 ) -> OptimalControlProblem:
     """Return the problem whose terms stand at these points, (groups,) in rad/sample or (groups, 2), by their name.
 
-    Others stay where they are. ``relaxed``: nothing is required at other points.
+    Others stay where they are. ``points_only``: nothing is required at other points.
     """
-    found = [term for term in problem.terms if term.everywhere is not None]
-    if not found or not (frequencies or relaxed):
+    found = [term for term in problem.terms if term.semi_infinite is not None]
+    if not found or not (frequencies or points_only):
         return problem
-    pending = iter([frequencies.get(term.name, term.map.places) for term in found])
+    pending = iter([frequencies.get(term.name, term.map.locations) for term in found])
 
     def placed(given: object, names: Sequence[str]) -> list[FrequencyConstraint]:
         """Return the entries of a field; those at every frequency take the next points, one array a component."""
@@ -379,7 +399,7 @@ def at_frequencies(
         for constraint in entries_of(given):
             if constraint.every_frequency:
                 count = len(component_indices("spectrum", constraint.component, names))
-                constraint = constraint.at_frequencies([next(pending) for _ in range(count)], relaxed)
+                constraint = constraint.at_frequencies([next(pending) for _ in range(count)], points_only)
             constraints.append(constraint)
         return constraints
 
@@ -415,4 +435,4 @@ class SampledMasks(Inverse):
 
 def sampled_masks(problem: OptimalControlProblem, points: Mapping[str, Array]) -> SampledMasks:
     """Return the problem with its semi-infinite constraints at points only, and the way back."""
-    return SampledMasks(problem, at_frequencies(problem, points, relaxed=True), points)
+    return SampledMasks(problem, at_frequencies(problem, points, points_only=True), points)

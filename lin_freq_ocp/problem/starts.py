@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices, brief
 from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError, located_at
-from lin_freq_ocp.problem.dynamics.base import as_sequence
+from lin_freq_ocp.problem.dynamics.base import mode_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -61,7 +61,7 @@ def start_of(problem: OptimalControlProblem, given: object) -> Start:
         advice = "Mode numbers are integers." if array.shape == (T,) and array.dtype.kind == "f" else ""
         raise ProblemError("start", got, expected, advice)
     if whole:
-        return Start(as_sequence("start", array, T, len(problem.dynamics.mode_names)), None)
+        return Start(mode_sequence("start", array, T, len(problem.dynamics.mode_names)), None)
     try:
         with located_at("start", "mode"):
             trajectory = simulate(problem, array)

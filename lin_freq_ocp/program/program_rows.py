@@ -165,7 +165,7 @@ def orthonormal_spectrum(length: int, stopped: Mask, C: Array | None, D: Array |
     Bins 0 and length/2 have one row, cos(2 pi k t/N)/sqrt(N); every other bin k has two, sqrt(2/N) cos(2 pi k t/N)
     and -sqrt(2/N) sin(2 pi k t/N), one after the other. ``length`` is N, ``stopped`` (N//2 + 1,) says which bins.
     """
-    map = SpectrumMap(C, D, np.ones(length), length, np.flatnonzero(stopped), together=True)
+    map = SpectrumMap(C, D, np.ones(length), length, np.flatnonzero(stopped), joint=True)
     return map, np.repeat(np.sqrt(np.where(map.real, 1, 2) / length), 2)[map.kept]
 
 

@@ -74,8 +74,8 @@ def points(
             found = add_feedback(problem, found) if needs_feedback(problem) else found
             levels = list[float]()
             for term in problem.terms:
-                if term.everywhere is not None:
-                    peak = proven_peak(term.everywhere, term.everywhere.map.signal(found.x, found.u))
+                if term.semi_infinite is not None:
+                    peak = proven_peak(term.semi_infinite, term.semi_infinite.map.signal(found.x, found.u))
                     above = min(peak.found * (1 + LEVEL_MARGINS * margin), peak.ratio * (1 + margin))
                     levels.append(1.0 if term.hard else max(1.0, above))
             start, u = problem.state_tube.project(found.x)[0], problem.control_tube.project(found.u)
@@ -105,8 +105,8 @@ def distances_to_limits(problem: OptimalControlProblem, at: Trajectory) -> Itera
     for term in problem.terms:
         if not term.hard:
             continue
-        if term.everywhere is not None:
-            peak = proven_peak(term.everywhere, term.everywhere.map.signal(at.x, at.u))
+        if term.semi_infinite is not None:
+            peak = proven_peak(term.semi_infinite, term.semi_infinite.map.signal(at.x, at.u))
             yield np.array([1 - peak.found]), np.ones(1)
             continue
         values = term.map.values(at.x, at.u)

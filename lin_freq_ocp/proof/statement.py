@@ -27,7 +27,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone, Within
 from lin_freq_ocp.problem.terms.penalty import Penalty
-from lin_freq_ocp.problem.terms.semi_infinite import Frequencies
+from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
 
@@ -200,13 +200,13 @@ def term_lines(terms: Sequence[Term], sizes: Sizes) -> Iterator[str]:
 
 def _term_fields(term: Term, sizes: Sizes) -> Iterator[str]:
     """Yield the fields of each line of a term."""
-    if term.everywhere is not None:
-        if type(term.everywhere) is not Frequencies:
+    if term.semi_infinite is not None:
+        if type(term.semi_infinite) is not MagnitudeMask:
             raise UnsupportedError("the spectrum of a held signal, or a residual vibration")
-        limits = term.everywhere.limits
+        limits = term.semi_infinite.limits
         table = np.column_stack([limits.low, limits.high, limits.at_low, limits.at_high])
-        head = f'"name": {encode(term.name)}, "gauge": "all", "weight": {encode(float(term.everywhere.price))}'
-        yield f'{head}, {signal_text(term.everywhere.map, 0, sizes)}, "limits": {encode(table)}'
+        head = f'"name": {encode(term.name)}, "gauge": "all", "weight": {encode(float(term.semi_infinite.price))}'
+        yield f'{head}, {signal_text(term.semi_infinite.map, 0, sizes)}, "limits": {encode(table)}'
         return
     function = function_of(term.penalty, term.shape)
     head = f'"name": {encode(term.name)}, "gauge": "{function.gauge}"'
@@ -224,7 +224,7 @@ def multiplier_lines(terms: Sequence[Term], weights: Sequence[Array]) -> Iterato
     """Yield the multipliers of all terms, (groups, dim) each, that are not zero."""
     first = 0
     for term, given in zip(terms, weights, strict=True):
-        if term.everywhere is not None:
+        if term.semi_infinite is not None:
             places = term.map.frequencies.tolist()
             for w, pair in zip(places, given, strict=True):
                 if pair.any():
@@ -310,7 +310,7 @@ def _bins_of_window(values: SpectrumMap, start: int, sizes: Sizes) -> Iterator[l
     """Yield the bins of each group, of samples from a time on."""
     signal = signal_text(values, start, sizes)
     bins = [f'{{{signal}, "frequency": [{k}, {values.points}]}}' for k in values.bins.tolist()]
-    if values.together:
+    if values.joint:
         yield bins
     else:
         yield from ([one] for one in bins)

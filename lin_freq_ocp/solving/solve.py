@@ -97,7 +97,7 @@ def solve_translated(method: Method, translation: Translation, request: Request)
             progress(replace(at, cost=at.cost + constant, lower_bound=at.lower_bound + constant))
 
         request = replace(request, progress=report)
-    if all(term.everywhere is None for term in problem.terms):
+    if all(term.semi_infinite is None for term in problem.terms):
         return method.solve(problem, request)
     return solve_at_every_frequency(problem, method, request)
 
@@ -149,8 +149,8 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     """Solve a problem with masks at every frequency by any method, and judge the answer."""
     request = replace(request, again=None, tree=None)
     end = now() + request.time_limit
-    masks = [(term, term.everywhere) for term in problem.terms if term.everywhere is not None]
-    frequencies = {term.name: term.map.places for term, _ in masks}
+    masks = [(term, term.semi_infinite) for term in problem.terms if term.semi_infinite is not None]
+    frequencies = {term.name: term.map.locations for term, _ in masks}
     seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
         inverse = sampled_masks(problem, frequencies)
@@ -164,7 +164,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         for term, mask in masks:
             known, raised = frequencies[term.name], 1.0
             if not term.hard:  # by how much a soft mask is paid to be exceeded at its frequencies
-                size = np.linalg.norm(mask.map.placed(known).values(x, u), axis=1)
+                size = np.linalg.norm(mask.map.at_points(known).values(x, u), axis=1)
                 raised = float((size / mask.limit_at(known)).max(initial=1.0))
             added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + LEFT_VIOLATION / 2))
             largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)

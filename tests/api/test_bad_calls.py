@@ -148,3 +148,11 @@ def test_what_is_not_supported_says_so(call, error, words):
 def test_what_is_no_problem_is_refused(call):
     with pytest.raises(lfo.errors.ProblemError, match=r"problem: got 'cart\.toml'; expected an OptimalControlProblem"):
         call("cart.toml")
+
+
+def test_an_unknown_keyword_of_solve_is_refused_with_the_right_one():
+    problem = lfo.library.double_integrator()
+    with pytest.raises(lfo.errors.ProblemError, match=r"solver: got 'OSQP'; .* backend='osqp' chooses the solver"):
+        lfo.solve(problem, solver="OSQP")
+    with pytest.raises(lfo.errors.ProblemError, match=r"timelimit: got 3; .* Did you mean 'time_limit'\?"):
+        lfo.solve(problem, timelimit=3)

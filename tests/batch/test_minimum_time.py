@@ -119,6 +119,10 @@ MONOTONE = {
     "a mask of outputs": {"output_spectrum": OutputSpectrum([[1.0, 2.0]], [[1.0]], mask(every_frequency=True))},
     "periodic ends at rest": {"terminal_state": lfo.Periodic() & lfo.Box([-9, 0], [9, 0])},
     "balls": {"control_set": lfo.sets.Ball(1.0), "state_set": lfo.sets.Ball(9.0)},
+    "ends that contract": {
+        "dynamics": lfo.LinearDynamics([[1.0, 0.0], [0.0, 0.5]], [[1.0], [1.0]]),
+        "terminal_state": lfo.Box([0, -1], [0, 1]),
+    },
 }
 
 
@@ -152,6 +156,37 @@ def test_a_condition_that_fails_is_named(words):
     failing = conditions(**OBSTACLES[words])
     assert len(failing) == 1
     assert words in failing[0]
+
+
+def test_ends_that_contract_in_a_ball_are_no_proof():
+    """The ball limits both states at once: that each of them stays within its bounds is not enough."""
+    contracting = lfo.LinearDynamics([[0.5, 0.5], [-0.5, 0.5]], [[1.0], [1.0]])
+    (failing,) = conditions(dynamics=contracting, terminal_state=lfo.sets.Ball(1.0, [0.0, 0.0]))
+    assert "does not stay at every admissible end (x_0, x_1)" in failing
+    assert conditions(dynamics=contracting, terminal_state=lfo.Box([-1, -1], [1, 1])) == []
+
+
+def rate_limited_move(horizon, **neighbours):
+    return lfo.rate_limited(integrator(horizon, initial_state=[6.0, 0.0]), 0.4, **neighbours)
+
+
+def test_a_rate_limited_move_that_ends_at_rest_is_found_by_bisection():
+    move = rate_limited_move(16, previous=0, following=0)
+    found = lfo.minimum_time(move, horizons=(1, 16))
+    assert found.monotone
+    statuses = [lfo.solve(rate_limited_move(T, previous=0, following=0), throw=False).status for T in range(1, 17)]
+    assert [status == "infeasible" for status in statuses].index(False) + 1 == found.horizon
+    assert len(found.verdicts) <= 5
+    assert abs(found.result.control[-1, 0]) <= 0.4 + 1e-9
+
+
+def test_a_rate_limited_move_without_a_following_control_says_what_would_make_it_monotone():
+    found = lfo.minimum_time(rate_limited_move(16, previous=0), horizons=(6, 16))
+    assert not found.monotone
+    assert "'rate limit' does not hold" in found.reason
+    assert "following=0 in rate_limited" in found.reason
+    moving = obstacles(lambda T: rate_limited_move(T, previous=0, following=0.1), 6, 9, same_data=True)
+    assert any("'rate limit' does not hold" in reason for reason in moving)  # zero is too far from 0.1 - 0.4
 
 
 def shrinking(horizon):

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from lin_freq_ocp.certificate.peaks import proven_peak
-from lin_freq_ocp.problem.terms.semi_infinite import HeldFrequencies, HeldMap, limits_on, peaks_above
+from lin_freq_ocp.problem.terms.semi_infinite import ZeroOrderHoldMap, ZeroOrderHoldMask, limits_on, peaks_above
 
 ABOVE = 1e-9  # of the proven ratio over the largest value
 
 
 def held(N, intervals, points=(0.0,), values=(1.0,)):
-    plain = HeldMap(None, np.ones(1), np.ones(N), np.zeros(0))
-    return HeldFrequencies(plain, limits_on(intervals, np.array(points), np.array(values)))
+    plain = ZeroOrderHoldMap(None, np.ones(1), np.ones(N), np.zeros(0))
+    return ZeroOrderHoldMask(plain, limits_on(intervals, np.array(points), np.array(values)))
 
 
 def magnitude(samples, w):

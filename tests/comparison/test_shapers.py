@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lin_freq_ocp.comparison.moves import INSENSITIVITY, SHAPERS, impulse_text, impulses, shaped
-from lin_freq_ocp.problem.terms.semi_infinite import PlantBox, VibrationMap
+from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, VibrationMap
 
 H = 1e-3  # half a period of 10 Hz is 50 samples
 
@@ -12,7 +12,7 @@ H = 1e-3  # half a period of 10 Hz is 50 samples
 def box_of(damping, h=H):
     plain = VibrationMap(None, np.ones(1), np.ones(5), np.zeros((0, 2)), h)
     frequency = 10.0 / np.sqrt(1 - damping**2)  # damped: 10 Hz
-    return PlantBox(plain, np.array([frequency, damping]), np.array([frequency, damping]), 1.0, h)
+    return VibrationLimit(plain, np.array([frequency, damping]), np.array([frequency, damping]), 1.0, h)
 
 
 def left(name, damping, ratio=1.0):

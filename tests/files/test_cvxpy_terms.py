@@ -28,7 +28,7 @@ def stage_multipliers(program: cp.Problem, term: Term) -> np.ndarray:
         return -np.column_stack([size, direction])
     radius = np.broadcast_to(term.penalty.radius, term.shape[:1])
     equation = np.repeat(radius[:, None] == 0, term.shape[1], axis=1)
-    if isinstance(term.map, SpectrumMap) and not term.map.together:
+    if isinstance(term.map, SpectrumMap) and not term.map.joint:
         equation[term.map.real, 1] = False
     if (np.isfinite(radius) & (radius > 0)).any():
         multipliers[np.isfinite(radius) & (radius > 0)] = -constraints[term.name].dual_value[1]

@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+import lin_freq_ocp as lfo
 from helpers.problem_files import assert_same, bands, everything_at_once
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.problem_file import INLINE_LIMIT, init_problem_file, read_problem, template, write_problem
@@ -186,6 +187,16 @@ def test_a_continuous_model_is_sampled_with_a_zero_order_hold(tmp_path):
     problem = read_problem(file_with(tmp_path, text.replace("[dynamics]", "[dynamics]\ncontinuous = true")))
     np.testing.assert_allclose(problem.dynamics.A, [[1, 0.1], [0, 1]], rtol=1e-14)
     np.testing.assert_allclose(problem.dynamics.B, [[0.005], [0.1]], rtol=1e-14)
+
+
+def test_a_rate_limit_of_a_file_is_that_of_rate_limited(tmp_path):
+    plain = lfo.library.double_integrator()
+    lfo.write_problem(plain, tmp_path / "move.toml")
+    table = {"limit": 0.5, "previous": 0.0, "following": 0.0}
+    read = lfo.read_problem(tmp_path / "move.toml", {"rate_limit": table})
+    assert lfo.solve(read).cost == lfo.solve(lfo.rate_limited(plain, 0.5, 0.0, 0.0)).cost
+    with pytest.raises(lfo.errors.ProblemError, match=re.escape("move.toml: rate_limit.following: got shape (2,)")):
+        lfo.read_problem(tmp_path / "move.toml", {"rate_limit": table | {"following": [0.0, 0.0]}})
 
 
 def test_arrays_come_from_an_npz_beside_the_file(tmp_path):

@@ -189,6 +189,11 @@ BAD: dict[str, tuple[str, Any]] = {
     "rows with a number": ("stage_rows.e", 4.0),
     "rows with a name that is no text": ("stage_rows.name", 3),
     "rows with no price": ("stage_rows.penalty", 0.0),
+    "rate limit without a limit": ("rate_limit.limit", ...),
+    "rate limit below zero": ("rate_limit.limit", -1.0),
+    "rate limit with a typo": ("rate_limit.next", 0.0),
+    "rate limit from text": ("rate_limit.previous", "rest"),
+    "vibration relative to a number": ("control_spectrum[5].relative", 1),
     "outputs without constraints": ("output_spectrum.constraints", ...),
     "outputs with no constraint": ("output_spectrum.constraints", []),
     "outputs with a linear constraint": (

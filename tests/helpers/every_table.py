@@ -38,7 +38,7 @@ GOOD: dict[str, Any] = {
         {"kind": "linear_constraint", "coefficients": [[[1.0]]] * 8, "constant": [0.0], "penalty": 1.0},
         {
             **{"kind": "residual_vibration", "frequency": [0.9, 1.1], "damping": [0.0, 0.1]},
-            **{"limit": 3.0, "component": 0},
+            **{"limit": 3.0, "component": 0, "relative": False},
         },
         {
             **{"kind": "spectrogram", "bound": {"kind": "energy_bound", "limit": 9.0, "bins": [1]}},
@@ -54,6 +54,7 @@ GOOD: dict[str, Any] = {
         **{"C": [[1.0, 0.0]], "D": [[1.0]], "output_names": ["y [m]"]},
         "constraints": [{"kind": "band_pass", "lower_hz": 0.0, "upper_hz": 4.0, "component": "y"}],
     },
+    "rate_limit": {"limit": [6.0], "previous": 0.0, "following": [0.0]},
 }
 # The same with piecewise-affine dynamics
 PIECEWISE: dict[str, Any] = GOOD | {

@@ -83,7 +83,7 @@ class RateConstraint(FrequencyConstraint):
         rates = SumMap((stages,), constant.ravel())
         yield Term(RATE_LIMIT, signal.kind, rates, HalfSpaces(np.full(len(both), self.limit), HARD), source)
 
-    def extended(self, n, k):
+    def augmented(self, n, k):
         return [self]
 
 
@@ -124,7 +124,7 @@ def sampled(problem: Problem):
     result = lfo.solve(problem, throw=False)
     multipliers = result.multipliers or result.ray
     points = {} if multipliers is None else multipliers.frequencies
-    return sampled_masks(problem, {term.name: points.get(term.name, term.map.places) for term in problem.terms})
+    return sampled_masks(problem, {term.name: points.get(term.name, term.map.locations) for term in problem.terms})
 
 
 def with_levels(**changes) -> Problem:

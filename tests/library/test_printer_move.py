@@ -18,7 +18,7 @@ def test_the_default_is_the_shortest_calm_move():
 
 def test_the_box_is_that_of_the_parameters():
     problem = printer_move(resonance_hz=30.0, uncertainty=0.2, damping=(0.0, 0.05), vibration_bound=0.3)
-    (box,) = (term.everywhere for term in problem.terms)
+    (box,) = (term.semi_infinite for term in problem.terms)
     assert (box.low, box.high) == (pytest.approx([24.0, 0.0]), pytest.approx([36.0, 0.05]))
     assert box.limit == 0.3
     assert printer_move(vibration_bound=None).control_spectrum is None

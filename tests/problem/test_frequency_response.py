@@ -137,6 +137,15 @@ def test_both_parts_are_linear_between_frequencies(tmp_path):
     assert (by_file.mode, by_file.state_names) == ("zero-padded", ("y",))
 
 
+def test_samples_and_sampling_time_that_a_file_does_not_have_are_asked_for(tmp_path):
+    file = tmp_path / "plant.csv"
+    file.write_text("\n".join(",".join(map(str, row)) for row in TABLE))
+    with pytest.raises(ProblemError, match=r"seconds per step of the problem\. The table ends at 0.5 Hz, .* of 1 s"):
+        lfo.FrequencyResponse.from_csv(file)
+    with pytest.raises(ProblemError, match="the horizon, twice the horizon if zero-padded"):
+        lfo.FrequencyResponse.from_csv(file, sampling_time=1.0)
+
+
 def test_a_response_of_python_control():
     omega = 2 * np.pi * np.linspace(0, 0.5, 9)
     plant = control.frd(control.tf([1.0], [1.0, -0.5], 1.0), omega, inputs="force", outputs="speed")
@@ -177,6 +186,8 @@ def test_bad_tables_are_named(table, named, message):
         ("f,re,im\n0,1\n", "plant.csv: row 1: got '0,1'; expected three finite numbers"),
         ("0,1,0\nx,1,0\n", "plant.csv: row 1: got 'x,1,0'"),
         ("f,re,im\n", "plant.csv: got no rows"),
+        ("f,re\n0,1\n1,1\n", "The imaginary part is missing."),
+        ("f [Hz],gain [dB],phase [deg]\n0,1,0\n1,1,0\n", "plant.csv: header: got 'f [Hz],gain [dB],phase [deg]'"),
     ],
 )
 def test_bad_files_are_named(tmp_path, text, message):

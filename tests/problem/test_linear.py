@@ -5,6 +5,7 @@ from __future__ import annotations
 import control
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
@@ -107,6 +108,30 @@ def test_continuous_plant_is_sampled_as_python_control_does():
     assert dynamics.control_names == tuple(plant.input_labels)
 
 
+def test_a_transfer_function_is_its_realisation():
+    plant = control.tf([2.0], [1.0, 0.3, 2.0])
+    realised = control.ss(plant)
+    dynamics = LinearDynamics.from_statespace(plant, 0.05)
+    np.testing.assert_allclose(dynamics.A, control.c2d(realised, 0.05).A, rtol=1e-12)
+    discrete = LinearDynamics.from_statespace(control.tf([1.0], [1.0, -0.5], 0.1))
+    assert (discrete.A.item(), discrete.sampling_time) == (0.5, 0.1)
+
+
+@pytest.mark.parametrize(
+    "plant", [signal.StateSpace(*PLANT), signal.lti(*PLANT), signal.TransferFunction([1.5], [1.0, 0.3, 2.0])]
+)
+def test_continuous_plants_of_scipy_are_those_of_python_control(plant):
+    dynamics, expected = (LinearDynamics.from_statespace(one, 0.05) for one in (plant, control.ss(*PLANT)))
+    np.testing.assert_allclose(np.linalg.eigvals(dynamics.A), np.linalg.eigvals(expected.A), rtol=1e-12)
+    assert dynamics.state_names == ("x_0", "x_1")
+
+
+def test_discrete_plants_of_scipy_keep_their_sampling_time():
+    dynamics = LinearDynamics.from_statespace(signal.dlti([1.0], [1.0, -0.5], dt=0.1))
+    assert (dynamics.A.item(), dynamics.sampling_time) == (0.5, 0.1)
+    assert LinearDynamics.from_statespace(signal.dlti([1.0], [1.0, -0.5])).sampling_time is None  # dt is not stated
+
+
 def test_discrete_plant_is_taken_as_it_is():
     for own, asked, result in ((0.1, None, 0.1), (0.1, 0.1, 0.1), (True, None, None), (True, 0.2, 0.2)):
         dynamics = LinearDynamics.from_statespace(control.ss(*PLANT, own), sampling_time=asked, state_names=["a", "b"])
@@ -125,10 +150,21 @@ def test_discrete_plant_is_taken_as_it_is():
         (control.ss(*PLANT, 1e-5), 1.0005e-5, "sampling_time"),  # small, but a disagreement of 0.05 %
         (control.ss(*PLANT, 1e-9), 5e-9, "sampling_time"),
         (control.ss(*PLANT), -0.1, "dynamics.sampling_time"),
-        (control.tf([1], [1, 1]), 0.1, "plant"),
+        (control.tf([1, 0, 1], [1, 1]), 0.1, "plant"),  # no state equation: it differentiates
+        (control.frd([1.0, 0.5], [1.0, 2.0]), 0.1, "plant"),
         ("plant", 0.1, "plant"),
     ],
-    ids=["no dt", "no step", "mismatch", "100 kHz mismatch", "GHz mismatch", "negative", "transfer function", "text"],
+    ids=[
+        "no dt",
+        "no step",
+        "mismatch",
+        "100 kHz mismatch",
+        "GHz mismatch",
+        "negative",
+        "improper",
+        "measured",
+        "text",
+    ],
 )
 def test_plants_that_say_too_little_or_contradict_are_refused(plant, sampling_time, field):
     with pytest.raises(ProblemError) as caught:

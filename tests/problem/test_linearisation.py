@@ -140,7 +140,7 @@ def test_natural_sizes_set_the_steps():
     x, u = [0.4e-6], [0.0]
     A = lfo.LinearDynamics.linearised(system, x, u, state_scale=1e-6, control_scale=[1e-6]).A
     assert A[0, 0] == pytest.approx(np.cos(0.4), rel=1e-10)
-    with pytest.raises(lfo.errors.ProblemError, match=r"derivatives of state 0 by x\[0\].*Give state_scale") as caught:
+    with pytest.raises(lfo.errors.ProblemError, match=r"derivatives of state 0 by x\[0\].*State state_scale") as caught:
         lfo.LinearDynamics.linearised(system, x, u)
     assert caught.value.field == "system, t = 0"
 
@@ -172,11 +172,11 @@ def test_near_a_kink_there_are_no_derivatives(where):
 @pytest.mark.parametrize(
     ("update", "found"),
     [
-        (lambda x, u: u[0] - abs(x[0]), "state 0 by x[0]: 1 behind the point, -1 ahead of it"),
-        (lambda x, u: x[0] + max(u[0] - 2, 0), "state 0 by u[0]: 0 behind the point, 1 ahead of it"),
-        (lambda x, u: 5 * x[0] + np.tanh(x[1]) * np.sign(x[1]), "state 0 by x[1]: -1 behind the point, 1 ahead of it"),
-        (lambda x, u: np.sqrt(abs(x[1])), "behind the point"),
-        (lambda x, u: 1e-4 * abs(x[0] - 1e-11), "behind the point"),
+        (lambda x, u: u[0] - abs(x[0]), "state 0 by x[0]: 1 on the left, -1 on the right"),
+        (lambda x, u: x[0] + max(u[0] - 2, 0), "state 0 by u[0]: 0 on the left, 1 on the right"),
+        (lambda x, u: 5 * x[0] + np.tanh(x[1]) * np.sign(x[1]), "state 0 by x[1]: -1 on the left, 1 on the right"),
+        (lambda x, u: np.sqrt(abs(x[1])), "on the left"),
+        (lambda x, u: 1e-4 * abs(x[0] - 1e-11), "on the left"),
     ],
 )
 def test_at_a_kink_there_are_no_derivatives(update, found, dt):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cvxpy as cp
@@ -184,3 +185,28 @@ def test_what_does_not_fit_is_refused_by_name(limit, previous, field):
 def test_a_problem_is_limited_once():
     with pytest.raises(lfo.errors.ProblemError, match="a problem without stage rows named 'rate limit'"):
         lfo.rate_limited(lfo.rate_limited(problem_of(), 0.3), 0.2)
+
+
+def test_the_change_to_the_following_control_is_limited():
+    """``following`` bounds u_{T-1}: the optimum is that of a bound on the last sample, written by hand."""
+    limit, following = np.array([0.25, 0.2]), np.array([0.1, -0.1])
+    limited = lfo.rate_limited(problem_of(), limit.tolist(), [0.0, 0.1], following)
+    upper, lower = np.full((T, M), 0.7), np.full((T, M), -0.7)
+    upper[-1], lower[-1] = np.minimum(0.7, following + limit), np.maximum(-0.7, following - limit)
+    by_bounds = lfo.rate_limited(problem_of(control_set=lfo.Box(lower, upper)), limit.tolist(), [0.0, 0.1])
+    result, expected = lfo.solve(limited), lfo.solve(by_bounds)
+    assert result.cost == pytest.approx(expected.cost, rel=1e-7)
+    assert result.certificate.globally_optimal
+    assert (np.abs(result.control[-1] - following) <= limit + 1e-8).all()
+    assert result.cost > lfo.solve(lfo.rate_limited(problem_of(), limit.tolist(), [0.0, 0.1])).cost * (1 + 1e-6)
+
+
+def test_a_rate_limited_problem_of_constant_data_is_stated_at_every_horizon():
+    limited = lfo.rate_limited(problem_of(control_spectrum=None), 0.25, previous=0, following=0)
+    assert replace(limited, horizon=T + 10).state_boxes.lower.shape == (T + 11, N + M)
+
+
+@pytest.mark.parametrize("following", [[0.0], [0.0, np.inf], "rest"])
+def test_a_following_control_that_does_not_fit_is_refused(following):
+    with pytest.raises(lfo.errors.ProblemError, match="following"):
+        lfo.rate_limited(problem_of(), 0.1, following=following)

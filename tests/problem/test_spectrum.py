@@ -303,6 +303,8 @@ def test_a_band_that_removes_something_says_nothing(band):
         (lambda: stop_band(bins=[True]), "stop_band.bins"),
         (lambda: stop_band(bins="12"), "stop_band.bins"),
         (lambda: stop_band(bins=None), "stop_band.bins"),
+        (lambda: stop_band(), "stop_band.bins"),
+        (lambda: stop_band([5, 7]), "stop_band.bins"),
         (lambda: removed(low_pass(cutoff_hz=2.0), 8), "band"),  # no sampling time
         (lambda: removed(low_pass(cutoff_hz=5.1), 8, 0.1), "band.low_pass"),
         (lambda: removed([low_pass(1.0), high_pass(cutoff_hz=5.1)], 8, 0.1), "band[1].high_pass"),
@@ -371,6 +373,6 @@ def test_time_signal_of_one_bin():
 
 def test_bands_that_together_remove_everything_say_so():
     names = ["a", "b"]
-    with pytest.warns(BandWarning, match=r"bands\[1\]: high_pass.* that the bands before it leave"):
+    with pytest.warns(BandWarning, match=r"bands\[1\]: high_pass.* that the bands before it keep"):
         stopped = stopped_bins("bands", [low_pass(1.0), high_pass(2.0, component=1)], 40, names, None)
     assert stopped.all(axis=0).tolist() == [False, True]

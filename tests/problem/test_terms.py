@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
-from lin_freq_ocp.problem.terms.semi_infinite import HeldMap, VibrationMap
+from lin_freq_ocp.problem.terms.semi_infinite import VibrationMap, ZeroOrderHoldMap
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
 
 N, M = 3, 2
@@ -37,17 +37,17 @@ def stage_map(rng: np.random.Generator, T: int) -> StageMap:
     return StageMap(times, C, D, rng.standard_normal((len(times), DIM) if per_time else DIM))
 
 
-def spectrum_map(rng: np.random.Generator, T: int, together: bool = False) -> SpectrumMap:
+def spectrum_map(rng: np.random.Generator, T: int, joint: bool = False) -> SpectrumMap:
     C, D = some(rng, rng.standard_normal(N), rng.standard_normal(M))
     samples = T + (D is None)
     points = samples * int(rng.choice([1, 2, 5]))
     bins = np.sort(rng.choice(points // 2 + 1, size=int(rng.integers(1, points // 2 + 2)), replace=False))
     window = rng.standard_normal(samples) if rng.random() < 0.5 else np.ones(samples)
-    return SpectrumMap(C, D, window, points, bins, together)
+    return SpectrumMap(C, D, window, points, bins, joint)
 
 
-def together(rng: np.random.Generator, T: int) -> SpectrumMap:
-    return spectrum_map(rng, T, together=True)
+def joint_map(rng: np.random.Generator, T: int) -> SpectrumMap:
+    return spectrum_map(rng, T, joint=True)
 
 
 def sum_map(rng: np.random.Generator, T: int) -> SumMap:
@@ -60,15 +60,15 @@ def sum_map(rng: np.random.Generator, T: int) -> SumMap:
     return SumMap(tuple(parts), rng.standard_normal(DIM))
 
 
-def spectrogram_map(rng: np.random.Generator, T: int, together: bool = False) -> SpectrogramMap:
-    frame = spectrum_map(rng, int(rng.integers(1, T + 1)), together)
+def spectrogram_map(rng: np.random.Generator, T: int, joint: bool = False) -> SpectrogramMap:
+    frame = spectrum_map(rng, int(rng.integers(1, T + 1)), joint)
     length, samples, past = frame.samples, frame.length(T), rng.standard_normal(int(rng.integers(0, 8)))
     starts = np.arange(-min(len(past), length - 1), samples - length + 1, int(rng.integers(1, 4)))
     return SpectrogramMap(frame, starts, past)
 
 
-def windows_together(rng: np.random.Generator, T: int) -> SpectrogramMap:
-    return spectrogram_map(rng, T, together=True)
+def joint_windows(rng: np.random.Generator, T: int) -> SpectrogramMap:
+    return spectrogram_map(rng, T, joint=True)
 
 
 def frequency_map(rng: np.random.Generator, T: int) -> FrequencyMap:
@@ -77,10 +77,10 @@ def frequency_map(rng: np.random.Generator, T: int) -> FrequencyMap:
     return FrequencyMap(bins.C, bins.D, bins.window, at)
 
 
-def held_map(rng: np.random.Generator, T: int) -> HeldMap:
+def held_map(rng: np.random.Generator, T: int) -> ZeroOrderHoldMap:
     bins = spectrum_map(rng, T)
     at = np.append(rng.uniform(0, 20, int(rng.integers(1, 6))), rng.choice([0.0, np.pi]))
-    return HeldMap(bins.C, bins.D, bins.window, at)
+    return ZeroOrderHoldMap(bins.C, bins.D, bins.window, at)
 
 
 def vibration_map(rng: np.random.Generator, T: int) -> VibrationMap:
@@ -88,7 +88,7 @@ def vibration_map(rng: np.random.Generator, T: int) -> VibrationMap:
     return VibrationMap(bins.C, bins.D, bins.window, rng.uniform([0.1, 0], [40, 0.9], (count, 2)), 0.01)
 
 
-MAPS = (stage_map, sum_map, spectrum_map, together, spectrogram_map, windows_together)
+MAPS = (stage_map, sum_map, spectrum_map, joint_map, spectrogram_map, joint_windows)
 MAPS += (frequency_map, held_map, vibration_map)
 
 
@@ -121,7 +121,7 @@ def plain_waves(one: FrequencyMap) -> np.ndarray:
         z = np.exp(2 * np.pi * one.at[:, 0] * (-one.at[:, 1] + 1j * root) * one.sampling_time)
         return ((z - 1) / root)[:, None] * z[:, None] ** t[::-1]
     waves = np.exp(-1j * np.outer(one.at, t))
-    return np.sinc(one.at / (2 * np.pi))[:, None] * waves if isinstance(one, HeldMap) else waves
+    return np.sinc(one.at / (2 * np.pi))[:, None] * waves if isinstance(one, ZeroOrderHoldMap) else waves
 
 
 def plain_signal(one: SpectrumMap | FrequencyMap, x: np.ndarray, u: np.ndarray, samples: int) -> np.ndarray:
@@ -134,7 +134,7 @@ def plain_signal(one: SpectrumMap | FrequencyMap, x: np.ndarray, u: np.ndarray, 
 def plain_spectrum(one: SpectrumMap, y: np.ndarray, first: int = 0) -> np.ndarray:
     waves = np.exp(-2j * np.pi * np.outer(one.bins, first + np.arange(len(y))) / one.points)
     spectrum = waves @ (one.window * y)
-    if not one.together:
+    if not one.joint:
         return np.column_stack([spectrum.real, spectrum.imag])
     real_only = (one.bins == 0) | (2 * one.bins == one.points)
     pairs = [

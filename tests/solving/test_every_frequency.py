@@ -12,6 +12,7 @@ from helpers.clocks import Clock
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.comparison.trajectories import ProblemSignal, measured_solution
+from lin_freq_ocp.files.summary import result_summary
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MASK = lfo.MagnitudeBound
@@ -108,8 +109,18 @@ def test_limits_and_bands(limit, band, fields):
         assert peak.found > 1 - 1e-6  # the limit is active
     samples = result.trajectory.u[:, 0] * (np.hanning(100) if "window" in fields else 1)
     w = np.linspace(0, np.pi, 5001)
-    kept = (result.problem.terms[0].everywhere.limits.at(w)) * (1 + 1e-6)
+    kept = (result.problem.terms[0].semi_infinite.limits.at(w)) * (1 + 1e-6)
     assert (np.abs(spectrum(samples, w)) <= kept).all()
+
+
+@pytest.mark.parametrize(("band", "unit"), [(lfo.low_pass(cutoff_hz=2.0), "Hz"), (lfo.low_pass(0.3), "rad/sample")])
+def test_a_peak_is_told_in_the_unit_of_the_band(band, unit):
+    result = lfo.solve(masked(2.0, band))
+    (peak,) = peaks_of(result)
+    factor = 1 / (2 * np.pi * result.problem.sampling_time) if unit == "Hz" else 1.0
+    assert str(peak).endswith(f" at {factor * peak.frequency:.6g} {unit}")
+    (table,) = [table["peak"] for table in result_summary(result)["certificate"]["conditions"] if "peak" in table]
+    assert table == {"ratio": peak.ratio, "found": peak.found, "frequency": peak.frequency, "damping": None}
 
 
 def test_decibels_are_linear_over_the_logarithm():

@@ -30,7 +30,7 @@ def recovered(entry: Entry, inverse: Inverse) -> lfo.results.Outcome:
 
     def shaped(found):
         """Return multipliers in the shapes of the terms that state them."""
-        terms = [term for term in given.terms if term.name in found.stage and term.everywhere is None]
+        terms = [term for term in given.terms if term.name in found.stage and term.semi_infinite is None]
         return replace(
             found, stage={**found.stage, **{one.name: found.stage[one.name].reshape(one.shape) for one in terms}}
         )

@@ -135,6 +135,37 @@ def test_what_cannot_be_held_is_proven_infeasible():
     assert result.ray.frequencies
 
 
+def test_one_damping_ratio_is_both_ends():
+    single = lfo.ResidualVibration((0.9, 1.1), 0.02, LIMIT)
+    assert single.damping.tolist() == [0.02, 0.02]
+    text = "0.02 for every mode of 0.9 to 1.1 Hz with a damping ratio of 0.02"
+    assert single.describe(["force"]).endswith(text)
+
+
+def test_a_relative_limit_counts_a_last_sample_as_itself():
+    """The sum of the samples alone, by its definition, on a grid of the box; the factor differs from mode to mode."""
+    result = lfo.solve(calm(0.1, relative=True))
+    condition, u = vibration_of(result.certificate), result.trajectory.u[:, 0]
+    assert (result.status, result.certificate.pmp) == ("optimal", "satisfied")
+    f, zeta = (part.ravel() for part in np.meshgrid(np.linspace(0.9, 1.1, 30), np.linspace(0.0, 0.1, 20)))
+    z = np.exp(2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - zeta**2)) * H)
+    assert np.abs(np.polyval(u, z)).max() <= 0.1 * condition.peak.ratio
+    assert condition.peak.ratio - 1 < 1e-7
+    (term,) = result.problem.terms
+    x, unit = np.zeros((81, 2)), np.zeros((80, 1))
+    unit[-1] = 1.0
+    values = term.semi_infinite.map.at_points(np.array([[0.9, 0.0], [1.1, 0.1]])).values(x, unit)
+    assert np.hypot(*values.T) == pytest.approx([1.0, 1.0])
+
+
+def test_two_vibrations_of_a_signal_are_named_by_their_bands():
+    bands = [lfo.ResidualVibration(band, 0.02, LIMIT) for band in ((0.9, 1.1), (2.0, 2.5))]
+    names = [term.name for term in replace(FREE, control_spectrum=bands).terms]
+    signal = FREE.control_names[0]
+    assert names == [f"residual vibration of {signal} at {band} Hz" for band in ("0.9 to 1.1", "2 to 2.5")]
+    assert [term.name for term in calm().terms] == [f"residual vibration of {signal}"]
+
+
 def test_an_output_that_is_the_control_has_the_same_optimum(solved):
     one = lfo.ResidualVibration((0.9, 1.1), (0.0, 0.1), LIMIT)
     output = lfo.spectrum.OutputSpectrum(D=[[1.0]], constraints=one)
@@ -162,6 +193,8 @@ def test_solutions_and_problems_are_written_and_read(solved, tmp_path):
         (lambda: calm(frequency=1.0), "frequency", "two numbers"),
         (lambda: calm(damping=(-0.1, 0.1)), "damping", "from 0 to below 1"),
         (lambda: calm(damping=(0.1, 1.0)), "damping", "from 0 to below 1"),
+        (lambda: calm(damping=1.0), "damping", "from 0 to below 1"),
+        (lambda: calm(relative=1), "relative", "True or False"),
         (lambda: calm(0.0), "limit", "above zero"),
         (lambda: calm(component="speed"), "component", "acceleration"),
         (lambda: lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 4, lfo.QuadraticCost(R=1.0),

@@ -258,7 +258,7 @@ def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: 
 def structured_first(problem: OptimalControlProblem) -> str:
     """Return why the structured method is taken before the sparse program; an empty text if it is not."""
     signals = problem.state_dim, problem.control_dim
-    if any(len(term.map.places) and term.map.spectrum_form(*signals) is None for term in problem.terms):
+    if any(len(term.map.locations) and term.map.spectrum_form(*signals) is None for term in problem.terms):
         return "frequencies of a mask that are close together cost the sparse program digits"
     rows, compiled = dense_rows(problem), find_spec("numba") is not None
     if rows.entries >= (DENSE_ENTRIES if compiled else PLAIN_ENTRIES):

@@ -34,8 +34,8 @@ from lin_freq_ocp.pages.units import frequency_scale, time_scale
 from lin_freq_ocp.problem.limits import SPECTRA, changed_fields
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import everywhere_of
-from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
+from lin_freq_ocp.problem.reformulations import semi_infinite_terms
+from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.kept import Change
@@ -295,7 +295,7 @@ def frame_data(problem: OptimalControlProblem) -> Data:
                 "limit": box.limit,
                 "top": HIGHEST_LIMIT * box.limit,
             }
-            for term, box in everywhere_of(problem, PlantBox)
+            for term, box in semi_infinite_terms(problem, VibrationLimit)
         ],
     }
 
@@ -338,7 +338,7 @@ def trajectory_data(problem: OptimalControlProblem, trajectory: Trajectory) -> D
         "spectra": [round_values(np.abs(np.fft.rfft(values))) for values in spectra],
         "vibrations": [
             round_values(vibration(box, trajectory, frequencies_around(box)))
-            for _, box in everywhere_of(problem, PlantBox)
+            for _, box in semi_infinite_terms(problem, VibrationLimit)
         ],
     }
 

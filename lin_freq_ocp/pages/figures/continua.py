@@ -20,8 +20,8 @@ from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.panels import FEW_BINS
 from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.units import align
-from lin_freq_ocp.problem.reformulations import everywhere_of
-from lin_freq_ocp.problem.terms.semi_infinite import HeldFrequencies, PlantBox
+from lin_freq_ocp.problem.reformulations import semi_infinite_terms
+from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, ZeroOrderHoldMask
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -43,7 +43,7 @@ def moves_figure(moves: Moves) -> Figure:
 
 def vibrations_figure(data: PlotData) -> Figure | None:
     """Return what the trajectories leave ringing in boxes of modes; None without any."""
-    terms = everywhere_of(data.problem, PlantBox)
+    terms = semi_infinite_terms(data.problem, VibrationLimit)
     if not terms:
         return None
     figure, panels = look.panel_grid(len(terms), PANEL_HEIGHT)
@@ -55,7 +55,7 @@ def vibrations_figure(data: PlotData) -> Figure | None:
 
 def held_figure(data: PlotData) -> Figure | None:
     """Return the spectra of held signals with a limit, images included; None without any."""
-    terms = everywhere_of(data.problem, HeldFrequencies)
+    terms = semi_infinite_terms(data.problem, ZeroOrderHoldMask)
     if not terms:
         return None
     figure, panels = look.panel_grid(len(terms), PANEL_HEIGHT)
@@ -64,7 +64,7 @@ def held_figure(data: PlotData) -> Figure | None:
     return figure
 
 
-def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFrequencies) -> None:
+def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: ZeroOrderHoldMask) -> None:
     """Draw |sinc V| of a held signal up to the highest frequency with a limit, and the limit."""
     limits, factor = everywhere.limits, data.frequency.factor
     end = max(float(limits.high.max()), 2 * np.pi)
@@ -72,7 +72,7 @@ def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFr
     w, top = np.linspace(0.0, end, PER_BIN * bins), 0.0
     for trace in data.traces:
         signal = everywhere.map.signal(trace.trajectory.x, trace.trajectory.u)
-        values = np.abs(everywhere.map.placed(w).transform(signal))
+        values = np.abs(everywhere.map.at_points(w).transform(signal))
         top = max(top, float(values.max()))
         at = values.reshape(bins, PER_BIN).argmax(1) + PER_BIN * np.arange(bins) if bins > FEW_BINS else slice(None)
         solid = trace.style.of_line(0.65) | {"linestyle": "-", "label": trace.label}
@@ -99,7 +99,7 @@ class Ringing:
     """A trajectory, the box of modes on its samples, and how its line looks."""
 
     label: str
-    box: PlantBox
+    box: VibrationLimit
     trajectory: Trajectory
     style: look.Style
 

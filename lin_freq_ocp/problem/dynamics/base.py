@@ -1,10 +1,10 @@
 """The protocol of dynamics.
 
 A new class of dynamics is a subclass of ``Dynamics`` in a file of its own: its constructor calls ``signal_labels``, and
-``standard_form`` returns the equivalent linear, piecewise-affine or piecewise-smooth dynamics. All operations, methods
-of solution and the judgement are those of the standard form, unless the class overrides them or has its own entry in
+``standard_form`` returns the equivalent linear, piecewise-affine or piecewise-smooth dynamics. Its operations,
+methods of solution and judge are those of the standard form, unless the class overrides them or has its own entry in
 the tables ``FAMILIES`` (solving/families.py) and ``JUDGES`` (certificate/verdict.py).
-``tests/problem/test_new_dynamics.py`` shows complete ones.
+``tests/problem/test_new_dynamics.py`` shows complete examples.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from lin_freq_ocp.problem.terms.term import Link
 Entry = TypeVar("Entry")
 Form = TypeVar("Form", bound="Dynamics")
 Step = Callable[[int, Array, Array], Array]  # from t, x_t (n,) and u_t (m,) to x_{t+1} (n,)
-Selections = Mapping[Formula, Array]  # the derivatives of norms at zero, (T, components), as for ``formulas.jets``
+Selections = Mapping[Formula, Array]  # subgradients of norms at zero, (T, components), as for ``formulas.jets``
 
 
 class SwitchingBoundary(ABC):
-    """Where the regions of two modes meet."""
+    """The switching boundary of two modes: where their regions meet."""
 
     first: int
     second: int
@@ -41,14 +41,14 @@ class SwitchingBoundary(ABC):
     @property
     @abstractmethod
     def continuous(self) -> bool:
-        """Whether the map does not jump there."""
+        """Whether the map is continuous there."""
 
 
 class Dynamics(ABC):
     """x_{t+1} = f_t(x_t, u_t) with named signals.
 
-    A class of dynamics is a dataclass whose fields are what its constructor takes, so that ``dataclasses.replace``
-    makes the same with other values.
+    A class of dynamics is a dataclass whose fields are the parameters of its constructor, so that
+    ``dataclasses.replace`` works.
     """
 
     state_dim: int
@@ -74,7 +74,7 @@ class Dynamics(ABC):
 
     @property
     def given(self) -> tuple[Dynamics, ConvexSet | None]:
-        """Return the dynamics as stated, and the control set that became a part of them."""
+        """Return the dynamics as stated, and the control set if it has become a part of them."""
         return self, None
 
     @property
@@ -83,15 +83,15 @@ class Dynamics(ABC):
         return np.zeros(self.control_dim)
 
     def controls_of(self, sequence: Indices) -> Array | None:
-        """Return the controls (T, m) that a mode sequence fixes; None where it leaves them free."""
+        """Return the controls (T, m) that a mode sequence determines; None if it leaves them free."""
         return None
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
-        """Return the dynamics in words, as pairs of a term and what it is; labels name states and controls."""
+        """Return the dynamics in words, as pairs (title, text); labels name states and controls."""
         return self.standard_form.facts(labels)
 
     def require_horizon(self, horizon: int) -> None:
-        """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
+        """Raise ProblemError unless data per time have ``horizon`` steps."""
         self.standard_form.require_horizon(horizon)
 
     def links(self, horizon: int) -> tuple[Link, ...]:
@@ -99,7 +99,7 @@ class Dynamics(ABC):
         return ()
 
     def response(self, horizon: int) -> Response | None:
-        """Return the map from all controls to all states, of dynamics known by it; None for a recursion."""
+        """Return the map from all controls to all states; None for dynamics that are a recursion."""
         return None
 
     def require_sets(self, sets: StageSets) -> None:
@@ -107,19 +107,19 @@ class Dynamics(ABC):
         self.standard_form.require_sets(sets)
 
     def gap(self, sets: StageSets) -> str | None:
-        """Return a place in the sets where f_t is not defined, as text; None if there is none."""
+        """Return a point of the sets where f_t is not defined, in words; None if there is none."""
         return self.standard_form.gap(sets)
 
     def borders(self, sets: StageSets) -> tuple[SwitchingBoundary, ...]:
-        """Return where regions of affine modes meet within the sets."""
+        """Return the switching boundaries of affine modes within the sets."""
         return self.standard_form.borders(sets)
 
     def stepper(self, horizon: int) -> Step:
-        """Return the function that steps; it raises NumericalError where f_t is not defined."""
+        """Return the function from t, x_t and u_t to x_{t+1}; it raises NumericalError where f_t is not defined."""
         return self.standard_form.stepper(horizon)
 
     def gains(self) -> tuple[Array, Array, Array]:
-        """Return how large the derivatives are, (n, n) and (n, m), and the constants (n,)."""
+        """Return the sizes of the derivatives, (n, n) and (n, m), and of the constants, (n,)."""
         return self.standard_form.gains()
 
     def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -127,11 +127,11 @@ class Dynamics(ABC):
         return self.standard_form.gains_along(x, u)
 
     def sequence_of(self, x: Array, u: Array) -> Indices:
-        """Return the mode at every time, (T,): of those that hold, the one that leads nearest to x_{t+1}."""
+        """Return the mode at every time, (T,): of those that hold, the one with the image nearest to x_{t+1}."""
         return self.standard_form.sequence_of(x, u)
 
     def affine_at(self, x: Array, u: Array, selections: Selections | None = None) -> Dynamics:
-        """Return dynamics of affine maps that are the same to first order at (x_t, u_t)."""
+        """Return dynamics of affine maps that agree to first order at (x_t, u_t)."""
         return self.standard_form.affine_at(x, u, selections)
 
     def with_modes(self, sequence: ArrayLike, horizon: int) -> tuple[Dynamics, StageRows]:
@@ -139,15 +139,15 @@ class Dynamics(ABC):
         return self.standard_form.with_modes(sequence, horizon)
 
     def linear_at(self, x: Array, u: Array) -> Dynamics:
-        """Return linear dynamics that are the same to first order at (x_t, u_t), those of the modes there."""
+        """Return linear dynamics that agree to first order at (x_t, u_t), with the modes of the trajectory."""
         return self.standard_form.linear_at(x, u)
 
     def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
-        """Return for every norm at which of the times t < T its arguments are zero, (T,)."""
+        """Return for every norm the times t < T at which its arguments are zero, (T,)."""
         return self.standard_form.active_kinks(x, u)
 
     def translated(self, origin: Array) -> Dynamics | None:
-        """Return the dynamics of x - origin, origin (n,); None where they are stated about zero."""
+        """Return the dynamics of x - origin, origin (n,); None if their zero has a meaning."""
         return self.standard_form.translated(origin)
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> Dynamics:
@@ -155,22 +155,22 @@ class Dynamics(ABC):
         return self.standard_form.augmented(A, B, names, horizon)
 
 
-def as_sequence(field: str, sequence: ArrayLike, horizon: int, modes: int) -> Indices:
+def mode_sequence(field: str, sequence: ArrayLike, horizon: int, modes: int) -> Indices:
     """Return a mode sequence as integers (T,), or raise ProblemError."""
     expected = f"{horizon} mode numbers from 0 to {modes - 1}"
     try:
-        given = np.asarray(sequence)
+        numbers = np.asarray(sequence)
     except ValueError:
         raise ProblemError(field, brief(sequence), expected) from None
-    if given.shape != (horizon,) or given.dtype.kind not in "iu":
-        raise ProblemError(field, f"shape {given.shape} of {given.dtype}", expected)
-    if (given < 0).any() or (given >= modes).any():
-        raise ProblemError(field, brief(given.tolist()), expected)
-    return given.astype(np.intp)
+    if numbers.shape != (horizon,) or numbers.dtype.kind not in "iu":
+        raise ProblemError(field, f"shape {numbers.shape} of {numbers.dtype}", expected)
+    if (numbers < 0).any() or (numbers >= modes).any():
+        raise ProblemError(field, brief(numbers.tolist()), expected)
+    return numbers.astype(np.intp)
 
 
 class StandardDynamics(Dynamics):
-    """Dynamics in a standard form; what is defined here holds for affine dynamics without modes."""
+    """Dynamics in a standard form; the defaults are those of affine dynamics without modes."""
 
     @property
     def standard_form(self) -> StandardDynamics:
@@ -199,7 +199,7 @@ class StandardDynamics(Dynamics):
         return ()
 
     def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
-        """Return ``gains``, which are the same along all trajectories."""
+        """Return ``gains``, which do not depend on the trajectory."""
         return self.gains()
 
     def translated(self, origin: Array) -> Dynamics | None:
@@ -224,7 +224,7 @@ class StandardDynamics(Dynamics):
 
 
 class StateEquations(StandardDynamics):
-    """x_{t+1} = f_t, affine in all states and controls of the trajectory: what the judge needs of linear dynamics."""
+    """x_{t+1} = f_t, affine in all states and controls of the trajectory: the linear dynamics that the judge sees."""
 
     def linear_at(self, x: Array, u: Array) -> Dynamics:
         """Return these dynamics."""
@@ -236,10 +236,10 @@ class StateEquations(StandardDynamics):
 
     @abstractmethod
     def successor_sizes(self, x: Array, u: Array) -> Array:
-        """Return what rounding errors of ``successors`` are relative to, (T, n)."""
+        """Return the sizes that rounding errors of ``successors`` are relative to, (T, n)."""
 
     def motion_sizes(self, x: Array, u: Array) -> Array:
-        """Return how much each state moves, (n,): what residuals count relative to, x (T+1, n) from where it moves."""
+        """Return the size of each state, (n,), that residuals are relative to; x (T+1, n) from a nearby origin."""
         return np.maximum(np.abs(x).max(0), self.successor_sizes(x, u).max(0))
 
     @abstractmethod
@@ -248,11 +248,11 @@ class StateEquations(StandardDynamics):
 
     @abstractmethod
     def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
-        """Return what residuals of ``pull_back`` are relative to."""
+        """Return the sizes that residuals of ``pull_back`` are relative to."""
 
 
-def in_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form:
-    """Return the standard form of dynamics, which must be of this kind."""
+def require_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form:
+    """Return the standard form of dynamics, or raise UnsupportedError unless it is of this class."""
     form = dynamics.standard_form
     if isinstance(form, kind):
         return form
@@ -260,7 +260,7 @@ def in_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form:
 
 
 def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:
-    """Return the entry for the class of dynamics, for a base class, or for its standard form."""
+    """Return the entry of the class of dynamics, of a base class, or of the standard form."""
     kinds = *type(dynamics).__mro__, *type(dynamics.standard_form).__mro__
     if not any(kind in table for kind in kinds):
         register_all()
@@ -284,25 +284,25 @@ def signal_labels(
     }
 
 
-def counted(states: int, controls: int) -> str:
+def dimension_words(states: int, controls: int) -> str:
     """Return "1 state and 2 controls"."""
     return f"{plural(states, 'state')} and {plural(controls, 'control')}"
 
 
-def mode_labels(given: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of modes, "mode i" where none is given."""
-    found: dict[str, None] = {}
-    for i, name in enumerate(given):
+def mode_labels(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of modes, "mode i" for an empty name, or raise ProblemError if a name occurs twice."""
+    labels: dict[str, None] = {}
+    for i, name in enumerate(names):
         printable(f"dynamics.modes[{i}].name", name)
         label = name or f"mode {i}"
-        if label in found:
+        if label in labels:
             raise ProblemError(f"dynamics.modes[{i}].name", f"{label!r} a second time", "a different name for each")
-        found[label] = None
-    return tuple(found)
+        labels[label] = None
+    return tuple(labels)
 
 
 def mode_facts(names: Sequence[str], kind: str) -> list[tuple[str, str]]:
-    """Return how many modes there are, their names, and of what kind they are; nothing of a single mode."""
+    """Return the number of modes, their names and their kind in words; nothing for a single mode."""
     if len(names) == 1:
         return []
     quoted = [f"\N{LEFT DOUBLE QUOTATION MARK}{name}\N{RIGHT DOUBLE QUOTATION MARK}" for name in names]
@@ -310,15 +310,15 @@ def mode_facts(names: Sequence[str], kind: str) -> list[tuple[str, str]]:
     return [("modes", f"{len(names)}: {shown}; {kind}")]
 
 
-def unique_names(given: Sequence[str]) -> list[str]:
-    """Return names for generated modes: repeated names get a number, an empty name stays unless "mode i" is taken."""
-    labels = [name or f"mode {i}" for i, name in enumerate(given)]
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Return different names for generated modes: repeated ones get a number, empty ones if "mode i" is taken."""
+    labels = [name or f"mode {i}" for i, name in enumerate(names)]
     taken, unique = set(labels), list[str]()
-    for name, label in zip(given, labels, strict=True):
+    for name, label in zip(names, labels, strict=True):
         if labels.count(label) == 1:
             unique.append(name)
             continue
         numbered = (f"{label} ({count})" for count in range(1, 2 * len(labels) + 1))
-        unique.append(next(one for one in numbered if one not in taken))
+        unique.append(next(candidate for candidate in numbered if candidate not in taken))
         taken.add(unique[-1])
     return unique

@@ -1,12 +1,13 @@
 """Plants known by their frequency response: y_k = G_k u_k + g_k at every bin of the DFT.
 
 The states of such a problem are the outputs: x_t = y_t for t = 0 .. T, with eta_t the multiplier of x_{t+1} = y_{t+1}.
-Of a periodic record, x_T = x_0; else the first output is an equation of its own. Measured responses are tables of
-frequency, real and imaginary part, interpolated at the bins of a record.
+A periodic record has x_T = x_0; a zero-padded one has an equation for the first output. Measured responses are tables
+of frequency, real and imaginary part, interpolated at the bins of a record.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -38,7 +39,7 @@ from lin_freq_ocp.problem.terms.penalties import Within
 from lin_freq_ocp.problem.terms.term import Link
 
 MODES = ("periodic", "zero-padded")
-REAL_TOLERANCE = 1e-12  # imaginary part, relative to the largest response, that is rounding at bins 0 and N/2
+REAL_TOLERANCE = 1e-12  # of the largest response: an imaginary part at bins 0 and N/2 that is rounding
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -46,7 +47,7 @@ class FrequencyResponse(StateEquations):
     """Outputs y = irfft(G_k u_k + g_k) + d of all controls at once: measured plants, boundary-element data.
 
     The states of the problem are the outputs: x_t = y_t at t = 0 .. T. Costs, sets, stage rows and frequency
-    constraints are on them and on the controls as ever.
+    constraints apply to them and to the controls.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ class FrequencyResponse(StateEquations):
     offset : complex (N//2 + 1, p), or (N//2 + 1,) for one output, optional
         DFT of outputs without controls, in the units of numpy.fft.rfft: a sine of amplitude a has |g_k| = a N / 2.
     disturbance : (T, p), zero-padded (T+1, p), optional
-        Outputs without controls, as a signal in time; it is added to those of ``offset``.
+        Outputs without controls, as a signal in time; added to ``offset``.
     mode : {"periodic", "zero-padded"}
         Periodic: N = T, the record is one period, and x_T = x_0. Zero-padded: N = 2T, the plant is at rest before the
         record, the controls are zero after it, and x_0 .. x_T are the outputs of t = 0 .. T.
@@ -74,13 +75,13 @@ class FrequencyResponse(StateEquations):
     from_table(table, samples, sampling_time)
         Interpolate a table of frequency, real and imaginary part.
     from_csv(path, samples, sampling_time)
-        The same of a CSV file.
+        Interpolate such a table from a CSV file.
     from_frd(plant, samples)
         Interpolate a frequency response of python-control.
 
     References
     ----------
-    docs/frequency_response.md has the conditions of the maximum principle, the bound, and when costs are convex.
+    docs/frequency_response.md: the conditions of the maximum principle, the bound, and the convexity of costs.
 
     Examples
     --------
@@ -97,7 +98,7 @@ class FrequencyResponse(StateEquations):
     mode: str
     state_names: tuple[str, ...]
     control_names: tuple[str, ...]
-    _kept: ClassVar[Response | None] = None  # the last response that was asked for
+    _cached_response: ClassVar[Response | None] = None  # of the last horizon
 
     def __init__(
         self,
@@ -147,14 +148,14 @@ class FrequencyResponse(StateEquations):
         Parameters
         ----------
         table : (k, 3)
-            Frequency in Hz, increasing, real part, imaginary part. Between frequencies, both parts are linear; at the
-            Nyquist frequency the real part counts, at 0 the response must be real.
+            Increasing frequency in Hz, real part, imaginary part. Between frequencies, both parts are linear. At the
+            Nyquist frequency only the real part counts; at 0 the response must be real.
         samples : int
             N, the samples of the record: the horizon, or twice the horizon if zero-padded.
         sampling_time : float
             Seconds per step.
         outside : {"refuse", "zero"}
-            What happens to bins outside the table: an error that names them, or a response of 0.
+            Bins outside the table: raise an error that names them, or have a response of 0.
         disturbance, mode, state_names, control_names
             As for the constructor.
 
@@ -169,20 +170,20 @@ class FrequencyResponse(StateEquations):
         >>> lfo.FrequencyResponse.from_table(table, samples=4, sampling_time=1.0).G[:, 0, 0].tolist()
         [(1+0j), (0.5-0.5j), 0j]
         """
-        given = real_array("dynamics.table", table)
-        if given.ndim != 2 or given.shape[1] != 3:
+        rows = real_array("dynamics.table", table)
+        if rows.ndim != 2 or rows.shape[1] != 3:
             expected = "(k, 3): frequency in Hz, real part, imaginary part"
-            raise ProblemError("dynamics.table", f"shape {given.shape}", expected)
-        found = given[:, 0], given[:, 1] + 1j * given[:, 2]
-        G = response_at_bins("dynamics.table", *found, samples, sampling_time, outside)
+            raise ProblemError("dynamics.table", f"shape {rows.shape}", expected)
+        values = rows[:, 1] + 1j * rows[:, 2]
+        G = response_at_bins("dynamics.table", rows[:, 0], values, samples, sampling_time, outside)
         return cls(G, sampling_time, None, disturbance, mode, state_names, control_names)
 
     @classmethod
     def from_csv(
         cls,
         path: str | PathLike[str],
-        samples: int,
-        sampling_time: float,
+        samples: int | None = None,
+        sampling_time: float | None = None,
         outside: str = "refuse",
         disturbance: ArrayLike | None = None,
         mode: str = "periodic",
@@ -191,9 +192,17 @@ class FrequencyResponse(StateEquations):
     ) -> FrequencyResponse:
         """Interpolate a CSV file of frequency in Hz, real and imaginary part; see ``from_table``.
 
-        The first line may be a header, and lines that begin with # are left out.
+        The first line may be a header; lines that begin with # are comments. ``samples`` and ``sampling_time`` must be
+        stated, because a file does not have them: the error of a missing one says what the file suggests.
         """
         table = read_response(Path(path))
+        last = table[-1, 0]
+        if sampling_time is None:
+            advice = f"The table ends at {last:g} Hz, the Nyquist frequency of {0.5 / last:g} s." if last > 0 else ""
+            raise ProblemError("sampling_time", "nothing", "sampling_time=, seconds per step of the problem", advice)
+        if samples is None:
+            expected = "samples=, the length of the record: the horizon, twice the horizon if zero-padded"
+            raise ProblemError("samples", "nothing", expected)
         further = disturbance, mode, state_names, control_names
         return cls.from_table(table, samples, sampling_time, outside, *further)
 
@@ -211,7 +220,7 @@ class FrequencyResponse(StateEquations):
     ) -> FrequencyResponse:
         """Interpolate a ``control.FrequencyResponseData`` at the bins of a record; see ``from_table``.
 
-        The sampling time is that of a discrete plant unless given; its signal names are taken unless others are given.
+        Default: the sampling time of a discrete plant, and the signal names of the plant.
         """
         import control  # here, because it takes seconds to import and only its users need it
 
@@ -228,11 +237,11 @@ class FrequencyResponse(StateEquations):
 
     @property
     def padded(self) -> bool:
-        """Whether the record is followed by as many zeros."""
+        """Whether as many zeros follow the record."""
         return self.mode == "zero-padded"
 
     def record(self, horizon: int) -> int:
-        """Return N, the number of samples that the frequencies of G divide."""
+        """Return N: the frequencies of G are 2 pi k / N."""
         return 2 * horizon if self.padded else horizon
 
     def require_horizon(self, horizon: int) -> None:
@@ -252,17 +261,17 @@ class FrequencyResponse(StateEquations):
 
     def response(self, horizon: int) -> Response:
         """Return the map from all controls to all outputs."""
-        if self._kept is None or self._kept.horizon != horizon:
+        if self._cached_response is None or self._cached_response.horizon != horizon:
             N = self.record(horizon)
             base = fft.irfft(self.offset, n=N, axis=0)
             if self.disturbance is not None:
                 base[: len(self.disturbance)] += self.disturbance
-            assign(self, _kept=Response(self.G, base[np.arange(horizon + 1) % N], horizon, N))
-        assert self._kept is not None
-        return self._kept
+            assign(self, _cached_response=Response(self.G, base[np.arange(horizon + 1) % N], horizon, N))
+        assert self._cached_response is not None
+        return self._cached_response
 
     def links(self, horizon: int) -> tuple[Link, ...]:
-        """Return x_T = x_0 for a period; else that x_0 is the first output."""
+        """Return x_T = x_0 for a periodic record; else the equation of the first output x_0."""
         if not self.padded:
             return Periodic().links(self.state_dim, horizon)
         response, p = self.response(horizon), self.state_dim
@@ -281,7 +290,7 @@ class FrequencyResponse(StateEquations):
         return (np.abs(response.linear(u)) + np.abs(response.base))[1:]
 
     def pull_back(self, eta: Array) -> tuple[Array, Array]:
-        """Return zeros (T, p), as no state is a function of others, and the adjoint of the response, (T, m)."""
+        """Return zeros (T, p), because no state depends on another, and the adjoint of the response, (T, m)."""
         later = np.vstack([np.zeros((1, self.state_dim)), eta]).astype(eta.dtype)
         return np.zeros_like(eta), self.response(len(eta)).pull_back(later)
 
@@ -302,9 +311,9 @@ class FrequencyResponse(StateEquations):
         return np.zeros((self.state_dim, self.state_dim)), np.abs(self.G).max(0), known
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> FrequencyResponse:
-        """Return the response with the outputs w_{t+1} = B u_t; a recursion A that is not zero is refused."""
+        """Return the response with the outputs w_{t+1} = B u_t too; a recursion A other than zero is refused."""
         if A.any():
-            raise UnsupportedError("dynamics: a FrequencyResponse takes no further states with a memory of their own.")
+            raise UnsupportedError("dynamics: a FrequencyResponse takes no added states with a recursion.")
         delay = np.exp(-2j * np.pi * np.arange(len(self.G)) / self.record(horizon))
         if self.record(horizon) % 2 == 0:
             delay[-1] = -1.0
@@ -338,7 +347,7 @@ def _require_real(field: str, spectrum: ComplexArray, k: int) -> None:
 
 
 OUTSIDE = ("refuse", "zero")
-COVERED = 1e-9  # of the distance of bins: how far a bin may lie outside a table whose frequencies were rounded
+COVERED = 1e-9  # of the distance of bins: a bin so little outside a table of rounded frequencies is covered
 
 
 def response_at_bins(
@@ -346,8 +355,9 @@ def response_at_bins(
 ) -> ComplexArray:
     """Return the response at the bins of a record, (N//2 + 1, ...), from values (k, ...) at frequencies (k,) in Hz.
 
-    Between two frequencies, real and imaginary part are linear. A bin outside the table is an error that names it, or
-    has a response of 0. At the Nyquist frequency N/2, where a sampled signal has no phase, it is the real part.
+    Between two frequencies, real and imaginary part are linear. A bin outside the table raises an error that names it,
+    or has a response of 0. At the Nyquist frequency N/2 the response is real, because a sampled signal has no phase
+    there.
     """
     if outside not in OUTSIDE:
         raise ProblemError("outside", brief(outside), "'refuse' or 'zero'")
@@ -364,19 +374,19 @@ def response_at_bins(
         got = f"frequencies from {frequencies[0]:.6g} to {frequencies[-1]:.6g} Hz"
         advice = f"Not covered: bins {named}. outside='zero' makes the response 0 there; remove them by a stop band."
         raise ProblemError(field, got, f"all bins of the record, 0 to {bins[-1]:.6g} Hz", advice)
-    flat = values.reshape(len(values), -1)
-    columns = [
-        np.interp(bins, frequencies, column.real) + 1j * np.interp(bins, frequencies, column.imag) for column in flat.T
-    ]
-    found = np.stack(columns, axis=1)
-    found[missing] = 0.0
+    columns = values.reshape(len(values), -1).T
+    response = np.stack([np.interp(bins, frequencies, column) for column in columns], axis=1)
+    response[missing] = 0.0
     if N % 2 == 0:
-        found[-1] = found[-1].real
-    return found.reshape(len(bins), *values.shape[1:])
+        response[-1] = response[-1].real
+    return response.reshape(len(bins), *values.shape[1:])
+
+
+POLAR = re.compile(r"phase|deg\b|\bmag|\babs|gain|\bdb", re.IGNORECASE)  # words in the header of a polar table
 
 
 def read_response(path: Path) -> Array:
-    """Return the table of a CSV file, (k, 3): frequency in Hz, real and imaginary part; a header line is left out."""
+    """Return the table of a CSV file, (k, 3): frequency in Hz, real and imaginary part; the header line is optional."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError) as error:
@@ -389,10 +399,15 @@ def read_response(path: Path) -> Array:
         except ValueError:
             row = []
         if i == 0 and not row:
+            if POLAR.search(line):
+                advice = "real = magnitude * cos(phase), imaginary = magnitude * sin(phase), magnitude = 10^(dB/20)."
+                expected = "columns of frequency in Hz, real part and imaginary part"
+                raise ProblemError(f"{path.name}: header", brief(line), expected, advice)
             continue
         if len(row) != 3 or not np.isfinite(row).all():
             expected = "three finite numbers: frequency in Hz, real part, imaginary part"
-            raise ProblemError(f"{path.name}: row {i}", brief(line), expected)
+            advice = "The imaginary part is missing." if len(row) == 2 else ""
+            raise ProblemError(f"{path.name}: row {i}", brief(line), expected, advice)
         rows.append(row)
     if not rows:
         raise ProblemError(path.name, "no rows", "rows of frequency in Hz, real part, imaginary part")

@@ -25,12 +25,12 @@ from lin_freq_ocp.base.arrays import (
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
-from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, clock, linearisation
+from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, clock, linearisation, state_equation
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class LinearDynamics(StateEquations):
-    """x_{t+1} = A_t x_t + B_t u_t + d_t, for t = 0 .. T-1.
+    """Linear dynamics x_{t+1} = A_t x_t + B_t u_t + d_t, t = 0 .. T-1.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class LinearDynamics(StateEquations):
     from_continuous(A, B, sampling_time)
         Sample a continuous model.
     from_statespace(plant)
-        Take a model of python-control.
+        Take a linear model of python-control or scipy.signal.
     linearised(system, x, u)
         Linearise a nonlinear model at a point or along a trajectory.
     at(t)
@@ -138,27 +138,29 @@ class LinearDynamics(StateEquations):
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
     ) -> LinearDynamics:
-        """Take the state equation of a ``control.StateSpace`` (its outputs are not used).
+        """Take the state equation of a linear plant of python-control or scipy.signal; its outputs are not used.
 
         Parameters
         ----------
-        plant : control.StateSpace
-            Continuous (sampled here by a zero-order hold) or discrete.
+        plant : control.StateSpace, control.TransferFunction, scipy.signal.lti or scipy.signal.dlti
+            Continuous (sampled here by a zero-order hold) or discrete. The states of a transfer function are those of a
+            realisation, which have no physical unit.
         sampling_time : float, optional
-            Seconds per step; required for a continuous plant, and must agree with a discrete one's own.
+            Seconds per step; required for a continuous plant. It must agree with the sampling time of a discrete plant.
         state_names, control_names : sequences of str, optional
             Default: the labels of the plant.
-        """
-        import control  # here, because it takes seconds to import and only its users need it
 
-        if not isinstance(plant, control.StateSpace):
-            advice = "Convert it with control.ss(plant)."
-            raise ProblemError("plant", type(plant).__name__, "a control.StateSpace", advice)
-        states, controls = state_names or plant.state_labels, control_names or plant.input_labels
-        A, B = np.asarray(plant.A), np.asarray(plant.B)
-        continuous, step = clock("plant", plant.dt, sampling_time)
+        Raises
+        ------
+        ProblemError
+            If it is no linear plant, a transfer function has no realisation, or sampling times do not agree.
+        """
+        A, B, dt, *labels = state_equation(plant)
+        states, controls = state_names or labels[0], control_names or labels[1]
+        continuous, step = clock("plant", dt, sampling_time)
         if continuous and step is not None:
-            return cls.from_continuous(A, B, step, state_names=states, control_names=controls)
+            named = {"state_names": states, "control_names": controls}
+            return cls.from_continuous(A, B, step, **{key: names for key, names in named.items() if names})
         return cls(A, B, None, step, states, controls)
 
     @classmethod
@@ -179,8 +181,9 @@ class LinearDynamics(StateEquations):
         """Linearise a nonlinear model at a point, or along a trajectory: A_t, B_t and d_t with one per time.
 
         At (x_t, u_t) the linear model has the value and the derivatives of the nonlinear map over one period, whether
-        or not x is a solution: of the update equation of a discrete model, of the integral of a continuous one with u
-        held (rtol ``INTEGRATION_TOLERANCE``, 1e-12). Derivatives are fourth-order central differences.
+        or not x is a solution. The map is the update equation of a discrete model; of a continuous one, it is the
+        integral with a zero-order hold of u (rtol ``INTEGRATION_TOLERANCE``, 1e-12). Derivatives are fourth-order
+        central differences.
 
         Parameters
         ----------
@@ -188,16 +191,16 @@ class LinearDynamics(StateEquations):
             Continuous or discrete, from ``control.nlsys``; its outputs are not used. Period t begins at the time
             t times sampling_time.
         x, u : (n,) and (m,), or (T+1, n) and (T, m)
-            Where. The last state, x_T, takes no part, and may be missing.
+            The point or the trajectory. The last state, x_T, plays no part and may be missing.
         sampling_time : float, optional
             Seconds per step; required for a continuous model, and must agree with a discrete one's own.
         params : dict, optional
             Parameters of the model.
         state_scale, control_scale : float, (n,) or (m,), optional
-            Natural sizes of the components; the differences take steps of ``RELATIVE_STEP`` (1/1024) times these.
-            Default: the square root of the largest absolute value along the trajectory, at least 1. Curvature asks for
-            less, rounding for more; give them where the model bends within a few steps, as with lengths of micrometres
-            in metres.
+            Natural sizes of the components; the steps of the differences are ``RELATIVE_STEP`` (1/1024) times these.
+            Default: the square root of the largest absolute value along the trajectory, at least 1. State them if the
+            model bends within a few steps, such as lengths of micrometres in metres: curvature asks for smaller steps,
+            rounding for larger ones.
         integrator : {"DOP853", "Radau"}
             The method of ``scipy.integrate.solve_ivp`` for continuous models; "Radau" for stiff ones.
         state_names, control_names : sequences of str, optional
@@ -206,8 +209,8 @@ class LinearDynamics(StateEquations):
         Raises
         ------
         ProblemError
-            If shapes or sampling times do not fit, or the model has no finite value, no derivatives (smaller steps give
-            others, or those behind and ahead of the point differ: a kink) or no integral at some (x_t, u_t).
+            If shapes or sampling times do not fit, or the model has no finite value, no integral or no derivatives at
+            some (x_t, u_t): at a kink they depend on the step, or on the side of the point.
         """
         import control  # here, because it takes seconds to import and only its users need it
 
@@ -224,7 +227,7 @@ class LinearDynamics(StateEquations):
         return self.A.ndim == 3 or self.B.ndim == 3
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
-        """Return the map as a formula, what depends on time, and the offset."""
+        """Return the map as a formula, the matrices that depend on time, and the offset."""
         known = " + d" if self.offset.any() else ""
         text = f"linear: A x + B u{known}, {plural(self.state_dim, 'state')}, {plural(self.control_dim, 'control')}"
         matrices = {"A": self.A, "B": self.B}
@@ -259,7 +262,7 @@ class LinearDynamics(StateEquations):
         return self.magnitudes().successors(np.abs(x), np.abs(u))
 
     def motion_sizes(self, x: Array, u: Array) -> Array:
-        """Return the largest |x_t|, and what B and d move in a step; not what A makes of large values that cancel."""
+        """Return the larger of |x_t| and the change by B and d in a step; terms of A x that cancel play no part."""
         plain = self.magnitudes()
         moved = times_vectors(plain.B, np.abs(u)) + plain.offset
         return np.maximum(np.abs(x).max(0), moved.max(0))
@@ -269,7 +272,7 @@ class LinearDynamics(StateEquations):
         return self.magnitudes().pull_back(np.abs(eta))
 
     def stepper(self, horizon: int) -> Step:
-        """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,)."""
+        """Return the function from t, x_t (n,) and u_t (m,) to x_{t+1}."""
 
         def step(t: int, x: Array, u: Array) -> Array:
             A, B, d = self.at(t)
@@ -291,12 +294,12 @@ class LinearDynamics(StateEquations):
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> LinearDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
         k = len(A)
-        wider = with_rows(with_columns(self.A, k), np.hstack([np.zeros((k, self.state_dim)), A]))
+        block = with_rows(with_columns(self.A, k), np.hstack([np.zeros((k, self.state_dim)), A]))
         labels = self.sampling_time, [*self.state_names, *names], self.control_names
-        return LinearDynamics(wider, with_rows(self.B, B), with_columns(self.offset, k), *labels)
+        return LinearDynamics(block, with_rows(self.B, B), with_columns(self.offset, k), *labels)
 
     def magnitudes(self) -> LinearDynamics:
-        """Return the dynamics of |A|, |B|, |d|: they bound the sum of the absolute values of all terms."""
+        """Return the dynamics of |A|, |B| and |d|, which bound the sum of the absolute values of all terms."""
         return self._magnitudes
 
     @cached_property

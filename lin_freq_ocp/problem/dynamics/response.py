@@ -1,7 +1,7 @@
 """x = base + irfft(G rfft(u)): all outputs of a record as a linear function of all controls.
 
-A record has N samples: N = T, and x_0 .. x_T is one period and the first sample of the next; or N = 2T, the controls
-are zero from T on, and nothing of their response wraps around.
+A record has N samples. Periodic: N = T, and x_0 .. x_T is one period with the first sample of the next. Zero-padded:
+N = 2T, and the controls are zero from T on, so that no response wraps around.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, extended
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """The response of T controls, with G (N//2 + 1, p, m); ``base`` (T+1, p) are the outputs without controls."""
+    """The response to T controls, with G (N//2 + 1, p, m); ``base`` (T+1, p) are the outputs without controls."""
 
     G: ComplexArray
     base: Array
@@ -31,7 +31,7 @@ class Response:
 
     @property
     def weight(self) -> Array:
-        """Return how often each bin counts in sums over all N, (N//2 + 1,)."""
+        """Return the multiplicity of each bin in sums over all N, (N//2 + 1,)."""
         k = np.arange(len(self.G))
         return np.where((k == 0) | (2 * k == self.record), 1.0, 2.0)
 
@@ -40,7 +40,7 @@ class Response:
         return self.base + self.linear(u)
 
     def linear(self, u: Array) -> Array:
-        """Return the outputs (T+1, p) of controls (T, m), without those of no controls."""
+        """Return the outputs (T+1, p) of controls (T, m), without ``base``."""
         spectrum = fft.rfft(u, n=self.record, axis=0)
         y = fft.irfft(_apply_response(self._in_precision(u.dtype), spectrum), n=self.record, axis=0)
         return y[np.arange(self.horizon + 1) % self.record]
@@ -48,15 +48,10 @@ class Response:
     def pull_back(self, weights: Array) -> Array:
         """Return the adjoint of ``linear``, (T, m), for weights (T+1, p)."""
         G = np.swapaxes(self._in_precision(weights.dtype), 1, 2).conj()
-        return fft.irfft(_apply_response(G, self._spectrum(weights)), n=self.record, axis=0)[: self.horizon]
-
-    def _spectrum(self, weights: Array) -> ComplexArray:
-        """Return the DFT of the weights of one record, where x_T repeats x_0 if it is a period."""
-        folded = weights
-        if self.closed:
-            folded = weights[:-1].copy()
-            folded[0] += weights[-1]
-        return fft.rfft(folded, n=self.record, axis=0)
+        if self.closed:  # x_T repeats x_0
+            weights = np.concatenate([weights[:1] + weights[-1:], weights[1:-1]])
+        spectrum = fft.rfft(weights, n=self.record, axis=0)
+        return fft.irfft(_apply_response(G, spectrum), n=self.record, axis=0)[: self.horizon]
 
     @cached_property
     def matrix(self) -> Array:
@@ -67,7 +62,7 @@ class Response:
         return impulse[(t - s) % self.record].transpose(0, 2, 1, 3).reshape((T + 1) * p, T * m)
 
     def _in_precision(self, dtype: np.dtype[np.floating]) -> ComplexArray:
-        """Return G in the precision of signals of a type."""
+        """Return G in the precision of a type."""
         return extended(self.G) if dtype == np.longdouble else self.G
 
 

@@ -1,8 +1,8 @@
-"""A problem with modes in the forms that searches and checks take."""
+"""Problems with modes in the standard forms that searches and the judge use."""
 
 from __future__ import annotations
 
-from lin_freq_ocp.problem.dynamics.base import in_form
+from lin_freq_ocp.problem.dynamics.base import require_form
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
@@ -12,23 +12,23 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 
 def piecewise_affine(problem: OptimalControlProblem) -> PiecewiseAffineDynamics:
-    """Return the dynamics of a problem, which must be piecewise affine; else raise UnsupportedError."""
-    return in_form(problem.dynamics, PiecewiseAffineDynamics)
+    """Return the dynamics of a problem, or raise UnsupportedError unless they are piecewise affine."""
+    return require_form(problem.dynamics, PiecewiseAffineDynamics)
 
 
 def piecewise_smooth(problem: OptimalControlProblem) -> PiecewiseSmoothDynamics:
-    """Return the dynamics of a problem, which must be piecewise smooth; else raise UnsupportedError."""
-    return in_form(problem.dynamics, PiecewiseSmoothDynamics)
+    """Return the dynamics of a problem, or raise UnsupportedError unless they are piecewise smooth."""
+    return require_form(problem.dynamics, PiecewiseSmoothDynamics)
 
 
 def measured_modes(problem: OptimalControlProblem) -> ModeArrays:
-    """Return the modes of a problem at all times, which measure components by the sizes that the data state."""
+    """Return the modes of a problem at all times, with the sizes of components that its data state."""
     arrays = piecewise_affine(problem).arrays(problem.horizon)
     return arrays.with_sizes(*stated_sizes(problem), problem.dynamics.level_sizes)
 
 
 def linear_along(problem: OptimalControlProblem, trajectory: Trajectory) -> OptimalControlProblem:
-    """Return the linear problem of the modes that a trajectory is in; of linear dynamics, the problem itself."""
+    """Return the linear problem of the modes along a trajectory; a problem without modes stays itself."""
     problem = problem.affine_at(trajectory)
     if not problem.dynamics.mode_names:
         return problem

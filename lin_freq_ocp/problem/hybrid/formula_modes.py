@@ -1,6 +1,6 @@
-"""The pieces of formulas with maxima and minima, and the polyhedra on which maxima of affine functions are affine.
+"""The pieces of formulas with maxima and minima: a piece for each choice of arguments that can hold.
 
-A formula has a piece for each choice of arguments that can hold.
+Pieces of affine functions are the modes of piecewise-affine dynamics, on polyhedra.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -34,56 +35,64 @@ MOST_MODES = 64  # choices of the arguments of maxima and minima
 
 @dataclass(frozen=True, eq=False)
 class FormulaPiece:
-    """A choice of arguments, and the formulas where it holds."""
+    """A choice of arguments of maxima and minima, and the formulas where it holds."""
 
     formulas: tuple[Formula, ...]  # without maxima and minima
-    rows: Array  # (rows, n + m + 1): coefficients and constant of the affine switching functions of the region
-    region: tuple[Formula, ...] = ()  # all switching functions: the choice holds where they are zero or below
-    choices: Mapping[Formula, int] = field(default_factory=dict[Formula, int])  # from a maximum or minimum, by number
-    arguments: Mapping[Formula, Formula] = field(default_factory=dict[Formula, Formula])  # the same, by formula
+    rows: Array  # (rows, n + m + 1): coefficients and constant of the affine switching functions
+    region: tuple[Formula, ...] = ()  # all switching functions: the choice holds where none is above zero
+    choices: Mapping[Formula, int] = field(default_factory=dict[Formula, int])  # chosen arguments by number
+    arguments: Mapping[Formula, Formula] = field(default_factory=dict[Formula, Formula])  # and as formulas
     labels: tuple[str, ...] = ()  # of the chosen arguments
     name: str = ""
 
     def split(self, branching: Formula) -> Iterator[FormulaPiece]:
-        """Yield the choice with each argument chosen that can be."""
+        """Yield the piece of each argument of a maximum or minimum that can be chosen in this piece."""
         arguments = rebuilt(branching.arguments, self.arguments)
-        affine = [affine_row(one) for one in arguments]
+        affine = [affine_row(argument) for argument in arguments]
         sign = 1.0 if branching.kind == MAXIMUM else -1.0
-        for choice, argument in enumerate(arguments):
-            same = [_same((one, row), (argument, affine[choice])) for one, row in zip(arguments, affine, strict=True)]
-            if any(same[:choice]):
-                continue
-            differences = [
-                ((one - argument) * sign, _difference(row, affine[choice], sign))
-                for one, row, equal in zip(arguments, affine, same, strict=True)
-                if not equal
-            ]
-            label = branching.names[choice] if branching.names else f"{'max' if sign > 0 else 'min'} {choice}"
-            # the choice holds where the differences are zero or below: not at all, or in a smaller region
-            further = [row for _, row in differences if row is not None]
-            flat = [row for row in further if not row[:-1].any()]
-            rows = np.array([*self.rows, *(row for row in further if row[:-1].any())]).reshape(-1, self.rows.shape[1])
-            if any(row[-1] > 0 for row in flat) or not has_interior(rows[:, :-1], -rows[:, -1], SMALLEST_PIECE):
-                continue
-            if _above_zero([one for one, row in differences if row is None]):
-                continue
-            region = (*self.region, *(one for one, row in differences if row is None or row[:-1].any()))
-            choices, taken = {**self.choices, branching: choice}, {**self.arguments, branching: argument}
-            labels = (*self.labels, label)
-            yield replace(self, region=region, rows=rows, choices=choices, arguments=taken, labels=labels)
+        for choice, (chosen, chosen_row) in enumerate(zip(arguments, affine, strict=True)):
+            differences = list[tuple[Formula, Array | None]]()  # switching functions, with rows of affine ones
+            for i, (argument, row) in enumerate(zip(arguments, affine, strict=True)):
+                difference = None
+                if row is not None and chosen_row is not None:  # differences that are rounding are zero
+                    difference, size = sign * (row - chosen_row), np.abs(row) + np.abs(chosen_row)
+                    difference = np.where(np.abs(difference) <= SAME_FUNCTION * size, 0.0, difference)
+                if argument is not chosen and (difference is None or difference.any()):
+                    differences.append(((argument - chosen) * sign, difference))
+                elif i < choice:  # the same function as an earlier argument, which has been chosen already
+                    break
+            else:
+                # the choice holds where no difference is above zero: not at all, or in a smaller region
+                added = [row for _, row in differences if row is not None]
+                rows = np.array([*self.rows, *(row for row in added if row[:-1].any())]).reshape(-1, self.rows.shape[1])
+                if any(row[-1] > 0 for row in added if not row[:-1].any()):
+                    continue
+                if not has_interior(rows[:, :-1], -rows[:, -1], SMALLEST_PIECE):
+                    continue
+                if _is_above_zero([formula for formula, row in differences if row is None]):
+                    continue
+                label = branching.names[choice] if branching.names else f"{'max' if sign > 0 else 'min'} {choice}"
+                yield replace(
+                    self,
+                    region=(*self.region, *(formula for formula, row in differences if row is None or row[:-1].any())),
+                    rows=rows,
+                    choices={**self.choices, branching: choice},
+                    arguments={**self.arguments, branching: chosen},
+                    labels=(*self.labels, label),
+                )
 
 
 def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[FormulaPiece]:
     """Return a piece for each choice of arguments that can hold, at most ``most``.
 
-    Left out are choices whose affine switching functions leave no interior, or whose other switching functions are
-    above zero everywhere by interval bounds: pieces are closed, so that the rest covers everything. Of arguments that
-    are the same function the first is taken.
+    There is no piece for a choice whose affine switching functions leave no interior, or with another switching
+    function above zero everywhere by interval bounds. Pieces are closed, so that the others cover everything. Of
+    arguments that are the same function, the first is chosen.
     """
-    given = tuple(formulas)
-    pieces = [FormulaPiece(given, np.zeros((0, sum(given[0].dimensions) + 1)))] if given else []
-    for branching in kinks(given, MAXIMUM, MINIMUM):
-        pieces = [further for piece in pieces for further in piece.split(branching)]
+    whole = tuple(formulas)
+    pieces = [FormulaPiece(whole, np.zeros((0, sum(whole[0].dimensions) + 1)))] if whole else []
+    for branching in kinks(whole, MAXIMUM, MINIMUM):
+        pieces = [part for piece in pieces for part in piece.split(branching)]
         if len(pieces) > most:
             got = f"more than {most} combinations of arguments of maxima and minima that can hold"
             advice = "Use a formula that occurs several times as one object, and fewer maxima and minima."
@@ -92,57 +101,41 @@ def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[
     long = [", ".join(piece.labels) for piece in pieces]
     names = unique_names(short if len({*short}) == len(short) else long)
     return [
-        replace(piece, formulas=tuple(rebuilt(given, piece.arguments)), name=name)
+        replace(piece, formulas=tuple(rebuilt(whole, piece.arguments)), name=name)
         for piece, name in zip(pieces, names, strict=True)
     ]
 
 
 def affine_row(formula: Formula) -> Array | None:
-    """Return coefficients and constant (n + m + 1,) of a formula that is affine as it stands; None of another."""
+    """Return coefficients and constant, (n + m + 1,), of a formula of affine operations; None of another."""
     k = sum(formula.dimensions)
 
-    def row_of(one: Formula, parts: list[Array | None]) -> Array | None:
+    def row_of(formula: Formula, parts: list[Array | None]) -> Array | None:
         rows = [part for part in parts if part is not None]
         if len(rows) < len(parts):
             return None
-        row = OPERATIONS[one.kind].affine(one, rows)
-        if row is None and one.kind != EXTERNAL and not any(part[:-1].any() for part in rows):
-            value = float(values_of([one], np.zeros((1, k)))[0, 0])
+        row = OPERATIONS[formula.kind].affine(formula, rows)
+        if row is None and formula.kind != EXTERNAL and not any(part[:-1].any() for part in rows):
+            value = float(values_of([formula], np.zeros((1, k)))[0, 0])
             row = value * np.eye(k + 1)[k] if np.isfinite(value) else None
         return row
 
     return evaluated([formula], row_of)[0]
 
 
-def _same(one: tuple[Formula, Array | None], other: tuple[Formula, Array | None]) -> bool:
-    """Whether two formulas are one function, as far as can be seen."""
-    if one[0] is other[0] or one[1] is None or other[1] is None:
-        return one[0] is other[0]
-    return bool((np.abs(one[1] - other[1]) <= SAME_FUNCTION * (np.abs(one[1]) + np.abs(other[1]))).all())
-
-
-def _difference(row: Array | None, chosen: Array | None, sign: float) -> Array | None:
-    """Return the affine switching function of another argument, differences that are rounding taken for zero."""
-    if row is None or chosen is None:
-        return None
-    difference = sign * (row - chosen)
-    return np.where(np.abs(difference) <= SAME_FUNCTION * (np.abs(row) + np.abs(chosen)), 0.0, difference)
-
-
-def _above_zero(formulas: Sequence[Formula]) -> bool:
-    """Whether one of the formulas is above zero everywhere."""
+def _is_above_zero(formulas: Sequence[Formula]) -> bool:
+    """Whether interval bounds prove that one of the formulas is above zero everywhere."""
     if not formulas:
         return False
     everywhere = np.full((1, sum(formulas[0].dimensions)), np.inf)
     try:
         lower = interval_jets(formulas, -everywhere, everywhere, curved=False).values[0]
-    except UnsupportedError:  # a function of which nothing is known over boxes
+    except UnsupportedError:  # a function without interval bounds
         return False
     return bool((lower > 0).any())
 
 
-# Polyhedra with an interior: finding them, and checking the regions of so many modes, takes seconds; a search over
-# them takes longer.
+# Pieces with an interior: it takes seconds to find so many and to check their regions, and longer to search over them.
 MOST_PIECES = 256
 LONGEST_MODE_NAME = 40  # characters of an affine function in the name of a mode
 
@@ -157,19 +150,28 @@ def modes_of(
         raise ProblemError("f", f"{len(formulas)} formulas", f"{n}, one for each state")
     labels = names("dynamics.state_names", state_names, n, "x") + names("dynamics.control_names", control_names, m, "u")
     labels = [label.split(" [")[0] for label in labels]
-    pieces = [_affine(piece, labels) for piece in formula_pieces(formulas, MOST_PIECES)]
-    pieces = _merge_pieces([piece.irredundant() for piece in pieces])
+    pieces = [_affine_piece(piece, labels).irredundant() for piece in formula_pieces(formulas, MOST_PIECES)]
+    # pieces of the same map whose union is a polyhedron are one mode
+    i = 0
+    while i < len(pieces):
+        unions = ((j, _union(pieces[i], pieces[j])) for j in range(i + 1, len(pieces)))
+        j, union = next(((j, union) for j, union in unions if union is not None), (i, None))
+        if union is None:
+            i += 1
+            continue
+        del pieces[j]
+        pieces[i], i = union, 0
     unique = unique_names([piece.name(labels) for piece in pieces])
     return [piece.mode(n, n + m, name) for piece, name in zip(pieces, unique, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A choice of an argument for every maximum and minimum."""
+    """A piece with an affine map: a choice of an argument for every maximum and minimum."""
 
-    choices: Mapping[Formula, int]  # from a maximum or minimum to the number of the chosen argument
-    values: Mapping[Formula, Array]  # to the chosen argument, an affine function (n + m + 1,)
-    rows: Array  # (rows, n + m + 1): affine functions that are zero or below where the choice holds
+    choices: Mapping[Formula, int]  # the number of the chosen argument of each maximum and minimum
+    values: Mapping[Formula, Array]  # the chosen argument, an affine function (n + m + 1,)
+    rows: Array  # (rows, n + m + 1): affine functions; the choice holds where none is above zero
     states: Array  # (n, n + m + 1): the map
 
     @cached_property
@@ -182,7 +184,7 @@ class _Piece:
         return cell
 
     def irredundant(self) -> _Piece:
-        """Return the piece without the rows that the others imply."""
+        """Return the piece without redundant rows."""
         return replace(self, rows=self.rows[irredundant(self.cell(self.sizes), SMALLEST_PIECE)])
 
     def name(self, labels: Sequence[str]) -> str:
@@ -203,20 +205,20 @@ class _Piece:
         return AffineMode(A, B, offset[:, 0], G, H, -constant[:, 0] + 0.0, name)
 
 
-def _affine(piece: FormulaPiece, labels: Sequence[str]) -> _Piece:
-    """Return a piece whose map and region are affine."""
-    others = dict.fromkeys((*piece.region, *piece.arguments.values()), "f")
-    fields = {one: f"f[{i}]" for i, one in enumerate(piece.formulas)}
-    fields = fields | {one: field for one, field in others.items() if one not in fields}
-    found = {one: affine_row(one) for one in fields}
-    for one, row in found.items():
+def _affine_piece(piece: FormulaPiece, labels: Sequence[str]) -> _Piece:
+    """Return a piece with an affine map and region, or raise ProblemError."""
+    fields = dict.fromkeys((*piece.formulas, *piece.region, *piece.arguments.values()), "f")
+    fields |= {formula: f"f[{i}]" for i, formula in enumerate(piece.formulas)}
+    rows = dict[Formula, Array]()
+    for formula, name in fields.items():
+        row = affine_row(formula)
         if row is None:
             expected = "affine functions of x and u, and maxima and minima of them"
             advice = "PiecewiseSmoothDynamics takes other formulas."
-            raise ProblemError(fields[one], brief(text_of(one, labels)), expected, advice)
-    rows = {one: row for one, row in found.items() if row is not None}
+            raise ProblemError(name, brief(text_of(formula, labels)), expected, advice)
+        rows[formula] = row
     values = {branching: rows[argument] for branching, argument in piece.arguments.items()}
-    return _Piece(piece.choices, values, piece.rows, np.array([rows[one] for one in piece.formulas]))
+    return _Piece(piece.choices, values, piece.rows, np.array([rows[formula] for formula in piece.formulas]))
 
 
 def _affine_text(affine: Array, labels: Sequence[str]) -> str:
@@ -230,44 +232,27 @@ def _affine_text(affine: Array, labels: Sequence[str]) -> str:
     return text if len(text) <= LONGEST_MODE_NAME else text[: LONGEST_MODE_NAME - 3] + "..."
 
 
-def _merge_pieces(pieces: list[_Piece]) -> list[_Piece]:
-    """Return the pieces, with those of the same map whose union is a polyhedron joined."""
-    merged = list(pieces)
-    i = 0
-    while i < len(merged):
-        unions = ((j, _union(merged[i], merged[j])) for j in range(i + 1, len(merged)))
-        j, union = next(((j, union) for j, union in unions if union is not None), (i, None))
-        if union is None:
-            i += 1
-            continue
-        del merged[j]
-        merged[i], i = union, 0
-    return merged
+def _union(a: _Piece, b: _Piece) -> _Piece | None:
+    """Return the union of two pieces if they have the same map and it is a polyhedron; else None.
 
-
-def _union(one: _Piece, other: _Piece) -> _Piece | None:
-    """Return the union of two pieces if they have the same map and it is a polyhedron.
-
-    The rows of each that hold on the other, too, make up the least polyhedron around both; it is their union if no ball
-    in it lies beyond a left-out row of each (Bemporad, Fukuda and Torrisi, Computational Geometry 18, 2001).
+    The rows of each piece that hold on the other, too, define the envelope of both. It is their union if no ball of the
+    envelope lies outside a dropped row of each (Bemporad, Fukuda and Torrisi, Computational Geometry 18, 2001).
     """
-    sizes = np.abs(one.states) + np.abs(other.states)
-    if (np.abs(one.states - other.states) > SAME_FUNCTION * sizes).any():
+    sizes = np.abs(a.states) + np.abs(b.states)
+    if (np.abs(a.states - b.states) > SAME_FUNCTION * sizes).any():
         return None
-    units = replace(one, rows=np.vstack([one.rows, other.rows])).sizes
-    first, second = one.cell(units), other.cell(units)
+    units = replace(a, rows=np.vstack([a.rows, b.rows])).sizes
+    first, second = a.cell(units), b.cell(units)
     if not first.apart_from(second, SMALLEST_PIECE):
         return None
     of_first, of_second = _rows_that_hold(first, second), _rows_that_hold(second, first)
-    around = first.take(of_first) & second.take(of_second)
-    for row in np.flatnonzero(~of_first):
-        for other_row in np.flatnonzero(~of_second):
-            beyond = around & first.beyond(int(row)) & second.beyond(int(other_row))
-            if beyond.inner_point(SMALLEST_PIECE) is not None:
-                return None
-    choices = {key: choice for key, choice in one.choices.items() if other.choices.get(key) == choice}
-    rows = np.vstack([one.rows[of_first], other.rows[of_second]])
-    return replace(one, choices=choices, rows=rows).irredundant()
+    envelope = first.take(of_first) & second.take(of_second)
+    for i, j in product(np.flatnonzero(~of_first), np.flatnonzero(~of_second)):
+        outside = envelope & first.beyond(int(i)) & second.beyond(int(j))
+        if outside.inner_point(SMALLEST_PIECE) is not None:
+            return None
+    choices = {key: choice for key, choice in a.choices.items() if b.choices.get(key) == choice}
+    return replace(a, choices=choices, rows=np.vstack([a.rows[of_first], b.rows[of_second]])).irredundant()
 
 
 def _rows_that_hold(cell: Cell, other: Cell) -> Mask:

@@ -1,12 +1,12 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
-"""Controls with finitely many levels, each with its cost, and the dynamics with a mode for each combination of levels.
+# ruff: noqa: D102
+"""Controls with finitely many levels and their costs, and dynamics with a mode for each combination of levels.
 
 The convex hull of the pairs (level, cost) of a component is an interval and, as its cost, the lower convex envelope f.
 Let l_0 < .. < l_k be the levels that span it, s_j the slope between l_j and l_(j+1), and l_m the level of the least
-cost. On the interval, f is a sum of prices for the excess over limits, a soft half space each:
+cost. On the interval, f is a sum of soft half spaces, prices on the violation of limits:
 
-    f(u) = sum_(j >= m) (s_j - s_(j-1)) (u - l_j)+   with 0 for s_(m-1)      what rises to the right of l_m
-         + sum_(j <= m) (s_j - s_(j-1)) (l_j - u)+   with 0 for s_m          what rises to the left of l_m
+    f(u) = sum_(j >= m) (s_j - s_(j-1)) (u - l_j)+   with 0 for s_(m-1)      the rise to the right of l_m
+         + sum_(j <= m) (s_j - s_(j-1)) (l_j - u)+   with 0 for s_m          the rise to the left of l_m
          + f(l_m) / (l_k - l_0) * [(u - l_0)+ + (l_k - u)+]                  the least cost, a constant
 """
 
@@ -34,30 +34,34 @@ from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
 from lin_freq_ocp.problem.sets.stage_rows import StageSets
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 
-ON_ENVELOPE = 1e-12  # of the largest cost: a level this far above the line between others counts as on it (rounding)
-MOST_POINTS = 256  # combinations of levels of all components: as many as there may be pieces of a piecewise-affine map
+ON_ENVELOPE = 1e-12  # of the largest cost: a level this little above the line between others is on it (rounding)
+MOST_POINTS = 256  # combinations of levels of all components: the same limit as for pieces of piecewise-affine maps
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """The levels of one component, rising, and their costs."""
+    """The increasing levels of one component, and their costs."""
 
     values: Array  # (levels,)
     costs: Array  # (levels,)
 
     @cached_property
     def spanning(self) -> list[int]:
-        """The levels that span the lower convex envelope, rising."""
-        kept = list[int]()
-        for j in range(len(self.values)):
-            while len(kept) > 1 and not self._bends(kept[-2], kept[-1], j):
-                kept.pop()
-            kept.append(j)
-        return kept
+        """The indices of the levels that span the lower convex envelope, increasing."""
+        v, c, hull = self.values, self.costs, list[int]()
+        for last in range(len(v)):
+            while len(hull) > 1 and c.any():  # a level stays if it lies below the line between its neighbours
+                first, middle = hull[-2:]
+                line = c[first] + (c[last] - c[first]) * (v[middle] - v[first]) / (v[last] - v[first])
+                if c[middle] < line - ON_ENVELOPE * np.abs(c).max():
+                    break
+                hull.pop()
+            hull.append(last)
+        return hull
 
     @property
     def above(self) -> Array:
-        """Return by how much each cost is above the envelope, (levels,)."""
+        """Return the distance of each cost above the envelope, (levels,)."""
         above = self.costs - np.interp(self.values, self.values[self.spanning], self.costs[self.spanning])
         return np.where(above > ON_ENVELOPE * np.abs(self.costs).max(), above, 0.0)
 
@@ -75,50 +79,44 @@ class Levels:
         return signs[prices > 0], limits[prices > 0], prices[prices > 0]
 
     def shares(self, u: Array) -> Array:
-        """Return the convex weights of the levels, (times, levels): values between two that span the envelope."""
+        """Return convex weights of the levels, (times, levels), of the two neighbours that span the envelope."""
         spanned = self.values[self.spanning]
         after = np.clip(np.searchsorted(spanned, u), 1, len(spanned) - 1)
         part = np.clip((u - spanned[after - 1]) / (spanned[after] - spanned[after - 1]), 0.0, 1.0)
-        weights, times, places = np.zeros((len(u), len(self.values))), np.arange(len(u)), np.array(self.spanning)
-        weights[times, places[after - 1]] = 1.0 - part
-        weights[times, places[after]] += part
+        weights, times, columns = np.zeros((len(u), len(self.values))), np.arange(len(u)), np.array(self.spanning)
+        weights[times, columns[after - 1]] = 1.0 - part
+        weights[times, columns[after]] += part
         return weights
-
-    def _bends(self, first: int, middle: int, last: int) -> bool:
-        """Whether the middle level lies below the line between the others."""
-        v, c = self.values, self.costs
-        line = c[first] + (c[last] - c[first]) * (v[middle] - v[first]) / (v[last] - v[first])
-        return bool(c[middle] < line - ON_ENVELOPE * np.abs(c).max()) or not c.any()
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class FiniteSet(ConvexSet):
     """Controls with finitely many levels: a ``control_set`` for all times.
 
-    Every sample of every component takes one of its levels; a problem with linear dynamics then has a mode for every
-    combination of levels, and the search over modes proves its answer. With ``duty_cycles``, components may switch
-    between levels within a sample: u_t is the mean over the sample, its cost the mean of the costs, and the problem is
+    Every sample of every component is one of its levels. A problem with linear dynamics has a mode for every
+    combination of levels, and the mode search proves its answer. With ``duty_cycles``, components may switch between
+    levels within a sample: u_t is the mean over the sample, its cost is the mean of the costs, and the problem is
     convex.
 
     Parameters
     ----------
     levels : sequence of float, or sequence of such sequences
-        At least two different levels, in any order, in the unit of the control; one sequence for all components, or
-        one for each component.
+        At least two different levels in any order, in the unit of the control: one sequence for all components, or a
+        sequence for each.
     costs : of the shape of ``levels``, optional
-        What each level adds to the cost J at every sample, zero or above; nothing without.
+        The cost of each level at every sample, zero or above; default zero.
     duty_cycles : bool
         Whether a component may switch within a sample.
 
     Raises
     ------
     ProblemError
-        If levels are missing, not finite or equal, if costs are of another shape or below zero, or if a cost is above
-        the line between those of its neighbours without ``duty_cycles``.
+        If levels are missing, not finite or equal, if costs have another shape or are below zero, or if without
+        ``duty_cycles`` a cost lies above the line between its neighbours.
 
     References
     ----------
-    docs/levels.md has the relaxation, its proof, and what holds of it.
+    docs/levels.md: the relaxation, its proof, and its properties.
 
     Examples
     --------
@@ -130,8 +128,8 @@ class FiniteSet(ConvexSet):
 
     may_be_soft: ClassVar[bool] = False  # its costs are prices already
 
-    given: tuple[Levels, ...]  # of each component, or one for all
-    single: bool  # whether one sequence was given, for all components
+    components: tuple[Levels, ...]  # the levels of each component, or one for all
+    single: bool  # whether one sequence applies to all components
     duty_cycles: bool
 
     def __init__(
@@ -145,50 +143,47 @@ class FiniteSet(ConvexSet):
             raise ProblemError("FiniteSet.duty_cycles", brief(duty_cycles), "True or False")
         priced = [None] * len(rows)
         if costs is not None:
-            priced, flat = _sequences("FiniteSet.costs", costs)
-            if flat != single or len(priced) != len(rows):
-                got = "one sequence" if flat else plural(len(priced), "sequence")
+            priced, single_costs = _sequences("FiniteSet.costs", costs)
+            if single_costs != single or len(priced) != len(rows):
+                got = "one sequence" if single_costs else plural(len(priced), "sequence")
                 raise ProblemError("FiniteSet.costs", got, "costs of the shape of levels")
         names = ["" if single else f"[{i}]" for i in range(len(rows))]
-        found = tuple(_levels(*one) for one in zip(names, rows, priced, strict=True))
-        assign(self, given=found, single=single, duty_cycles=bool(duty_cycles))
-        for name, one in zip(names, found, strict=True):
-            if not duty_cycles and one.above.any():
-                j = int(np.argmax(one.above))
-                got = (
-                    f"{one.costs[j]:g} for the level {one.values[j]:g}, {one.above[j]:g} above the line between others"
-                )
-                advice = (
-                    "With duty_cycles=True such a level is never used; search over whole levels needs convex costs."
-                )
+        components = tuple(_levels(*row) for row in zip(names, rows, priced, strict=True))
+        assign(self, components=components, single=single, duty_cycles=bool(duty_cycles))
+        for name, component in zip(names, components, strict=True):
+            if not duty_cycles and component.above.any():
+                j = int(np.argmax(component.above))
+                cost, level, above = (values[j] for values in (component.costs, component.values, component.above))
+                got = f"{cost:g} for the level {level:g}, {above:g} above the line between others"
+                advice = "duty_cycles=True would never use this level; a search over whole levels needs convex costs."
                 raise ProblemError(f"FiniteSet.costs{name}", got, "costs that lie on a convex curve", advice)
 
     @property
     def levels(self) -> list[list[float]] | list[float]:
-        """Return the levels, rising, as lists."""
-        rows = [one.values.tolist() for one in self.given]
+        """Return the increasing levels as lists."""
+        rows = [component.values.tolist() for component in self.components]
         return rows[0] if self.single else rows
 
     @property
     def costs(self) -> list[list[float]] | list[float] | None:
-        """Return the costs of the levels, as lists; None without any."""
-        rows = [one.costs.tolist() for one in self.given]
-        free = not any(one.costs.any() for one in self.given)
+        """Return the costs of the levels as lists; None if all are zero."""
+        rows = [component.costs.tolist() for component in self.components]
+        free = not any(component.costs.any() for component in self.components)
         return None if free else rows[0] if self.single else rows
 
     @property
     def dimension(self) -> int | None:
-        return None if self.single else len(self.given)
+        return None if self.single else len(self.components)
 
     @property
     def bounds(self) -> Bounds:
-        ends = np.array([[one.values[0], one.values[-1]] for one in self.given]).T
+        ends = np.array([component.values[[0, -1]] for component in self.components]).T
         lower, upper = ends[:, 0] if self.single else ends
         return frozen(np.asarray(lower)), frozen(np.asarray(upper))
 
     @property
     def hull(self) -> FiniteSet:
-        """Return the set with switching within samples."""
+        """Return the convex hull: the set with switching within samples."""
         return self._hull
 
     @cached_property
@@ -196,8 +191,8 @@ class FiniteSet(ConvexSet):
         return self if self.duty_cycles else FiniteSet(self.levels, self.costs, duty_cycles=True)
 
     def of(self, dimension: int) -> tuple[Levels, ...]:
-        """Return the levels of each of so many components."""
-        return self.given * dimension if self.single else self.given
+        """Return the levels of each component, ``dimension`` of them."""
+        return self.components * dimension if self.single else self.components
 
     def points(self, dimension: int) -> Array | None:
         if self.duty_cycles:
@@ -209,13 +204,13 @@ class FiniteSet(ConvexSet):
         return np.array(list(product(*rows)))
 
     def levels_of(self, dimension: int) -> list[Array]:
-        return [one.values for one in self.of(dimension)]
+        return [component.values for component in self.of(dimension)]
 
     def shares(self, u: Array) -> list[Array]:
-        return [one.shares(u[:, i]) for i, one in enumerate(self.of(u.shape[1]))]
+        return [component.shares(u[:, i]) for i, component in enumerate(self.of(u.shape[1]))]
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        rows = [(i, one.hinges) for i, one in enumerate(self.of(dimension)) if one.costs.any()]
+        rows = [(i, component.hinges) for i, component in enumerate(self.of(dimension)) if component.costs.any()]
         if not rows:
             return ()
         F = np.vstack([signs[:, None] * np.eye(dimension)[i] for i, (signs, _, _) in rows])
@@ -227,23 +222,23 @@ class FiniteSet(ConvexSet):
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         words = list[str]()
-        for name, one in zip(names, self.of(len(names)), strict=True):
-            costs = f" at the costs {vector(one.costs)}" if one.costs.any() else ""
-            words.append(f"{short_name(name)} in {vector(one.values)}{costs}")
+        for name, component in zip(names, self.of(len(names)), strict=True):
+            costs = f" at the costs {vector(component.costs)}" if component.costs.any() else ""
+            words.append(f"{short_name(name)} in {vector(component.values)}{costs}")
         return "; ".join(words) + (", switching within samples" if self.duty_cycles else "")
 
 
-def _sequences(field: str, given: object) -> tuple[list[Array], bool]:
-    """Return arrays of numbers, and whether one sequence was given instead of one for each component."""
+def _sequences(field: str, stated: object) -> tuple[list[Array], bool]:
+    """Return an array for each sequence, and whether there is a single one for all components."""
     expected = "a sequence of numbers, or one sequence for each component"
-    if isinstance(given, str) or not isinstance(given, (Sequence, np.ndarray)):
-        raise ProblemError(field, brief(given), expected)
-    entries = list(given)
+    if isinstance(stated, str) or not isinstance(stated, (Sequence, np.ndarray)):
+        raise ProblemError(field, brief(stated), expected)
+    entries = list(stated)
     if not entries:
         raise ProblemError(field, "none", "at least two levels" if field.endswith("levels") else expected)
     nested = [isinstance(entry, (Sequence, np.ndarray)) and np.ndim(entry) > 0 for entry in entries]
     if any(nested) and not all(nested):
-        raise ProblemError(field, brief(given), expected)
+        raise ProblemError(field, brief(stated), expected)
     rows = [real_array(f"{field}[{i}]", entry) for i, entry in enumerate(entries)] if all(nested) else []
     return (rows, False) if rows else ([real_array(field, entries)], True)
 
@@ -254,26 +249,25 @@ def _levels(name: str, values: Array, costs: Array | None) -> Levels:
         got = f"shape {values.shape}" if values.ndim != 1 else plural(len(values), "level")
         raise ProblemError(field, got, "at least two levels", "A single value is a Point.")
     order = np.argsort(values)
-    rising = values[order]
-    equal = np.flatnonzero(np.diff(rising) == 0)
+    increasing = values[order]
+    equal = np.flatnonzero(np.diff(increasing) == 0)
     if len(equal):
-        raise ProblemError(field, f"{rising[equal[0]]:g} twice", "levels that all differ")
+        raise ProblemError(field, f"{increasing[equal[0]]:g} twice", "levels that all differ")
     price = np.zeros(len(values)) if costs is None else costs
     if price.shape != values.shape:
-        raise ProblemError(
-            f"FiniteSet.costs{name}", f"shape {price.shape}", f"one cost for each of {len(values)} levels"
-        )
+        expected = f"one cost for each of {len(values)} levels"
+        raise ProblemError(f"FiniteSet.costs{name}", f"shape {price.shape}", expected)
     if (price < 0).any():
         advice = "The same amount added to all of them changes no solution."
         raise ProblemError(f"FiniteSet.costs{name}", f"{price.min():g}", "costs of zero or above", advice)
-    return Levels(frozen(rising), frozen(price[order]))
+    return Levels(frozen(increasing), frozen(price[order]))
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class SwitchedDynamics(Dynamics):
-    """x_{t+1} = A x_t + B u_t + d with u_t one of the points of a set: mode i is where u_t is point i.
+    """x_{t+1} = A x_t + B u_t + d with u_t one of the points of a set: mode i holds where u_t is point i.
 
-    Regions need not cover anything, and meet nowhere.
+    The regions are single points; no two of them meet.
     """
 
     dynamics: LinearDynamics
@@ -298,16 +292,21 @@ class SwitchedDynamics(Dynamics):
     def _modes(self) -> PiecewiseAffineDynamics:
         A, B, d = self.dynamics.A, self.dynamics.B, self.dynamics.offset
         sides = np.vstack([np.eye(self.control_dim), -np.eye(self.control_dim)])
-        modes = [AffineMode(A, B, d, H=sides, h=sides @ point, name=f"u = {_text(point)}") for point in self.choices]
+        numbers = [
+            ", ".join(f"{value:.17g}" for value in point) for point in self.choices
+        ]  # of all digits: they differ
+        names = [f"u = {text}" if self.control_dim == 1 else f"u = ({text})" for text in numbers]
+        choices = zip(self.choices, names, strict=True)
+        modes = [AffineMode(A, B, d, H=sides, h=sides @ point, name=name) for point, name in choices]
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
 
     @property
     def given(self) -> tuple[Dynamics, ConvexSet | None]:
-        """Return the dynamics and the control set that it was made of."""
+        """Return the linear dynamics and the control set."""
         return self.dynamics, self.control_set
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
-        """Return that every point of the control set is a mode."""
+        """Return the linear dynamics, the levels and the number of modes in words."""
         words = f"{self.control_set.describe(self.control_names, 'u')}; {plural(len(self.choices), 'mode')}"
         return [*self.dynamics.facts(labels), ("levels", words)]
 
@@ -334,9 +333,3 @@ class SwitchedDynamics(Dynamics):
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> SwitchedDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
         return SwitchedDynamics(self.dynamics.augmented(A, B, names, horizon), self.control_set)
-
-
-def _text(point: Array) -> str:
-    """Return "1" or "(1, 0)", different for different points."""
-    numbers = ", ".join(f"{value:.17g}" for value in point)
-    return numbers if len(point) == 1 else f"({numbers})"

@@ -1,7 +1,7 @@
-"""Where a piecewise-affine system can be while its modes are restricted: boxes forward from X_0, and modes that remain.
+"""The reachable states of a piecewise-affine system with restricted modes: boxes from X_0 on, and reachable modes.
 
-Everything is rounded outwards, so that what the search leaves out for these boxes is left out with proof. Several
-masks are propagated side by side: the arrays are small, and most of the time of one alone is that of calls.
+All bounds are rounded outwards, so that a mode outside of them is proven unreachable. Several masks propagate at once:
+the arrays are small, and for a single mask most of the time would be overhead of calls.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-OUTWARD = 1e-12  # part of the largest terms by which sums are rounded outwards: far above their rounding errors
-INFINITE = 1e100  # stands for infinity, so that its product with zero is zero
-LARGEST_BOUND = 1e90  # larger bounds stem from INFINITE
+OUTWARD = 1e-12  # sums are rounded outwards by this part of their largest terms, far above their rounding errors
+INFINITE = 1e100  # replaces infinity, so that its product with zero is zero
+LARGEST_BOUND = 1e90  # larger bounds come from INFINITE
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """A box around every state that modes within a mask allow.
+    """Boxes of the states that modes within a mask can reach.
 
     Attributes
     ----------
     allowed : (T, modes)
-        The modes that remain of the mask: the others cannot be reached, or lead out of the state sets.
+        The modes of the mask that can be reached and do not lead out of the state sets.
     lower, upper : (T+1, n)
         Bounds of the states.
     mode_lower, mode_upper : (T, modes, n+m)
-        Bounds of (x_t, u_t) in the region of each mode that remains.
+        Bounds of (x_t, u_t) in the region of each allowed mode.
     centres, generators : sequences of (n,) and (n, count)
-        x_t lies in centre + generators [-1, 1]^count, too, which does not wrap around turning dynamics.
+        x_t also lies in the zonotope centre + generators [-1, 1]^count, which does not grow as boxes of rotations do.
     """
 
     allowed: Mask
@@ -61,7 +61,7 @@ class ModeReach:
         inverses = 1 / np.where(usable, self._rows, 1.0)
         self._inverses = np.where(usable, inverses, np.sign(self._rows) * INFINITE)  # no coefficient, or no limit
         lower, upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
-        # what the centres of the controls add to the next state, and the generators that the controls add
+        # the contribution of the controls to the next state: that of their centres, and generators
         self._pushed = np.einsum("tkij,tj->tki", arrays.B, (lower + upper) / 2) + arrays.offset
         self.pushes = arrays.B * ((upper - lower) / 2)[:, None, None]  # (T, modes, n, m)
         self._pushed_radius = np.abs(self.pushes).sum(axis=-1)
@@ -82,27 +82,27 @@ class ModeReach:
             np.concatenate([x[:-1], np.clip(u, -INFINITE, INFINITE)], axis=1)[:, None].repeat(masks[0].shape[1], axis=1)
             for x, u in ((lower, controls.lower), (upper, controls.upper))
         )
-        centre, spread = _ball(lower[0], upper[0])
-        whole = Reach(masks[0], lower, upper, y_lower, y_upper, (centre,), (spread,))
-        return _Propagation(self, whole, 0, np.array(masks)).run()
+        centre, spread = _box_zonotope(lower[0], upper[0])
+        unrestricted = Reach(masks[0], lower, upper, y_lower, y_upper, (centre,), (spread,))
+        return _Propagation(self, unrestricted, 0, np.array(masks)).run()
 
     def after(self, reach: Reach, t: int, choices: Sequence[Mask]) -> list[Reach | None]:
-        """Return a reach with only some of its modes at a time, for each choice (modes,) of them."""
+        """Return the reach with fewer modes at a time, for each choice (modes,) of them."""
         allowed = np.stack([reach.allowed] * len(choices))
         allowed[:, t] &= np.array(choices)
         return _Propagation(self, reach, t, allowed).run()
 
     def within_regions(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
-        """Return boxes of (x_t, u_t) (..., modes, k) cut by the region of each mode, and which regions they meet."""
+        """Return boxes of (x_t, u_t), (..., modes, k), cut by the region of each mode, and which regions they meet."""
         rows, above = self._rows[t], self._above[t]
         nearest = np.where(above, low[..., None, :], high[..., None, :])
         terms = rows * nearest
         slack = self._limits[t] - terms.sum(axis=-1)
         slack += OUTWARD * (np.abs(terms).sum(axis=-1) + self._limit_sizes[t])
-        room = nearest + slack[..., None] * self._inverses[t]
-        high = np.minimum(high, np.where(above, room, np.inf).min(axis=-2))
-        low = np.maximum(low, np.where(self._below[t], room, -np.inf).max(axis=-2))
-        meets = (slack >= 0).all(axis=-1) & (low <= high).all(axis=-1)  # rows that each leave room may not together
+        limit = nearest + slack[..., None] * self._inverses[t]
+        high = np.minimum(high, np.where(above, limit, np.inf).min(axis=-2))
+        low = np.maximum(low, np.where(self._below[t], limit, -np.inf).max(axis=-2))
+        meets = (slack >= 0).all(axis=-1) & (low <= high).all(axis=-1)  # each row alone may be feasible, and not all
         return np.minimum(low, high), high, meets
 
     def images(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
@@ -114,7 +114,7 @@ class ModeReach:
         return least + offset - rounding, most + offset + rounding
 
     def zonotopes(self, t: int, centres: Array, generators: Array) -> tuple[Array, Array, Array]:
-        """Return centres, radii (batch, modes, n) and generators of images; those of controls are not among these."""
+        """Return centres, radii, (batch, modes, n), and generators of images, without the generators of controls."""
         A = self.arrays.A[t]
         centre = (A @ centres[:, None, :, None])[..., 0] + self._pushed[t]
         spread = A @ generators[:, None]
@@ -123,7 +123,7 @@ class ModeReach:
 
 
 class _Propagation:
-    """Parts of a reach with other masks (count, T, modes), side by side from a time on; later bounds are kept."""
+    """The propagation of a reach with other masks, (count, T, modes), from a time on; its later bounds stay valid."""
 
     def __init__(self, system: ModeReach, before: Reach, first: int, allowed: Mask):
         self._system, self._before, self._first, self._allowed, count = system, before, first, allowed, len(allowed)
@@ -153,7 +153,7 @@ class _Propagation:
         ]
 
     def _step(self, t: int, live: Indices) -> tuple[Mask, Mask]:
-        """Go from t to t + 1; return which can, and for which nothing changes later."""
+        """Propagate from t to t + 1; return which masks have a trajectory, and for which nothing changes later."""
         system, n = self._system, self._lower.shape[2]
         low, high = self._mode_lower[live, t], self._mode_upper[live, t]
         np.maximum(low[..., :n], self._lower[live, None, t], out=low[..., :n])
@@ -161,9 +161,9 @@ class _Propagation:
         low, high, feasible = system.within_regions(t, low, high)
         image_low, image_high = system.images(t, low, high)
         parts = [self._generators[b][t] for b in live]
-        generators = np.zeros((len(parts), n, max(part.shape[1] for part in parts)))  # filled up by zeros
-        for filled, part in zip(generators, parts, strict=True):
-            filled[:, : part.shape[1]] = part
+        generators = np.zeros((len(parts), n, max(part.shape[1] for part in parts)))  # padded by zeros
+        for padded, part in zip(generators, parts, strict=True):
+            padded[:, : part.shape[1]] = part
         centre, radius, spread = system.zonotopes(t, np.array([self._centres[b][t] for b in live]), generators)
         last_low, last_high = self._lower[live, t + 1], self._upper[live, t + 1]
         image_low = np.maximum(np.maximum(image_low, centre - radius), last_low[:, None])
@@ -173,27 +173,26 @@ class _Propagation:
         new_low = np.where(keep[..., None], image_low, np.inf).min(axis=1)
         new_high = np.where(keep[..., None], image_high, -np.inf).max(axis=1)
         self._lower[live, t + 1], self._upper[live, t + 1] = new_low, new_high
-        left = keep.sum(axis=1)
-        same = (left > 1) & (new_low == last_low).all(axis=1) & (new_high == last_high).all(axis=1)
+        count = keep.sum(axis=1)
+        same = (count > 1) & (new_low == last_low).all(axis=1) & (new_high == last_high).all(axis=1)
         before = self._before
-        for place, b in enumerate(live):
-            if same[place] and len(before.centres) > t + 1:
+        for i, b in enumerate(live):
+            if same[i] and len(before.centres) > t + 1:
                 self._centres[b] += before.centres[t + 1 :]
                 self._generators[b] += before.generators[t + 1 :]
                 continue
-            same[place] = False
-            if left[place] == 1:
-                only, old = int(np.argmax(keep[place])), self._generators[b][t].shape[1]
-                after = np.concatenate([spread[place, only, :, :old], system.pushes[t, only]], axis=1)
-                self._centres[b].append(centre[place, only])
-                self._generators[b].append(after)
-            elif left[place]:
-                ball = _ball(new_low[place], new_high[place])
-                self._centres[b].append(ball[0])
-                self._generators[b].append(ball[1])
-        return left > 0, same
+            same[i] = False
+            if count[i] == 1:
+                only, old = int(np.argmax(keep[i])), self._generators[b][t].shape[1]
+                self._centres[b].append(centre[i, only])
+                self._generators[b].append(np.concatenate([spread[i, only, :, :old], system.pushes[t, only]], axis=1))
+            elif count[i]:  # several modes: the zonotope of a union is the box around it
+                middle, half = _box_zonotope(new_low[i], new_high[i])
+                self._centres[b].append(middle)
+                self._generators[b].append(half)
+        return count > 0, same
 
 
-def _ball(lower: Array, upper: Array) -> tuple[Array, Array]:
+def _box_zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
     """Return centre and generators of a box."""
     return (lower + upper) / 2, np.diag((upper - lower) / 2)

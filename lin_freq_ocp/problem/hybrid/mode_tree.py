@@ -1,4 +1,4 @@
-"""A search tree over mode sequences as plain data: what was split, what was left out, and by which multipliers."""
+"""A search tree over mode sequences as plain data: the splits, the bounds, and the multipliers that prove them."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from lin_freq_ocp.problem.trajectory import Multipliers
 
 @dataclass(frozen=True, eq=False)
 class PathMultipliers:
-    """What makes multipliers depend on the mode that follows.
+    """Additions to multipliers that depend on the next mode.
 
-    ``vertices`` (T, modes, n) is added to eta_t where that mode follows at t + 1; none follows T - 1, whose are zero.
-    ``images`` (T, modes, modes, n), of either sign, are those of the box of the mode that follows (0: of x_T).
+    ``vertices`` (T, modes, n) is added to eta_t if that mode is the next one, at t + 1; the last row is zero, because
+    no mode follows T - 1. ``images`` (T, modes, modes, n), of either sign, are the multipliers of the box of the next
+    mode (index 0 at T - 1: of x_T).
     """
 
     vertices: Array
@@ -26,9 +27,9 @@ class PathMultipliers:
 class ModeMultipliers:
     """Multipliers that bound the cost of all sequences within a mask.
 
-    ``multipliers`` are those of the theorem, with mu and nu zero: a bound minimises over boxes. eta_C = 0 for a proof
-    that there is no trajectory. ``region`` (T, modes, rows) >= 0 are those of G_i x_t + H_i u_t <= h_i of every mode;
-    with ``paths``, (T, modes, modes, rows), as they depend on the mode that follows (0 at T - 1).
+    ``multipliers`` are those of the theorem with mu and nu zero, because the bound minimises over boxes; eta_C = 0
+    proves that no trajectory exists. ``region`` (T, modes, rows) >= 0 are the multipliers of G_i x_t + H_i u_t <= h_i
+    of every mode; with ``paths`` they depend on the next mode, too: (T, modes, modes, rows), index 0 at T - 1.
     """
 
     multipliers: Multipliers
@@ -45,10 +46,10 @@ class ModeMultipliers:
 
 @dataclass(frozen=True, eq=False)
 class ModeNode:
-    """A node: its parent and the time at which that was split (-1 for the root), and its mask, allowed (T, modes).
+    """A node: its parent, the time of the parent's split (-1 for the root), and its mask ``allowed``, (T, modes).
 
-    ``bound`` is what the search computed for the mask, inf if it has no trajectory; ``proof`` what the bound is checked
-    by, None where the node was split or nothing within its mask can be reached.
+    ``bound`` is the bound that the search computed for the mask, inf without a trajectory. ``proof`` are the
+    multipliers of the bound, None if the node was split or no sequence of its mask can be reached.
     """
 
     parent: int
@@ -60,6 +61,6 @@ class ModeNode:
 
 @dataclass(frozen=True, eq=False)
 class ModeTree:
-    """All nodes; a node that is no parent is a leaf. ``Result.tree`` of a search over modes."""
+    """All nodes of a mode search (``Result.tree``); a leaf is a node that is no parent."""
 
     nodes: tuple[ModeNode, ...]

@@ -1,6 +1,6 @@
 """Piecewise-affine dynamics: x_{t+1} = A_i x_t + B_i u_t + d_i, mode i, where G_i x_t + H_i u_t <= h_i.
 
-Modes may also be given by the signs of guards G x_t + H u_t - d, one pattern of signs for each mode.
+The signs of guards G x_t + H u_t - d can also define the modes, a pattern of signs for each.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,10 +21,10 @@ from lin_freq_ocp.formulas.text import Formulas
 from lin_freq_ocp.problem.dynamics.base import (
     StandardDynamics,
     Step,
-    as_sequence,
-    counted,
+    dimension_words,
     mode_facts,
     mode_labels,
+    mode_sequence,
     signal_labels,
     unique_names,
 )
@@ -31,14 +32,14 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.affine_mode import (
     MODE,
     REGION,
-    REPLAY_ROUNDING,
+    SIMULATION_ROUNDING,
     AffineMode,
     ModeArrays,
     SmoothPiece,
     linearised_modes,
 )
 from lin_freq_ocp.problem.hybrid.formula_modes import modes_of
-from lin_freq_ocp.problem.hybrid.regions import CheckedRegions, SwitchingFacet, borders_of
+from lin_freq_ocp.problem.hybrid.regions import CheckedRegions, SwitchingFacet, switching_facets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
 
 SIGNS = {"+": -1.0, "-": 1.0}  # factors that make a row <= 0 of G x + H u - d
@@ -47,7 +48,7 @@ ANY = "*"
 
 @dataclass(frozen=True, eq=False)
 class _Guards:
-    """G (guards, n), H (guards, m) and d (guards,), or with one per time in front."""
+    """G (guards, n), H (guards, m) and d (guards,), with time as the first axis if they depend on it."""
 
     G: Array
     H: Array
@@ -58,7 +59,7 @@ class _Guards:
         return self.d.shape[-1]
 
     def region(self, pattern: str) -> dict[str, Array]:
-        """Return G, H and h of the region G x + H u <= h of a pattern of signs; nothing if it has none."""
+        """Return G, H and h of the region G x + H u <= h of a pattern; nothing if the pattern has no signs."""
         signed = [k for k, sign in enumerate(pattern) if sign != ANY]
         factors = np.array([SIGNS[pattern[k]] for k in signed])
         if not signed:
@@ -81,115 +82,99 @@ class _Guards:
 
 
 def guarded_modes(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, modes: object) -> list[AffineMode]:
-    """Return a mode with its region for every pattern that has one; see ``PiecewiseAffineDynamics.from_guards``."""
-    if not isinstance(modes, Mapping) or not any(given is not None for given in modes.values()):
+    """Return the modes of ``PiecewiseAffineDynamics.from_guards``: one with its region for every pattern with a map."""
+    if not isinstance(modes, Mapping) or not any(mode is not None for mode in modes.values()):
         expected = 'a mapping from signs such as "+-" to modes, of which one at least is not None'
         raise ProblemError("guards.modes", brief(modes), expected)
-    maps = {pattern: _mode(f"guards.modes[{pattern!r}]", pattern, given) for pattern, given in modes.items()}
+    maps = {pattern: _map_of_pattern(pattern, stated) for pattern, stated in modes.items()}
     first = next(mode for mode in maps.values() if mode is not None)
     sizes = first.linear.state_dim, first.linear.control_dim
     for pattern, mode in maps.items():
         got = sizes if mode is None else (mode.linear.state_dim, mode.linear.control_dim)
         if got != sizes:
             expected = f"{sizes[0]} and {sizes[1]}, as in the first"
-            raise ProblemError(f"guards.modes[{pattern!r}]", counted(*got), expected)
+            raise ProblemError(f"guards.modes[{pattern!r}]", dimension_words(*got), expected)
     guards = _guards(G, H, d, *sizes)
-    for pattern in maps:
+    patterns = list(maps)
+    for pattern in patterns:
         if not isinstance(pattern, str) or len(pattern) != guards.count or set(pattern) - {*SIGNS, ANY}:
             expected = f'{guards.count} characters "+", "-" or "*", one for each guard'
             raise ProblemError("guards.modes", brief(pattern), expected)
-    _require_one_each(guards, maps)
-    kept = {pattern: mode for pattern, mode in maps.items() if mode is not None}
-    names = unique_names([mode.name for mode in kept.values()])
+    for first, second in combinations(patterns, 2):  # all signs that occur have exactly one pattern
+        pairs = list(zip(first, second, strict=True))
+        disjoint = maps[first] is maps[second] or any({*pair} == {*SIGNS} for pair in pairs)
+        if not disjoint and guards.occurs("".join(b if a == ANY else a for a, b in pairs)):
+            got = f"a pattern that holds together with {first!r}"
+            raise ProblemError(f"guards.modes[{second!r}]", got, "one of the two")
+    for signs in _without_pattern("", patterns, guards.count):
+        if guards.occurs(signs):
+            got, expected = f"no pattern for the signs {signs!r}", "a mode for all signs that occur"
+            advice = "If they do not occur within the sets of the problem, state None for them."
+            raise ProblemError("guards.modes", got, expected, advice)
+    modes_with_map = {pattern: mode for pattern, mode in maps.items() if mode is not None}
+    names = unique_names([mode.name for mode in modes_with_map.values()])
     return [
         AffineMode(mode.linear.A, mode.linear.B, mode.linear.offset, **guards.region(pattern), name=name)
-        for (pattern, mode), name in zip(kept.items(), names, strict=True)
+        for (pattern, mode), name in zip(modes_with_map.items(), names, strict=True)
     ]
 
 
-def _mode(place: str, pattern: object, given: object) -> AffineMode | None:
-    """Return the map of a mode, with its name, and no region yet."""
-    if given is None:
+def _map_of_pattern(pattern: object, stated: object) -> AffineMode | None:
+    """Return the map of a pattern of signs as a named mode without a region."""
+    location = f"guards.modes[{pattern!r}]"
+    if stated is None:
         return None
-    if isinstance(given, AffineMode):
-        if not given.everywhere:
-            raise ProblemError(place, "a mode with a region of its own", "one without: the signs say where it holds")
-        linear, name = given.linear, given.name or str(pattern)
-        return AffineMode(linear.A, linear.B, linear.offset, name=name)
-    if not isinstance(given, (tuple, list)) or len(given) not in (2, 3):
-        raise ProblemError(place, brief(given), "an AffineMode, (A, B), (A, B, offset), or None")
-    with located_at(place, MODE):
-        return AffineMode(*given, name=str(pattern))
+    if isinstance(stated, AffineMode):
+        if not stated.everywhere:
+            raise ProblemError(location, "a mode with its own region", "a mode without one: the signs are its region")
+        linear = stated.linear
+        return AffineMode(linear.A, linear.B, linear.offset, name=stated.name or str(pattern))
+    if not isinstance(stated, (tuple, list)) or len(stated) not in (2, 3):
+        raise ProblemError(location, brief(stated), "an AffineMode, (A, B), (A, B, offset), or None")
+    with located_at(location, MODE):
+        return AffineMode(*stated, name=str(pattern))
 
 
 def _guards(G: ArrayLike | None, H: ArrayLike | None, d: ArrayLike | None, n: int, m: int) -> _Guards:
-    given = {
-        field: real_array(f"guards.{field}", value)
-        for field, value in (("G", G), ("H", H), ("d", d))
-        if value is not None
-    }
-    if not given.keys() & {"G", "H"}:
+    stated = {"G": G, "H": H, "d": d}
+    arrays = {field: real_array(f"guards.{field}", value) for field, value in stated.items() if value is not None}
+    if not arrays.keys() & {"G", "H"}:
         raise ProblemError("guards.G", "neither G nor H", "at least one of them")
-    lead = given["G" if "G" in given else "H"]
+    lead = arrays["G" if "G" in arrays else "H"]
     count = lead.shape[-2] if lead.ndim > 1 else 0
     expected = {"G": (count, n), "H": (count, m), "d": (count,)}
-    for field, array in given.items():
+    for field, array in arrays.items():
         shape = expected[field]
         if not count or array.ndim not in (len(shape), len(shape) + 1) or array.shape[-len(shape) :] != shape:
             right = ", ".join(map(str, shape)) if count else f"guards, {shape[-1]}"
             advice = "A single guard is a matrix with one row: [[g_1, g_2, ...]]." if field != "d" else ""
             wanted = f"shape ({right}), one row per guard, or (T, {right}) with one per time"
             raise ProblemError(f"guards.{field}", f"shape {array.shape}", wanted, advice)
-    times = {field: len(array) for field, array in given.items() if array.ndim > len(expected[field])}
+    times = {field: len(array) for field, array in arrays.items() if array.ndim > len(expected[field])}
+    most = max(times.values(), default=0)
     for field, T in times.items():
-        if T != max(times.values()):
-            raise ProblemError(
-                f"guards.{field}", f"{T} times", f"{max(times.values())}, as many as the longest of G, H, d"
-            )
-    return _Guards(*(given.get(field, np.zeros(shape)) for field, shape in expected.items()))
-
-
-def _require_one_each(guards: _Guards, modes: Mapping[str, AffineMode | None]) -> None:
-    """Raise ProblemError unless all signs that occur have one pattern."""
-    patterns = list(modes)
-    for i, first in enumerate(patterns):
-        for second in patterns[i + 1 :]:
-            both = _common_pattern(first, second)
-            if both is not None and modes[first] is not modes[second] and guards.occurs(both):
-                got = f"a pattern that holds together with {first!r}"
-                raise ProblemError(f"guards.modes[{second!r}]", got, "one of the two")
-    for signs in _without_pattern("", patterns, guards.count):
-        if guards.occurs(signs):
-            got, expected = f"no pattern for the signs {signs!r}", "a mode for all signs that occur"
-            advice = "If they do not occur within the sets of the problem, give None for them."
-            raise ProblemError("guards.modes", got, expected, advice)
-
-
-def _common_pattern(first: str, second: str) -> str | None:
-    """Return the pattern of the signs that both patterns allow, None if they allow none."""
-    pairs = list(zip(first, second, strict=True))
-    if any({*pair} == {*SIGNS} for pair in pairs):
-        return None
-    return "".join(one if two == ANY else two for one, two in pairs)
+        if T != most:
+            raise ProblemError(f"guards.{field}", f"{T} times", f"{most}, as many as the longest of G, H, d")
+    return _Guards(*(arrays.get(field, np.zeros(shape)) for field, shape in expected.items()))
 
 
 def _without_pattern(signs: str, patterns: Sequence[str], count: int) -> Iterator[str]:
-    """Yield patterns that begin with these signs and that no given pattern shares any signs with."""
+    """Yield the patterns that begin with these signs and are disjoint from all of ``patterns``."""
     if not patterns:
         yield signs + ANY * (count - len(signs))
     elif not any(set(pattern[len(signs) :]) <= {ANY} for pattern in patterns):
         for sign in SIGNS:
-            left = [pattern for pattern in patterns if pattern[len(signs)] in (sign, ANY)]
-            yield from _without_pattern(signs + sign, left, count)
+            matching = [pattern for pattern in patterns if pattern[len(signs)] in (sign, ANY)]
+            yield from _without_pattern(signs + sign, matching, count)
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class PiecewiseAffineDynamics(StandardDynamics):
     """x_{t+1} = A_i x_t + B_i u_t + d_i in the region of mode i.
 
-    Regions overlap on borders only, which a problem checks. They may leave gaps: a trajectory outside all regions is
-    infeasible, and ``problem.gap`` is a place of such. On the border of a map that jumps there, an optimiser may choose
-    either mode, and a replay takes the first listed.
+    Regions may overlap on switching boundaries only, which a problem checks. They may leave gaps: a trajectory outside
+    all regions is infeasible, and ``problem.gap`` is a point of a gap. On a switching boundary where the map jumps, an
+    optimiser may choose either mode, and a simulation takes the first one.
 
     Parameters
     ----------
@@ -208,9 +193,9 @@ class PiecewiseAffineDynamics(StandardDynamics):
     Methods
     -------
     from_guards(...)
-        Modes by the signs of guards.
+        Modes from the signs of guards.
     from_formulas(...)
-        Modes of maxima and minima of affine functions.
+        Modes from maxima and minima of affine functions.
     sequence_of(x, u)
         The mode of every time along a trajectory.
     along(sequence)
@@ -244,7 +229,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
         for i, mode in enumerate(modes):
             got = mode.linear.state_dim, mode.linear.control_dim
             if got != (n, m):
-                raise ProblemError(f"dynamics.modes[{i}]", counted(*got), f"{n} and {m}, as in the first")
+                raise ProblemError(f"dynamics.modes[{i}]", dimension_words(*got), f"{n} and {m}, as in the first")
         assign(self, modes=tuple(modes), **signal_labels(n, m, sampling_time, state_names, control_names))
         _ = self.mode_names  # all different
 
@@ -258,7 +243,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
     ) -> PiecewiseAffineDynamics:
-        """Take x_{t+1} = f(x_t, u_t) with maxima and minima of affine functions: a mode for each choice of arguments.
+        """Make the modes of x_{t+1} = f(x_t, u_t) with maxima and minima of affine functions, one a choice.
 
         Parameters
         ----------
@@ -273,13 +258,13 @@ class PiecewiseAffineDynamics(StandardDynamics):
         Returns
         -------
         PiecewiseAffineDynamics
-            Continuous, its regions without redundant rows. Choices of the same map whose union is a polyhedron are one
-            mode.
+            A continuous map; regions have no redundant rows. Choices with the same map whose union is a polyhedron are
+            one mode.
 
         Raises
         ------
         ProblemError
-            If a formula is not affine within a mode, formulas and states are not as many, or there are more than
+            If a formula is not affine within a mode, the number of formulas is not n, or there are more than
             ``MOST_PIECES`` (256) choices.
         """
         dimensions = positive_integer("state_dim", state_dim), positive_integer("control_dim", control_dim)
@@ -296,23 +281,23 @@ class PiecewiseAffineDynamics(StandardDynamics):
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
     ) -> PiecewiseAffineDynamics:
-        """Take the mode by the signs of guards G x_t + H u_t - d; at zero both signs hold.
+        """Make the modes from the signs of guards G x_t + H u_t - d; at zero both signs hold.
 
         Parameters
         ----------
         G : (guards, n) or (T, guards, n), H : (guards, m) or (T, guards, m), d : (guards,) or (T, guards)
-            One of G and H may be None, and d, for zeros.
+            One of G and H may be None, and d may be None: zeros.
         modes : mapping from str to AffineMode, (A, B), (A, B, offset), or None
-            One mode for each pattern of signs, which has one character per guard: "+" (zero or above), "-" (zero or
-            below) or "*" (any). The first is mode 0. An AffineMode brings its name, and no region of its own; another
-            mode is named by its pattern. None: no mode, a gap between the regions.
+            A mode for each pattern of signs, which has a character per guard: "+" (zero or above), "-" (zero or below)
+            or "*" (any). The first is mode 0. An AffineMode has a name and no region; other modes get their pattern as
+            a name. None: no mode, a gap between the regions.
         sampling_time, state_names, control_names
             As for the class.
 
         Raises
         ------
         ProblemError
-            If shapes do not match, a pattern is none, two patterns hold together, or signs that occur have none.
+            If shapes do not match, a pattern has other characters, two patterns overlap, or signs that occur have none.
         """
         return cls(guarded_modes(G, H, d, modes), sampling_time, state_names, control_names)
 
@@ -326,15 +311,15 @@ class PiecewiseAffineDynamics(StandardDynamics):
     ) -> PiecewiseAffineDynamics:
         """Linearise nonlinear models, each at its own point and with its own region: one mode for each.
 
-        A map that is continuous need not be so any more afterwards: ``problem.borders`` says how much it jumps. It is
-        continuous across a border if both models are linearised at the same point of it, agree there, and the region's
-        facet is tangent to the surface on which they agree. Over a period the mode is that of its beginning.
+        The linearised map may jump where the models are continuous: ``problem.borders`` says by how much. It is
+        continuous across a switching boundary if both models are linearised at the same point of it, agree there, and
+        the facet is tangent to the surface on which they agree. The mode at the start of a period holds over it.
 
         Parameters
         ----------
         pieces : sequence of SmoothPiece
         sampling_time : float, optional
-            Seconds per step; required for continuous models, and must agree with that of discrete ones.
+            Seconds per step; required for continuous models. It must agree with that of discrete ones.
         state_names, control_names : sequences of str, optional
             Default: the labels of the first model.
 
@@ -365,62 +350,62 @@ class PiecewiseAffineDynamics(StandardDynamics):
 
     @cached_property
     def _regions_within_sets(self) -> CheckedRegions:
-        """What the regions were found to be within sets."""
+        """The faults of the regions within sets that are known so far."""
         return CheckedRegions(self.mode_names, not self.regions_vary)
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
-        """Return how many modes there are, their names, and that they are affine."""
+        """Return the number of modes, their names, and that they are affine."""
         return mode_facts(self.mode_names, f"an affine map in each, where G x + H u {AT_MOST} h")
 
     def require_horizon(self, horizon: int) -> None:
-        """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
+        """Raise ProblemError unless data per time have ``horizon`` steps."""
         for i, mode in enumerate(self.modes):
             try:
                 mode.linear.require_horizon(horizon)
                 mode.region.at_dimensions(self.state_dim, self.control_dim, horizon, "dynamics")
             except ProblemError as error:
-                own = error.field.removeprefix("dynamics.")
-                own = {"C": "G", "D": "H", "e": "h"}.get(own, own)
-                raise ProblemError(f"dynamics.modes[{i}].{own}", error.got, error.expected, error.advice) from None
+                field = error.field.removeprefix("dynamics.")
+                field = {"C": "G", "D": "H", "e": "h"}.get(field, field)
+                raise ProblemError(f"dynamics.modes[{i}].{field}", error.got, error.expected, error.advice) from None
 
     def require_sets(self, sets: StageSets) -> None:
-        """Raise ProblemError unless the regions overlap on borders only within the sets."""
+        """Raise ProblemError unless the regions overlap on switching boundaries only within the sets."""
         if REGION in sets.names:
-            raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: that one is taken by the modes")
+            raise ProblemError("stage_rows", f"rows named {REGION!r}", "another name: modes have rows of that name")
         self._regions_within_sets.require_apart(self.arrays(sets.horizon), sets)
 
     def gap(self, sets: StageSets) -> str | None:
-        """Return a place in the sets that no region holds, as text; None if they cover the sets."""
+        """Return a point of the sets outside all regions, in words; None if the regions cover the sets."""
         return self._regions_within_sets.gap(self.arrays(sets.horizon), sets)
 
     def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
-        """Return where regions meet within the sets, and whether the map jumps there."""
-        return borders_of(self.arrays(sets.horizon), sets, self.time_varying)
+        """Return the switching boundaries within the sets."""
+        return switching_facets(self.arrays(sets.horizon), sets, self.time_varying)
 
     def arrays(self, horizon: int) -> ModeArrays:
-        """Return all modes at all times; what does not depend on time stands in memory once."""
+        """Return all modes at all times; constant data are stored once."""
         n, m = self.state_dim, self.control_dim
         regions = [mode.region.at_dimensions(n, m, horizon, "dynamics") for mode in self.modes]
         most = max(region.rows for region in regions)
 
-        def stacked(parts: Sequence[Array], ndim: int) -> Array:
+        def stack_modes(parts: Sequence[Array], ndim: int) -> Array:
             per_time = [part if part.ndim > ndim else part[None] for part in parts]
             times = max(len(part) for part in per_time)
             once = np.stack([np.broadcast_to(part, (times, *part.shape[1:])) for part in per_time], axis=1)
             return np.broadcast_to(once, (horizon, *once.shape[1:]))
 
-        def filled(part: Array, axis: int, value: float) -> Array:
-            pad = [(0, 0)] * part.ndim
-            pad[axis] = (0, most - part.shape[axis])
-            return np.pad(part, pad, constant_values=value)
+        def pad_rows(part: Array, axis: int, value: float) -> Array:
+            width = [(0, 0)] * part.ndim
+            width[axis] = (0, most - part.shape[axis])
+            return np.pad(part, width, constant_values=value)
 
         return ModeArrays(
-            A=stacked([mode.linear.A for mode in self.modes], 2),
-            B=stacked([mode.linear.B for mode in self.modes], 2),
-            offset=stacked([mode.linear.offset for mode in self.modes], 1),
-            G=stacked([filled(region.C, -2, 0.0) for region in regions], 2),
-            H=stacked([filled(region.D, -2, 0.0) for region in regions], 2),
-            h=stacked([filled(region.e, -1, np.inf) for region in regions], 1),
+            A=stack_modes([mode.linear.A for mode in self.modes], 2),
+            B=stack_modes([mode.linear.B for mode in self.modes], 2),
+            offset=stack_modes([mode.linear.offset for mode in self.modes], 1),
+            G=stack_modes([pad_rows(region.C, -2, 0.0) for region in regions], 2),
+            H=stack_modes([pad_rows(region.D, -2, 0.0) for region in regions], 2),
+            h=stack_modes([pad_rows(region.e, -1, np.inf) for region in regions], 1),
             least=(np.zeros(n), np.zeros(m)),
         )
 
@@ -438,20 +423,20 @@ class PiecewiseAffineDynamics(StandardDynamics):
 
     def with_modes(self, sequence: ArrayLike, horizon: int) -> tuple[LinearDynamics, StageRows]:
         """Return the linear dynamics of a mode sequence (T,), checked, and the rows of its regions."""
-        modes = as_sequence("sequence", sequence, horizon, len(self.modes))
+        modes = mode_sequence("sequence", sequence, horizon, len(self.modes))
         return self.along(modes), self.region_rows(modes)
 
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:
-        """Return the linear dynamics of the modes that a trajectory is in."""
+        """Return the linear dynamics of the modes along a trajectory."""
         return self.along(self.sequence_of(x, u))
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> PiecewiseAffineDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
         modes = list[AffineMode]()
         for mode in self.modes:
-            map_, region = mode.linear.augmented(A, B, names, horizon), mode.region
+            linear, region = mode.linear.augmented(A, B, names, horizon), mode.region
             G = with_columns(region.C, len(A))
-            modes.append(AffineMode(map_.A, map_.B, map_.offset, G, region.D, region.e, mode.name))
+            modes.append(AffineMode(linear.A, linear.B, linear.offset, G, region.D, region.e, mode.name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, [*self.state_names, *names], self.control_names)
 
     def translated(self, origin: Array) -> PiecewiseAffineDynamics:
@@ -472,17 +457,16 @@ class PiecewiseAffineDynamics(StandardDynamics):
         return StageRows(G, H, h, REGION)
 
     def sequence_of(self, x: Array, u: Array) -> Indices:
-        """Return the mode at every time, (T,): of those that hold, the one that leads nearest to x_{t+1}.
+        """Return the mode at every time, (T,): of the modes that hold, the one with the image nearest to x_{t+1}.
 
-        Where none holds, the one whose region is nearest; x is (T+1, n), u is (T, m). See ``ModeArrays.sequence``.
+        If no mode holds, the one with the nearest region; x is (T+1, n), u is (T, m). See ``ModeArrays.sequence``.
         """
         return self.arrays(len(u)).sequence(x, u)
 
     def stepper(self, horizon: int) -> Step:
-        """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.
+        """Return the function from t, x_t (n,) and u_t (m,) to x_{t+1}, by the first mode that holds there.
 
-        It raises NumericalError where no region holds (x_t, u_t).
-        What follows a state that is not finite is not a number.
+        It raises NumericalError outside all regions; after a state that is not finite it returns NaN.
         """
         arrays = self.arrays(horizon)
         limits = np.where(np.isfinite(arrays.h), np.abs(arrays.h), 0.0)
@@ -490,13 +474,13 @@ class PiecewiseAffineDynamics(StandardDynamics):
         def step(t: int, x: Array, u: Array) -> Array:
             excess = arrays.G[t] @ x + arrays.H[t] @ u - arrays.h[t]
             size = np.abs(arrays.G[t]) @ np.abs(x) + np.abs(arrays.H[t]) @ np.abs(u) + limits[t]
-            holds = (excess <= REPLAY_ROUNDING * size).all(axis=1)
+            holds = (excess <= SIMULATION_ROUNDING * size).all(axis=1)
             if not np.isfinite(x).all():
                 return np.full_like(x, np.nan)
             if not holds.any():
                 raise NumericalError(
                     f"No mode of the dynamics holds at t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}: "
-                    "this lies outside all regions."
+                    "it lies outside all regions."
                 )
             i = int(np.argmax(holds))
             return arrays.A[t, i] @ x + arrays.B[t, i] @ u + arrays.offset[t, i]

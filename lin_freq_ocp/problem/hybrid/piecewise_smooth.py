@@ -1,4 +1,4 @@
-"""Dynamics x_{t+1} = f_i(x_t, u_t) with smooth pieces f_i, each where its switching functions are zero or below."""
+"""Dynamics x_{t+1} = f_i(x_t, u_t) with smooth pieces f_i, each where none of its switching functions is above zero."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, sampled_map
-from lin_freq_ocp.problem.hybrid.affine_mode import REPLAY_ROUNDING, AffineMode
+from lin_freq_ocp.problem.hybrid.affine_mode import SIMULATION_ROUNDING, AffineMode
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 
 # The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1.
 ZERO_NORM = 1e-9
-OUTSIDE = 1e3  # A mode that is not defined at a point has a region there that the point is this far from
+OUTSIDE = 1e3  # the distance of a point from the linearised region of a mode that is not defined there
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothMode:
-    """One smooth piece of the dynamics, and where it holds.
+    """A smooth map of the dynamics, and the region where it holds.
 
     Parameters
     ----------
     f : sequence of Formula, or function
-        x_{t+1}, one formula for each state, or a function of (x, u) that returns them when it is called with signals;
-        functions that need numbers are wrapped in a ``DifferentiableFunction``, or come ``from_casadi``.
+        x_{t+1}: a formula for each state, or a function of (x, u) that returns them when it is called with signals.
+        Wrap a function that needs numbers in a ``DifferentiableFunction``, or use ``from_casadi``.
     region : sequence of Formula, or function
-        Switching functions: the piece holds where all of them are <= 0. Nothing: everywhere.
+        Switching functions: the piece holds where all of them are <= 0. Empty: everywhere.
     domain : sequence of Formula, or function
-        What must be > 0 for f to be defined, as a denominator; denominators of f that no entry names may have any sign
+        Functions that must be > 0 for f to be defined, such as a denominator. Other denominators of f may have any sign
         but not be zero.
     name : str
-        As reports show it; default "mode i".
+        The name in reports; default "mode i".
 
     Examples
     --------
@@ -53,13 +53,13 @@ class SmoothMode:
     ('left', 'right')
     """
 
-    f: Any  # Formulas as given; tuples of Formula in the modes of PiecewiseSmoothDynamics
+    f: Any  # Formulas; tuples of Formula in the modes of PiecewiseSmoothDynamics
     region: Any = ()
     domain: Any = ()
     name: str = ""
 
     def with_signals(self, field: str, dimensions: tuple[int, int]) -> SmoothMode:
-        """Return the mode with tuples of formulas, one of f for each state, without maxima and minima."""
+        """Return the mode with tuples of formulas, checked: n formulas of f, and no maxima or minima."""
         f = listed_formulas(f"{field}.f", self.f, dimensions)
         region = listed_formulas(f"{field}.region", self.region, dimensions)
         domain = listed_formulas(f"{field}.domain", self.domain, dimensions)
@@ -73,14 +73,14 @@ class SmoothMode:
 
 @dataclass(frozen=True, eq=False)
 class ModeJets:
-    """All modes at (x_t, u_t), t = 0 .. T-1, each a tuple of one Jets for each mode."""
+    """All modes at (x_t, u_t), t = 0 .. T-1: a Jets for each mode in every field."""
 
     f: tuple[Jets, ...]
     regions: tuple[Jets, ...]  # the switching functions
-    domains: tuple[Jets, ...]  # what must be above zero
+    domains: tuple[Jets, ...]  # the functions that must be above zero
 
     def defined(self) -> Mask:
-        """Which modes are defined where, (T, modes)."""
+        """Return which modes are defined at which times, (T, modes)."""
         return np.stack(
             [
                 np.isfinite(f.values).all(axis=1)
@@ -95,10 +95,10 @@ class ModeJets:
 
 @dataclass(frozen=True, eq=False, init=False)
 class PiecewiseSmoothDynamics(StandardDynamics):
-    """x_{t+1} = f_i(x_t, u_t) for the mode i whose switching functions are zero or below; norms may have kinks within.
+    """x_{t+1} = f_i(x_t, u_t) for the mode i with no switching function above zero; norms may have kinks.
 
-    The map must be continuous: on a border the modes that meet lead to the same state. Derivatives are exact, or
-    those that functions give.
+    The map must be continuous: on a switching boundary, the modes that meet lead to the same state. Derivatives are
+    exact, or those that functions return.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     Raises
     ------
     ProblemError
-        Saying which field, what was got and what was expected.
+        With the field, the value and the expected value.
 
     Methods
     -------
@@ -150,8 +150,8 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         n, m = positive_integer("dynamics.state_dim", state_dim), positive_integer("dynamics.control_dim", control_dim)
         if not isinstance(modes, Sequence) or not modes or not all(isinstance(mode, SmoothMode) for mode in modes):
             raise ProblemError("dynamics.modes", brief(modes), "a list of at least one SmoothMode")
-        made = tuple(mode.with_signals(f"dynamics.modes[{i}]", (n, m)) for i, mode in enumerate(modes))
-        assign(self, modes=made, **signal_labels(n, m, sampling_time, state_names, control_names))
+        checked = tuple(mode.with_signals(f"dynamics.modes[{i}]", (n, m)) for i, mode in enumerate(modes))
+        assign(self, modes=checked, **signal_labels(n, m, sampling_time, state_names, control_names))
         _ = self.mode_names  # all different
 
     @classmethod
@@ -165,9 +165,9 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         control_names: Sequence[str] | None = None,
         domain: Formulas = (),
     ) -> PiecewiseSmoothDynamics:
-        """Take x_{t+1} = f(x_t, u_t) with maxima, minima and absolute values: one mode for each choice of arguments.
+        """Make the modes of x_{t+1} = f(x_t, u_t) with maxima, minima and absolute values, one per choice of arguments.
 
-        Choices that never hold, as u_0 > 1 and u_0 < -1, are left out.
+        Choices that never hold, such as u_0 > 1 and u_0 < -1, have no mode.
 
         Parameters
         ----------
@@ -176,17 +176,17 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         state_dim, control_dim, sampling_time, state_names, control_names
             As for the class.
         domain : sequence of Formula, or function
-            What must be > 0, in every mode.
+            Functions that must be > 0 in every mode.
 
         Raises
         ------
         ProblemError
-            If there are more than ``MOST_MODES`` (64) combinations that can hold, or f is none.
+            If more than ``MOST_MODES`` (64) combinations can hold, or f has no formulas.
         """
         dimensions = positive_integer("state_dim", state_dim), positive_integer("control_dim", control_dim)
         listed = listed_formulas("f", f, dimensions)
         common = listed_formulas("domain", domain, dimensions)
-        modes = [SmoothMode(one.formulas, one.region, common, one.name) for one in formula_pieces(listed)]
+        modes = [SmoothMode(piece.formulas, piece.region, common, piece.name) for piece in formula_pieces(listed)]
         return cls(modes, *dimensions, sampling_time, state_names, control_names)
 
     @classmethod
@@ -197,11 +197,11 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         params: Mapping[str, object] | None = None,
         integrator: str = "DOP853",
     ) -> PiecewiseSmoothDynamics:
-        """Take the map of a smooth nonlinear python-control model over one period, which does not depend on time.
+        """Take the map of a smooth time-invariant nonlinear python-control model over one period.
 
-        ``lfo.solve`` then linearises anew along every trajectory it comes to, as ``LinearDynamics.linearised`` does
-        along one: successive linearisation. The second derivatives of the model take no part; formulas have them, and
-        are much faster than integrals.
+        ``lfo.solve`` linearises it along every iterate (successive linearisation), as ``LinearDynamics.linearised``
+        does along one trajectory. It uses no second derivatives of the model; formulas have them, and are much faster
+        than integrals.
 
         Parameters
         ----------
@@ -211,7 +211,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         Raises
         ------
         ProblemError
-            If it is no such model, or sampling times do not fit.
+            If the model is of another kind, or sampling times do not fit.
         """
         import control  # here, because it takes seconds to import and only its users need it
 
@@ -233,35 +233,36 @@ class PiecewiseSmoothDynamics(StandardDynamics):
 
     @cached_property
     def norms(self) -> tuple[Formula, ...]:
-        """The norms in the maps and switching functions, those within others first."""
-        formulas = [one for mode in self.modes for one in (*mode.f, *mode.region)]
+        """The norms in the maps and switching functions, inner ones first."""
+        formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region)]
         return tuple(kinks(formulas, NORM))
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
         """Return the modes, and the norms, which are not differentiable at zero."""
         facts = mode_facts(self.mode_names, "a smooth map in each, where its switching functions are at most zero")
-        norms = list(dict.fromkeys(text_of(one, [split_unit(label)[0] for label in labels]) for one in self.norms))
+        names = [split_unit(label)[0] for label in labels]
+        norms = list(dict.fromkeys(text_of(norm, names) for norm in self.norms))
         return [*facts, *([("kinks", f"{first_few(norms, 4)}, not differentiable at zero")] if norms else [])]
 
     def require_horizon(self, horizon: int) -> None:
-        """Raise ProblemError unless everything given per time is given for ``horizon`` steps: nothing is."""
+        """Accept every horizon: no data depend on time."""
 
     def gains(self) -> tuple[Array, Array, Array]:
-        """Return a rough size of the derivatives, (n, n) and (n, m), and of the constant, (n,)."""
+        """Return rough sizes of the derivatives, (n, n) and (n, m), and of the constant, (n,)."""
         n, m = self.state_dim, self.control_dim
-        found = self.jets_at(np.stack([np.zeros(n + m), np.ones(n + m)]))
-        slopes = np.nan_to_num(np.abs([one.slopes for one in found.f]), nan=1.0, posinf=1.0).max(axis=(0, 1))
-        constant = np.nan_to_num(np.abs([one.values[0] for one in found.f]), nan=0.0, posinf=0.0).max(axis=0)
+        maps = self.jets_at(np.stack([np.zeros(n + m), np.ones(n + m)])).f
+        slopes = np.nan_to_num(np.abs([jet.slopes for jet in maps]), nan=1.0, posinf=1.0).max(axis=(0, 1))
+        constant = np.nan_to_num(np.abs([jet.values[0] for jet in maps]), nan=0.0, posinf=0.0).max(axis=0)
         return slopes[:, :n], slopes[:, n:], constant
 
     def translated(self, origin: Array) -> PiecewiseSmoothDynamics:
         """Return the dynamics of x - origin, with the same modes."""
-        given = [(*mode.f, *mode.region, *mode.domain) for mode in self.modes]
-        found = iter(translated([one for formulas in given for one in formulas], origin))
+        formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.domain)]
+        moved = iter(translated(formulas, origin))
         modes = list[SmoothMode]()
         for mode in self.modes:
-            images = [next(found) - float(value) for value in origin]
-            region, domain = ([next(found) for _ in part] for part in (mode.region, mode.domain))
+            images = [next(moved) - float(value) for value in origin]
+            region, domain = ([next(moved) for _ in part] for part in (mode.region, mode.domain))
             modes.append(SmoothMode(images, region, domain, mode.name))
         return replace(self, modes=modes)
 
@@ -290,64 +291,64 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         """
         n, T = self.state_dim, len(u)
         y = np.hstack([x[:T], u])
-        found = self.jets_at(y, selections)
-        defined = found.defined()
+        jets_along = self.jets_at(y, selections)
+        defined = jets_along.defined()
         modes: list[AffineMode] = []
         for i, name in enumerate(self.mode_names):
             ok = defined[:, i]
-            F = np.where(ok[:, None, None], found.f[i].slopes, 0.0)
-            offset = np.where(ok[:, None], found.f[i].values, 0.0) - np.einsum("tij,tj->ti", F, y)
-            rows, values = found.regions[i].slopes, found.regions[i].values
+            F = np.where(ok[:, None, None], jets_along.f[i].slopes, 0.0)
+            offset = np.where(ok[:, None], jets_along.f[i].values, 0.0) - np.einsum("tij,tj->ti", F, y)
+            rows, values = jets_along.regions[i].slopes, jets_along.regions[i].values
             if not rows.shape[1]:
                 rows, values = np.zeros((T, 1, y.shape[1])), np.full((T, 1), -np.inf)
             far = np.zeros(rows.shape)
-            far[..., 0] = 1.0  # where a function is above zero and flat, no row of its own says how to get below
+            far[..., 0] = 1.0  # a function that is above zero and flat has no row that leads below zero
             G = np.where(ok[:, None, None] & (rows.any(axis=2) | (values <= 0))[..., None], rows, far)
             h = np.einsum("trj,tj->tr", G, y) - np.where(ok[:, None], values, OUTSIDE)
             modes.append(AffineMode(F[..., :n], F[..., n:], offset, G[..., :n], G[..., n:], h, name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
 
     def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
-        """Return for every norm at which of the times t < T its arguments are zero, (T,)."""
+        """Return for every norm the times t < T at which its arguments are zero, (T,)."""
         y = np.hstack([x[: len(u)], u])
-        found: dict[Formula, Mask] = {}
-        for one in self.norms:
-            size = np.linalg.norm(jets(one.arguments, y).values, axis=1)
-            found[one] = size <= ZERO_NORM * max(1.0, float(np.nanmax(size, initial=0.0)))
-        return found
+        active: dict[Formula, Mask] = {}
+        for norm in self.norms:
+            size = np.linalg.norm(jets(norm.arguments, y).values, axis=1)
+            active[norm] = size <= ZERO_NORM * max(1.0, float(np.nanmax(size, initial=0.0)))
+        return active
 
-    def pull_of_norm(self, one: Formula, y: Array, mode: int, eta: Array) -> float:
-        """Return the derivative of <eta, f_mode> by a norm at y = (x, u), the norm taken for a variable of its own."""
-        k, (n, m) = len(y), one.dimensions
+    def pull_of_norm(self, norm: Formula, y: Array, mode: int, eta: Array) -> float:
+        """Return the derivative of <eta, f_mode> by a norm at y = (x, u), with the norm as an additional variable."""
+        k, (n, m) = len(y), norm.dimensions
 
         def with_variable(node: Formula, arguments: list[Formula]) -> Formula:  # of (x, u, w), w the norm
-            if node is one:
+            if node is norm:
                 return Formula((n, m + 1), VARIABLE, (), (float(k),))
             return replace(node, dimensions=(n, m + 1), arguments=tuple(arguments))
 
         f = evaluated(self.modes[mode].f, with_variable)
-        found = jets(f, np.append(y, values_of([one], y[None])[0])[None])
-        return float(eta @ found.slopes[0, :, k])
+        slopes = jets(f, np.append(y, values_of([norm], y[None])[0])[None]).slopes
+        return float(eta @ slopes[0, :, k])
 
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:
-        """Return the linearisation along a trajectory, of the modes that it is in."""
+        """Return the linearisation along a trajectory, with its modes."""
         return self.affine_at(x, u).linear_at(x, u)
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> PiecewiseSmoothDynamics:
         """Raise UnsupportedError."""
         raise UnsupportedError(
-            "dynamics: got PiecewiseSmoothDynamics; further states take linear or piecewise-affine dynamics: write the "
-            "former control as a further state in the formulas."
+            "dynamics: got PiecewiseSmoothDynamics; only linear and piecewise-affine dynamics take added states. Add "
+            "the previous control as a state of the formulas."
         )
 
     def sequence_of(self, x: Array, u: Array) -> Indices:
-        """Return the mode at every time: of those that hold, the one that leads nearest to x_{t+1}; (T,)."""
+        """Return the mode at every time, (T,): of the modes that hold, the one with the image nearest to x_{t+1}."""
         return self.affine_at(x, u).sequence_of(x, u)
 
     def stepper(self, horizon: int) -> Step:
-        """Return the function that makes x_{t+1} of t, x_t (n,) and u_t (m,), by the first mode that holds there.
+        """Return the function from t, x_t (n,) and u_t (m,) to x_{t+1}, by the first mode that holds there.
 
-        It raises NumericalError where no mode is defined and holds.
+        It raises NumericalError if no mode is defined and holds.
         """
 
         def step(t: int, x: Array, u: Array) -> Array:
@@ -358,14 +359,12 @@ class PiecewiseSmoothDynamics(StandardDynamics):
                 after, domain = values_of(self.modes[0].f, y)[0], values_of(self.modes[0].domain, y)
                 if np.isfinite(after).all() and (domain > 0).all():
                     return after
-            found = self.jets_at(y)
-            defined = found.defined()[0]
-            sizes = np.abs(np.append(x, u))
-            for i in np.flatnonzero(defined):
-                region = found.regions[i]
-                rounding = REPLAY_ROUNDING * (np.abs(region.slopes[0]) @ sizes + np.abs(region.values[0]))
+            modes, sizes = self.jets_at(y), np.abs(np.append(x, u))
+            for i in np.flatnonzero(modes.defined()[0]):
+                region = modes.regions[i]
+                rounding = SIMULATION_ROUNDING * (np.abs(region.slopes[0]) @ sizes + np.abs(region.values[0]))
                 if (region.values[0] <= rounding).all():
-                    return found.f[i].values[0]
+                    return modes.f[i].values[0]
             at = f"t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}"
             raise NumericalError(f"No mode of the dynamics is defined and holds at {at}.")
 

@@ -1,14 +1,14 @@
-"""Pulse trains with quarter-wave symmetry: levels that are left at free angles.
+"""Pulse trains with quarter-wave symmetry: levels that switch at free angles.
 
-Over a quarter period, 0 <= theta <= pi/2, a level v is held for a dwell tau >= 0 of the angle and then changed by one
-step, up or down. With dI/dtheta = v the step of the dynamics is exact:
+Over a quarter period, 0 <= theta <= pi/2, a level v lasts for a dwell tau >= 0 of the angle and then changes by one
+step, up or down. With dI/dtheta = v the recursion is exact:
 
     theta' = theta + tau,      I' = I + v tau,      v' = v +- step,
     e'     = e + 4/pi (I^2 tau + I v tau^2 + v^2 tau^3 / 3),
     b_k'   = b_k + 4/(pi k) v (cos k theta - cos k (theta + tau)),
 
-so that over the quarter e grows by 1/pi times the integral of I^2 over the period, and b_k by the amplitude of
-sin k theta in v, k odd.
+so that over the quarter e grows by 1/pi times the integral of I^2 over the period, and b_k, k odd, by the amplitude of
+sin k theta in v.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 
-ANGLE, LEVEL, CURRENT, ENERGY = range(4)  # places in the state; amplitudes of harmonics follow
-DWELL, DIRECTION = range(2)  # places in the control
+ANGLE, LEVEL, CURRENT, ENERGY = range(4)  # indices of the state; amplitudes of harmonics follow
+DWELL, DIRECTION = range(2)  # indices of the control
 QUARTER = np.pi / 2
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class PulseTrain(Dynamics):
-    """Levels held for a dwell and then changed by a step: states theta, v, I, e and the amplitudes b_k.
+    """A level for a dwell, then a step to the next: states theta, v, I, e and the amplitudes b_k.
 
-    The control is (dwell, direction): the step is up where the direction is zero or above, else down.
+    The control is (dwell, direction): the step is up if the direction is zero or above, else down.
 
     Parameters
     ----------
     step : float
-        Between neighbouring levels, above zero.
+        The distance of neighbouring levels, above zero.
     orders : sequence of int
         Odd harmonics k whose amplitudes are states.
 
@@ -50,7 +50,7 @@ class PulseTrain(Dynamics):
 
     References
     ----------
-    docs/levels.md has the problem that it is for, and its global bound.
+    docs/levels.md: a problem with pulse trains, and its global bound.
 
     Examples
     --------
@@ -62,12 +62,12 @@ class PulseTrain(Dynamics):
     orders: tuple[int, ...]
 
     def __init__(self, step: float, orders: Sequence[int]):
-        given = tuple(positive_integer(f"PulseTrain.orders[{i}]", k) for i, k in enumerate(orders))
-        if any(k % 2 == 0 for k in given) or len(set(given)) < len(given):
-            raise ProblemError("PulseTrain.orders", brief(list(given)), "odd numbers that all differ")
-        names = ["angle [rad]", "level", "integral of the level", "energy", *(f"harmonic {k}" for k in given)]
+        odd = tuple(positive_integer(f"PulseTrain.orders[{i}]", k) for i, k in enumerate(orders))
+        if any(k % 2 == 0 for k in odd) or len(set(odd)) < len(odd):
+            raise ProblemError("PulseTrain.orders", brief(list(odd)), "odd numbers that all differ")
+        names = ["angle [rad]", "level", "integral of the level", "energy", *(f"harmonic {k}" for k in odd)]
         labels = signal_labels(len(names), 2, None, names, ["dwell [rad]", "direction"])
-        assign(self, step=positive_number("PulseTrain.step", step), orders=given, **labels)
+        assign(self, step=positive_number("PulseTrain.step", step), orders=odd, **labels)
 
     @property
     def standard_form(self) -> PiecewiseSmoothDynamics:
@@ -75,7 +75,7 @@ class PulseTrain(Dynamics):
         return self._modes
 
     def translated(self, origin: Array) -> None:
-        """Return None: angles and levels count from zero."""
+        """Return None: the zero of angles and levels has a meaning."""
         return None
 
     @cached_property

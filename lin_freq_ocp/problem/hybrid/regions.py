@@ -1,7 +1,7 @@
-"""Polyhedral regions in (x, u): whether they overlap or leave gaps, where they meet, and whether the map jumps.
+"""Polyhedral regions in (x, u): overlaps, gaps, switching boundaries, and jumps of the map there.
 
-Lengths are measured in natural units: of each component the half width of its bounds, or how far the rows of the
-regions reach along it, if that is less or if it has none.
+The natural unit of a component is the half width of its bounds, or the extent of the regions along it if that is less
+or if the component has no bounds.
 """
 
 from __future__ import annotations
@@ -29,35 +29,35 @@ from lin_freq_ocp.problem.dynamics.base import SwitchingBoundary
 from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE, ModeArrays
 from lin_freq_ocp.problem.sets.stage_rows import StageSet, StageSets
 
-# Jump of the map across a border, relative to the terms it is made of, up to which it is continuous: matrices
-# linearised are right to 1e-9 or so, and what the judge forgives, FACET_TOLERANCE, is ten times as much.
+# A map whose jump across a switching boundary is below this, relative to its terms, is continuous: linearised matrices
+# have errors of about 1e-9, and the judge accepts ten times as much, FACET_TOLERANCE.
 CONTINUITY_TOLERANCE = 1e-7
-FIXED_WIDTH = 1e-9  # A component whose bounds are closer than this, relative to their size, is fixed between them
-# Rows that reach along a component by less than this part of its half width do not make its unit smaller: what is
-# shorter may be rounding, and THICKNESS times this is still a hundred times above it.
+FIXED_WIDTH = 1e-9  # a component whose bounds differ by less, relative to their size, is fixed
+# Rows with a smaller extent along a component, relative to its half width, do not reduce its unit: smaller lengths may
+# be rounding, and THICKNESS times this is still a hundred times above rounding.
 LEAST_UNIT = 1e-6
 
 
-Found = TypeVar("Found")
-_Overlap = tuple[int, int, str]  # two modes, and a point of both as text
+Fault = TypeVar("Fault")
+_Overlap = tuple[int, int, str]  # two modes, and a point of both in words
 
 
 @dataclass(frozen=True, eq=False)
 class SwitchingFacet(SwitchingBoundary):
-    """A facet of two modes, h_x'x + h_u'u = limit with |(h_x, h_u)| = 1: the first mode is where it is less."""
+    """A shared facet of two modes, h_x'x + h_u'u = limit with |(h_x, h_u)| = 1; the first mode is on the lower side."""
 
     first: int
     second: int
     h_x: Array
     h_u: Array
     limit: float
-    g: Array  # (n,): D f_first - D f_second = g h' where the map is continuous
+    g: Array  # (n,): D f_first - D f_second = g h' if the map is continuous
     jump: float  # bound on the difference of the maps on the facet within the sets' bounds, relative to its terms
-    time: int | None = None  # if the dynamics depend on it
+    time: int | None = None  # of a time-varying facet
 
     @property
     def continuous(self) -> bool:
-        """Whether the map does not jump here."""
+        """Whether the map is continuous across the facet."""
         return self.jump <= CONTINUITY_TOLERANCE
 
 
@@ -65,29 +65,29 @@ class SwitchingFacet(SwitchingBoundary):
 class _Pieces:
     """The regions of one time in y = (v - centre) / units, v = (x, u)."""
 
-    cells: list[Cell]  # a region each, in all components of y
+    cells: list[Cell]  # the regions, in all components of y
     domain: Cell  # the sets, in the free components of y
-    free: Mask  # (n + m,): components not fixed by their bounds; of the others, y is 0
+    free: Mask  # (n + m,): components that their bounds do not fix; y is 0 for the others
     centre: Array
     units: Array
-    extent: Array  # (n + m,): the largest |y| within the bounds; 1 without
+    extent: Array  # (n + m,): the largest |y| within the bounds; 1 without bounds
 
     def point_text(self, y: Array) -> str:
-        """Return (x, u) of free components y, as a message shows it."""
+        """Return the point (x, u) of free components y in words."""
         v = self.centre.copy()
         v[self.free] += self.units[self.free] * y
         return brief([float(f"{value:.4g}") for value in v], 200)
 
     @property
     def key(self) -> bytes:
-        """Return what pieces share that are the same."""
+        """Return a key that equal pieces share."""
         parts = [self.centre, self.units, self.free.astype(float), self.domain.normals, self.domain.limits]
         parts += [part for cell in self.cells for part in (cell.normals, cell.limits)]
         return b"|".join(part.tobytes() for part in parts)
 
 
 class CheckedRegions:
-    """What the regions of dynamics are known to be, by the keys of their pieces: overlaps and gaps are costly to find.
+    """A cache of the overlaps and gaps of regions, which are costly to find, by the keys of their pieces.
 
     ``names`` are those of the modes; ``constant``: no region depends on time.
     """
@@ -99,44 +99,44 @@ class CheckedRegions:
 
     def require_apart(self, arrays: ModeArrays, sets: StageSets) -> None:
         """Raise ProblemError unless regions overlap on facets only."""
-        found = self._first(arrays, sets, self._overlaps, _overlap)
-        if found is not None:
-            (first, second, point), when = found
+        fault = self._first_fault(arrays, sets, self._overlaps, _overlap)
+        if fault is not None:
+            (first, second, point), when = fault
             got = f"a region that overlaps that of {self.names[first]!r}{when}, around (x, u) = {point}"
-            raise ProblemError(f"dynamics.modes[{second}]", got, "regions that meet on borders only")
+            raise ProblemError(f"dynamics.modes[{second}]", got, "regions that overlap on switching boundaries only")
 
     def gap(self, arrays: ModeArrays, sets: StageSets) -> str | None:
-        """Return a place in the sets that no region holds, as text; None if they cover the sets."""
-        found = self._first(arrays, sets, self._gaps, _gap)
-        return None if found is None else f"around (x, u) = {found[0]}{found[1]}"
+        """Return a point of the sets outside all regions, in words; None if the regions cover the sets."""
+        fault = self._first_fault(arrays, sets, self._gaps, _gap)
+        return None if fault is None else f"around (x, u) = {fault[0]}{fault[1]}"
 
-    def _first(
+    def _first_fault(
         self,
         arrays: ModeArrays,
         sets: StageSets,
-        known: dict[bytes, Found | None],
-        fault: Callable[[_Pieces], Found | None],
-    ) -> tuple[Found, str] | None:
-        """Return the first fault over all times, and when it is; without any around all sets, there is none."""
+        known: dict[bytes, Fault | None],
+        fault_of: Callable[[_Pieces], Fault | None],
+    ) -> tuple[Fault, str] | None:
+        """Return the first fault over all times, and its time in words; a fault needs one within the union of sets."""
 
-        def at(t: int, stage: StageSet) -> Found | None:
+        def cached_fault(t: int, stage: StageSet) -> Fault | None:
             pieces = _pieces(arrays, t, stage)
             if pieces.key not in known:
-                known[pieces.key] = fault(pieces)
+                known[pieces.key] = fault_of(pieces)
             return known[pieces.key]
 
         if self.constant:
-            everywhere = at(0, sets.around())
-            if everywhere is None or sets.constant:
-                return None if everywhere is None else (everywhere, "")
-        found = ((at(t, sets.at(t)), f" at t = {t}") for t in range(sets.horizon))
-        return next(((one, when) for one, when in found if one is not None), None)
+            fault = cached_fault(0, sets.around())
+            if fault is None or sets.constant:
+                return None if fault is None else (fault, "")
+        faults = ((cached_fault(t, sets.at(t)), f" at t = {t}") for t in range(sets.horizon))
+        return next(((fault, when) for fault, when in faults if fault is not None), None)
 
 
 def meets_gap(arrays: ModeArrays, sets: StageSets, t: int, v: Array, modes: Mask) -> bool:
-    """Whether these modes, which hold at v = (x_t, u_t), leave a part of the sets next to it uncovered.
+    """Whether modes that hold at v = (x_t, u_t) leave a part of the sets next to v uncovered.
 
-    Near v a region is the cone of the rows that it touches, within FACET_TOLERANCE, and so are the sets.
+    Near v, a region is the cone of its rows that are active at v, within FACET_TOLERANCE; so are the sets.
     """
     pieces = _pieces(arrays, t, sets.at(t))
     y = (v - pieces.centre) / pieces.units
@@ -147,11 +147,11 @@ def meets_gap(arrays: ModeArrays, sets: StageSets, t: int, v: Array, modes: Mask
     return uncovered(ball & _cone(pieces.domain, free), [cell for cell in cells if cell is not None]) is not None
 
 
-def borders_of(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple[SwitchingFacet, ...]:
-    """Return every border that regions share within the sets."""
+def switching_facets(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple[SwitchingFacet, ...]:
+    """Return every facet that two regions share within the sets."""
     n, around = arrays.A.shape[-1], sets.around()
     known: dict[bytes, list[tuple[int, int, Array, float]]] = {}
-    found: list[SwitchingFacet] = []
+    boundaries: list[SwitchingFacet] = []
     for t in range(sets.horizon if time_varying else 1):
         pieces = _pieces(arrays, t, around)
         if pieces.key not in known:
@@ -164,8 +164,8 @@ def borders_of(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple
             size = float(np.linalg.norm(normal))
             edge = (limit + float(normal @ pieces.centre)) / size
             time = t if time_varying else None
-            found.append(SwitchingFacet(i, j, normal[:n] / size, normal[n:] / size, edge, g * size, jump, time))
-    return tuple(found)
+            boundaries.append(SwitchingFacet(i, j, normal[:n] / size, normal[n:] / size, edge, g * size, jump, time))
+    return tuple(boundaries)
 
 
 def _pieces(arrays: ModeArrays, t: int, sets: StageSet) -> _Pieces:
@@ -176,23 +176,23 @@ def _pieces(arrays: ModeArrays, t: int, sets: StageSet) -> _Pieces:
     width = np.where(below & above, upper - lower, np.inf)
     fixed = width <= FIXED_WIDTH * np.maximum(np.abs(lower), np.abs(upper))
     matrices = np.concatenate([arrays.G[t], arrays.H[t]], axis=-1)
-    limits, beyond = arrays.h[t] - matrices @ centre, sets.limits - sets.matrix @ centre
-    every, right = np.vstack([*matrices, sets.matrix]), np.concatenate([*limits, beyond])
-    known = np.isfinite(right)
-    units = natural_sizes(every[known], right[known], np.where(fixed, 0.0, width / 2), LEAST_UNIT)
+    limits, set_limits = arrays.h[t] - matrices @ centre, sets.limits - sets.matrix @ centre
+    rows, right = np.vstack([*matrices, sets.matrix]), np.concatenate([*limits, set_limits])
+    finite = np.isfinite(right)
+    units = natural_sizes(rows[finite], right[finite], np.where(fixed, 0.0, width / 2), LEAST_UNIT)
     cells = [cell_of(matrix * units, limit) for matrix, limit in zip(matrices, limits, strict=True)]
     free, identity = ~fixed, np.eye(len(centre))
     walls = np.vstack([identity[above & free], -identity[below & free]])[:, free]
     distances = np.concatenate([((upper - centre) / units)[above & free], ((centre - lower) / units)[below & free]])
-    within = cell_of(np.vstack([walls, (sets.matrix * units)[:, free]]), np.append(distances, beyond))
-    if within is None or within.inner_point(THICKNESS) is None:  # equations among the rows: only the bounds remain
+    within = cell_of(np.vstack([walls, (sets.matrix * units)[:, free]]), np.append(distances, set_limits))
+    if within is None or within.inner_point(THICKNESS) is None:  # some rows are equations: only the bounds count
         within = Cell(walls, distances)
     extent = np.where(below & above, np.where(fixed, 0.0, width / 2) / units, 1.0)
     return _Pieces([cell for cell in cells if cell is not None], within, free, centre, units, extent)
 
 
 def _gap(pieces: _Pieces) -> str | None:
-    """Return a point of one time that no mode covers, as text."""
+    """Return a point of one time that no mode covers, in words."""
     columns = np.eye(len(pieces.free))[:, pieces.free]
     regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
     point = uncovered(pieces.domain, [region for region in regions if region is not None])
@@ -200,13 +200,13 @@ def _gap(pieces: _Pieces) -> str | None:
 
 
 def _cone(cell: Cell, y: Array) -> Cell:
-    """Return the directions into a cell from a point of it: the rows that the point touches, with limits of zero."""
-    touched = cell.limits - cell.normals @ y <= FACET_TOLERANCE * (1 + np.abs(cell.limits))
-    return Cell(cell.normals[touched], np.zeros(int(touched.sum())))
+    """Return the cone of directions from a point into its cell: the active rows, with limits of zero."""
+    active = cell.limits - cell.normals @ y <= FACET_TOLERANCE * (1 + np.abs(cell.limits))
+    return Cell(cell.normals[active], np.zeros(int(active.sum())))
 
 
 def _overlap(pieces: _Pieces) -> _Overlap | None:
-    """Return the first two regions that overlap in the sets, and the centre of a ball that both hold, as text."""
+    """Return the first two regions that overlap within the sets, and the centre of a ball in both, in words."""
     domain = pieces.domain
     for (i, first), (j, second) in combinations(enumerate(pieces.cells), 2):
         if first.apart_from(second, THICKNESS):
@@ -220,9 +220,9 @@ def _overlap(pieces: _Pieces) -> _Overlap | None:
 
 
 def _shared_facet(pieces: _Pieces, i: int, j: int) -> tuple[Array, float] | None:
-    """Return (a, b), |a| = 1: region i has a'y <= b, region j a'y >= b, and both touch it in more than an edge.
+    """Return (a, b), |a| = 1, with a'y <= b in region i and a'y >= b in region j, if they share a facet there.
 
-    Regions on different sides of two hyperplanes meet in their intersection at most, which is an edge.
+    Regions on opposite sides of two hyperplanes meet in an edge at most, the intersection of the two.
     """
     first, second = pieces.cells[i], pieces.cells[j]
     opposite = np.abs(first.normals[:, None] + second.normals).max(axis=-1, initial=0.0) <= SAME_FACET
@@ -236,7 +236,7 @@ def _shared_facet(pieces: _Pieces, i: int, j: int) -> tuple[Array, float] | None
         return None
     both = first & second
     others = both.take(~both.same_as(row, limit) & ~both.same_as(-row, -limit))
-    # within the hyperplane row'y = limit, a ball has to fit into the other rows with its centre in the sets
+    # a ball within the hyperplane row'y = limit must fit into the other rows, with its centre in the sets
     domain, along = pieces.domain, row[pieces.free]
     length = float(np.linalg.norm(along))
     if length <= FLAT:
@@ -254,14 +254,14 @@ def _shared_facet(pieces: _Pieces, i: int, j: int) -> tuple[Array, float] | None
 
 
 def _part_across(normals: Array, direction: Array) -> Array:
-    """Return the lengths of what remains of vectors without their parts along a direction of length 1."""
+    """Return the lengths of the parts of vectors perpendicular to a direction of length 1."""
     return np.linalg.norm(normals - np.outer(normals @ direction, direction), axis=1)
 
 
 def _jump(
     arrays: ModeArrays, t: int, pair: tuple[int, int], pieces: _Pieces, row: Array, limit: float
 ) -> tuple[Array, float]:
-    """Return g with D f_i - D f_j = g row' (the nearest such), and a bound on the relative difference on the border."""
+    """Return the best g in D f_i - D f_j = g row', and a bound on the relative difference of the maps on the facet."""
     maps = [np.concatenate([arrays.A[t, i], arrays.B[t, i]], axis=-1) for i in pair]
     difference, offset = (maps[0] - maps[1]) * pieces.units, arrays.offset[t, pair[0]] - arrays.offset[t, pair[1]]
     offset = offset + (maps[0] - maps[1]) @ pieces.centre

@@ -106,7 +106,7 @@ class ConvexSet(ABC):
 
     def widened(self, amount: float, dimension: int) -> ConvexSet:
         """Return the set with limits, bounds apart, that are higher by an amount; a soft set stays as it is."""
-        parts = tuple(Part(part.F, *part.penalty.widened(part.c, amount)) for part in self.parts(dimension))
+        parts = tuple(Part(part.F, *part.penalty.relaxed(part.c, amount)) for part in self.parts(dimension))
         return PartSet(parts, dimension, f"wider by {amount:g}")
 
     @property

@@ -1,8 +1,9 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``FrequencyConstraint``)
+# ruff: noqa: D102
 """Equations on the spectrum of a signal: stop bands, and linear equations over all times.
 
-Bands are in rad/sample, Hz or DFT bins, and become bins when they meet a signal's length. A stop band sets DFT bins of
-this horizon to zero. What lies between the bins is small, but not zero.
+Bands are stated in rad/sample, Hz or DFT bins; the length of the signal turns them into bins. A stop band sets DFT bins
+of this horizon to zero; between the bins, the spectrum is small but not zero. ``FrequencyConstraint`` documents the
+methods without a docstring.
 """
 
 from __future__ import annotations
@@ -47,19 +48,20 @@ from lin_freq_ocp.problem.terms.penalty import HARD, weight_of
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
-BIN_TOLERANCE = 1e-9  # distance of a cut-off from a bin (relative to the bin number above 1) at which it falls on it
+BIN_TOLERANCE = 1e-9  # distance of a cut-off from a bin (relative to the bin number above 1) at which it is on the bin
+WIDEST = 3.0  # the widest notch of a slider, relative to the stated width
 
 
 @dataclass(frozen=True)
 class Band(FrequencyConstraint):
-    """A stop band on one or all components of a signal; made by low_pass, high_pass, band_pass, notch, stop_band.
+    """A stop band on one or all components of a signal, from low_pass, high_pass, band_pass, notch or stop_band.
 
     Parameters
     ----------
     kind : str
-        The name of the function that made it.
+        The name of that function.
     edges : tuple of float
-        Lower and upper edge in ``unit``; of a notch, centre and width; of a stop band given by bins, the bins.
+        Lower and upper edge in ``unit``; centre and width of a notch; the bins of a stop band.
     unit : {"rad/sample", "Hz", "bins"}
         Unit of the edges.
     component : int, str or None
@@ -74,32 +76,44 @@ class Band(FrequencyConstraint):
 
     @property
     def title(self) -> str:
-        """Return its kind in words."""
+        """Return the kind of band in words."""
         return self.kind.replace("_", " ")
 
     def numbers(self, axis: Axis, finest: float = np.inf) -> Iterator[Number]:
-        """Yield its edges within Nyquist; those of a notch in steps of at most a part of its width."""
-        factor, edges = axis.per_unit(self.unit), EDGES.get(self.kind, ())
-        if not edges or max(filter(np.isfinite, self.limits)) * factor > axis.nyquist:
+        """Yield the edges below Nyquist; those of a notch move in steps of at most ``finest`` of its width."""
+        factor, nyquist = axis.per_unit(self.unit), axis.nyquist
+        if self.unit == "bins" or max(filter(np.isfinite, self.limits)) * factor > nyquist:
             return
-        own, step = [edge * factor for edge in self.edges], axis.step
-        if self.kind == "notch":
-            step = min(step, finest * own[1])
-        for i, label, direction, range_of in edges:
-            value, (low, high) = own[i], range_of(own, step, axis.nyquist)
-            put = partial(_move_edge, i, factor)
+        first, second = (edge * factor for edge in self.edges)
+        step = min(axis.step, finest * second) if self.kind == "notch" else axis.step
+        around, middle = NOTCHES * step, (first + second) / 2
+        ranges = {  # which edge, its name, the direction in which the problem gets easier, and the range of its slider
+            "low_pass": [(1, "cut-off", 1, step, nyquist - step)],
+            "high_pass": [(0, "cut-off", -1, step, nyquist - step)],
+            "band_pass": [(0, "lower edge", -1, 0.0, middle), (1, "upper edge", 1, middle, nyquist)],
+            "notch": [
+                (0, "centre", 0, max(step, first - around), min(nyquist - step, first + around)),
+                (1, "width", -1, step, min(WIDEST * max(second, step), nyquist)),
+            ],
+        }
+        for i, label, direction, low, high in ranges[self.kind]:
+            value, put = (first, second)[i], partial(Band.with_edge, i=i, factor=factor)
             ends = min(low, value), max(high, value)
             yield Number(f"edge.{{}}.{i}", label, axis.unit, value, *ends, direction, put, step)
 
+    def with_edge(self, value: float, i: int, factor: float) -> Band:
+        """Return the band with another edge, in a unit that ``factor`` turns the band's unit into."""
+        return replace(self, edges=(*self.edges[:i], value / factor, *self.edges[i + 1 :]))
+
     @property
     def limits(self) -> tuple[float, float]:
-        """Return the lower and upper edge in ``unit``, of a band given by frequencies."""
+        """Return the lower and upper edge in ``unit`` of a band of frequencies."""
         first, second = self.edges
         return (first - second / 2, first + second / 2) if self.kind == "notch" else (first, second)
 
     @property
     def removed(self) -> str:
-        """Return a text of the bins that it removes."""
+        """Return the removed bins in words."""
         if self.unit == "bins":
             bins = np.unique([int(edge) for edge in self.edges])
             return f"bins {runs_in_words(runs_of(bins))}" if len(bins) > 1 else f"bin {bins[0]}"
@@ -116,29 +130,29 @@ class Band(FrequencyConstraint):
         return f"{self.title} of {of}: {self.removed} are zero, and their mirror images"
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
-        """Yield the stopped bins of outputs as equations."""
+        """Yield equations for the stopped bins of outputs; those of states and controls are masks of the problem."""
         if signal.kind is not TermKind.OUTPUT_SPECTRUM:
             return
         for name, C, D in signal.rows(field, self.component):
             bins = np.flatnonzero(self.stopped(signal.length, signal.sampling_time, field))
             if len(bins):  # else a warning has been issued
-                stopped = SpectrumMap(C, D, np.ones(signal.length), signal.length, bins, together=True)
+                stopped = SpectrumMap(C, D, np.ones(signal.length), signal.length, bins, joint=True)
                 yield Term(f"stop band on {name}", signal.kind, stopped, NormBall(2, np.zeros(()), HARD), source)
 
-    def extended(self, n: int, k: int) -> Sequence[Band]:
+    def augmented(self, n: int, k: int) -> Sequence[Band]:
         return self.on_components(n)
 
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
-        """Return which bins k = 0 .. length//2 of a signal of ``length`` samples are removed; warn if none or all."""
+        """Return which bins k = 0 .. length//2 of ``length`` samples are removed; warn if none or all are."""
         stopped = self.at(length, sampling_time, field)
         if stopped.all() or not stopped.any():
             count, then = ("every", ", which must then be zero") if stopped.any() else ("no", "")
-            what = f"removes {count} bin of a signal of {length} samples{then}."
-            warnings.warn(f"{field}: {self} {what}", BandWarning, stacklevel=2)
+            text = f"{field}: {self} removes {count} bin of a signal of {length} samples{then}."
+            warnings.warn(text, BandWarning, stacklevel=2)
         return stopped
 
     def at(self, length: int, sampling_time: float | None, field: str) -> Mask:
-        """Return which bins k = 0 .. length//2 of a signal of ``length`` samples it names, (length//2 + 1,)."""
+        """Return which bins k = 0 .. length//2 of ``length`` samples the band names, (length//2 + 1,)."""
         k = np.arange(length // 2 + 1)
         if self.unit == "bins":
             outside = [bin for bin in self.edges if abs(bin) > length]
@@ -159,7 +173,7 @@ class Band(FrequencyConstraint):
         return ~((k >= low - slack_low) & (k <= high + slack_high))
 
     def bins_per_unit(self, length: int, sampling_time: float | None, field: str) -> float:
-        """Return how many bins of a signal of ``length`` samples there are in a unit of the edges."""
+        """Return the number of bins of ``length`` samples per unit of the edges."""
         if self.unit == "rad/sample":
             return length / (2 * np.pi)
         if sampling_time is None:
@@ -184,43 +198,15 @@ class Band(FrequencyConstraint):
         return f"{self.kind}({shown})" + ("" if self.component is None else f" on {self.component!r}")
 
 
-def _move_edge(i: int, factor: float, band: Band, value: float) -> Band:
-    return replace(band, edges=(*band.edges[:i], value / factor, *band.edges[i + 1 :]))
-
-
-def _cutoffs(own: Sequence[float], step: float, nyquist: float) -> tuple[float, float]:
-    return step, nyquist - step
-
-
-def _centres(own: Sequence[float], step: float, nyquist: float) -> tuple[float, float]:
-    return max(step, own[0] - NOTCHES * step), min(nyquist - step, own[0] + NOTCHES * step)
-
-
-WIDEST = 3.0  # notches, of their own width
-# Of every kind of band the edges that can be moved: index, name, direction in which the problem gets easier, and range
-EDGES = {
-    "low_pass": [(1, "cut-off", 1, _cutoffs)],
-    "high_pass": [(0, "cut-off", -1, _cutoffs)],
-    "band_pass": [
-        (0, "lower edge", -1, lambda own, step, nyquist: (0.0, sum(own) / 2)),
-        (1, "upper edge", 1, lambda own, step, nyquist: (sum(own) / 2, nyquist)),
-    ],
-    "notch": [
-        (0, "centre", 0, _centres),
-        (1, "width", -1, lambda own, step, nyquist: (step, min(WIDEST * max(own[1], step), nyquist))),
-    ],
-}
-
-
 def low_pass(
     cutoff: float | None = None, *, cutoff_hz: float | None = None, component: int | str | None = None
 ) -> Band:
-    """Keep the bins up to the cut-off and remove those above.
+    """Keep the bins up to the cut-off and remove the bins above.
 
     Parameters
     ----------
     cutoff, cutoff_hz : float
-        Cut-off in rad/sample (0 .. pi) or in Hz (0 .. Nyquist); exactly one of them. A bin on it is kept.
+        Cut-off in rad/sample (0 .. pi) or in Hz (0 .. Nyquist); exactly one of them. A bin at the cut-off is kept.
     component : int or str, optional
         Index or name of the component; default all.
 
@@ -245,7 +231,7 @@ def low_pass(
 def high_pass(
     cutoff: float | None = None, *, cutoff_hz: float | None = None, component: int | str | None = None
 ) -> Band:
-    """Keep the bins from the cut-off on and remove those below.
+    """Keep the bins from the cut-off on and remove the bins below.
 
     Parameters
     ----------
@@ -318,7 +304,7 @@ def notch(
     width_hz: float | None = None,
     component: int | str | None = None,
 ) -> Band:
-    """Remove the bins nearer to ``centre`` than half of ``width``, and keep the others.
+    """Remove the bins closer to ``centre`` than half of ``width`` and keep the others.
 
     Parameters
     ----------
@@ -349,12 +335,13 @@ def notch(
     return Band("notch", edges, unit, component)
 
 
-def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Band:
-    """Remove the listed DFT bins, 0-based mod N; the conjugate bin N-k of each goes with it.
+def stop_band(*unnamed: object, bins: Iterable[int] | None = None, component: int | str | None = None) -> Band:
+    """Remove the listed DFT bins, 0-based mod N, each with its conjugate bin N-k.
 
     Parameters
     ----------
     bins : iterable of int
+        By name only: ``stop_band([5, 7])`` does not say whether it means bins or frequencies.
     component : int or str, optional
         Index or name of the component; default all.
 
@@ -365,13 +352,17 @@ def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Ban
     Raises
     ------
     ProblemError
-        If there is no bin, or the bins are not whole numbers.
+        If ``bins`` is missing or not named, is empty, or has an entry that is no whole number.
 
     Examples
     --------
     >>> lfo.stop_band(bins=[3, 4, 5], component=0)
     Band(...)
     """
+    if unnamed or bins is None:
+        advice = "For frequencies: notch(centre_hz=6, width_hz=2) removes 5 to 7 Hz, low_pass(cutoff_hz=5) all above."
+        got = f"{brief(unnamed[0])} without a name" if unnamed else "no bins"
+        raise ProblemError("stop_band.bins", got, "DFT bins by name: stop_band(bins=[5, 7])", advice)
     listed = list(bins) if isinstance(bins, Iterable) else [bins]
     if not listed or not all(isinstance(k, (int, np.integer)) and not isinstance(k, bool) for k in listed):
         advice = "Leave the band out to remove nothing."
@@ -379,10 +370,10 @@ def stop_band(*, bins: Iterable[int], component: int | str | None = None) -> Ban
     return Band("stop_band", tuple(int(k) for k in listed), "bins", component)
 
 
-def _edges(kind: str, **given: tuple[float | None, float | None]) -> tuple[tuple[float, ...], str]:
-    """Return the edges and their unit, of pairs (in rad/sample, in Hz) of which one is None."""
+def _edges(kind: str, **pairs: tuple[float | None, float | None]) -> tuple[tuple[float, ...], str]:
+    """Return the edges and their unit from pairs (in rad/sample, in Hz), exactly one of them not None."""
     edges, units = list[float](), list[str]()
-    for name, (radians, hertz) in given.items():
+    for name, (radians, hertz) in pairs.items():
         if (radians is None) == (hertz is None):
             got = f"{'neither' if radians is None else 'both'} of {name} and {name}_hz"
             raise ProblemError(f"{kind}.{name}", got, "exactly one of them")
@@ -396,17 +387,17 @@ def _edges(kind: str, **given: tuple[float | None, float | None]) -> tuple[tuple
         edges.append(float(value))
         units.append("rad/sample" if hertz is None else "Hz")
     if len(set(units)) > 1:
-        got = ", ".join(f"{name} in {unit}" for name, unit in zip(given, units, strict=True))
+        got = ", ".join(f"{name} in {unit}" for name, unit in zip(pairs, units, strict=True))
         raise ProblemError(kind, got, "both in the same unit")
     return tuple(edges), units[0]
 
 
 def stopped_bins(
-    field: str, given: Constraints, length: int, component_names: Sequence[str], sampling_time: float | None
+    field: str, constraints: Constraints, length: int, component_names: Sequence[str], sampling_time: float | None
 ) -> Mask:
-    """Return which bins are removed from which component, shape (length//2 + 1, components); bands are united."""
+    """Return which bins the bands remove from which component, (length//2 + 1, components)."""
     stopped = np.zeros((length // 2 + 1, len(component_names)), dtype=bool)
-    for where, band in named_entries(field, given):
+    for where, band in named_entries(field, constraints):
         if not isinstance(band, FrequencyConstraint):
             expected = "a band, MagnitudeBound, EnergyBound or LinearConstraint"
             advice = "Make a band with low_pass, high_pass, band_pass, notch or stop_band."
@@ -417,19 +408,19 @@ def stopped_bins(
         alone, full = band.stopped(length, sampling_time, where), stopped[:, columns].all(axis=0)
         stopped[:, columns] |= alone[:, None]
         if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
-            what = f"removes every bin of a signal of {length} samples that the bands before it leave"
-            warnings.warn(f"{where}: {band} {what}; it must then be zero.", BandWarning, stacklevel=2)
+            text = f"removes every bin of a signal of {length} samples that the bands before it keep"
+            warnings.warn(f"{where}: {band} {text}; the signal must then be zero.", BandWarning, stacklevel=2)
     return sealed(stopped)
 
 
 def bands_of(stop: Mask) -> list[Band]:
-    """Return bands that remove just these bins (k, components)."""
+    """Return bands that remove exactly these bins, (k, components)."""
     components = np.flatnonzero(stop.any(0))
     return [stop_band(bins=np.flatnonzero(stop[:, i]).tolist(), component=int(i)) for i in components]
 
 
-def kept_stopped(stopped: Mask, bins: float) -> Mask:
-    """Return which stopped bins lie farther than ``bins`` from every passed one; bin 0 counts as one if none is."""
+def bins_far_from_passed(stopped: Mask, bins: float) -> Mask:
+    """Return which stopped bins lie farther than ``bins`` from every passed bin; if no bin is passed, from bin 0."""
     if not np.isfinite(bins):
         return np.zeros_like(stopped)
     k, passed = np.arange(len(stopped)), np.flatnonzero(~stopped)
@@ -447,16 +438,16 @@ def time_signal(rho: ComplexArray, length: int) -> Array:
 
 @dataclass(frozen=True, eq=False, init=False)
 class LinearConstraint(FrequencyConstraint):
-    """constant + sum_t coefficients_t v_t = 0 for the signal v it is given for (paper, (SFC) and (CFC)).
+    """constant + sum_t coefficients_t v_t = 0 for a signal v of states or controls (paper, (SFC) and (CFC)).
 
     Parameters
     ----------
     coefficients : (times, rows, components)
-        One matrix per time: T of them for controls, T+1 for states (T with Periodic()).
+        One matrix per time: T for controls, T+1 for states (T with Periodic()).
     constant : (rows,), optional
-        Zero without.
+        Default zero.
     penalty : float, optional
-        Makes it soft: penalty times the Euclidean norm of the left-hand side is added to the cost.
+        Makes the equations soft: penalty times the Euclidean norm of the left-hand side is added to the cost.
 
     Raises
     ------
@@ -496,7 +487,7 @@ class LinearConstraint(FrequencyConstraint):
         ball = NormBall(2, np.zeros(()), weight_of(self.penalty))
         yield Term(f"linear constraint of {signal.kind}", signal.kind, SumMap((stages,), self.constant), ball, source)
 
-    def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
+    def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]
 
     def softened(self, penalty: float) -> LinearConstraint:
@@ -504,8 +495,8 @@ class LinearConstraint(FrequencyConstraint):
 
     def describe(self, names: Sequence[str]) -> str:
         rows = self.coefficients.shape[1]
-        used = [short_name(name) for i, name in enumerate(names) if self.coefficients[:, :, i].any()]
-        of = first_few(used) if used else "nothing"
+        signals = [short_name(name) for i, name in enumerate(names) if self.coefficients[:, :, i].any()]
+        of = first_few(signals) if signals else "no signal"
         equations = "linear equation" if rows == 1 else f"{rows} linear equations"
         right = "" if not self.constant.any() else f", {datum('constant', self.constant, 1)}"
         cost = price(self.penalty, "norm")

@@ -1,9 +1,10 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``FrequencyConstraint``)
+# ruff: noqa: D102
 """Bounds on magnitudes and energies of spectra.
 
-They bound the bins that a band would remove: MagnitudeBound(0, band=low_pass(...)) is that low pass itself. On a finer
-grid than the DFT's (``oversampling``), or with a window, they also bound the spectrum between the bins; with
-``every_frequency`` a mask holds at all frequencies of its band. The functions at the end read limits as they are given.
+They bound the bins that a band would remove: MagnitudeBound(0, band=low_pass(...)) is that low pass itself. A grid
+finer than the DFT's (``oversampling``) or a window also bounds the spectrum between the bins. With ``every_frequency``
+a mask holds at all frequencies of its band. The functions at the end read the limits that users state.
+``FrequencyConstraint`` documents the methods without a docstring.
 """
 
 from __future__ import annotations
@@ -31,34 +32,40 @@ from lin_freq_ocp.base.arrays import (
 from lin_freq_ocp.base.errors import BandWarning, ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import AT_MOST, number, price
 from lin_freq_ocp.problem.numbers import Axis, Number
-from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
+from lin_freq_ocp.problem.spectrum.bands import BIN_TOLERANCE, Band, stop_band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.penalty import weight_of
-from lin_freq_ocp.problem.terms.semi_infinite import Frequencies, HeldFrequencies, HeldMap, Limits, limits_on
+from lin_freq_ocp.problem.terms.semi_infinite import (
+    Limits,
+    MagnitudeMask,
+    ZeroOrderHoldMap,
+    ZeroOrderHoldMask,
+    limits_on,
+)
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 Limit = ArrayLike | Callable[[Array], ArrayLike]
-PART_OF_WIDTH = 0.1  # of a notch at every frequency, where bins mean nothing: the step of its edges
-SAMPLED = 64  # frequencies of an interval at which a function is evaluated, or of two points with a limit in dB
+PART_OF_WIDTH = 0.1  # step of the edges of a notch at every frequency, relative to its width; bins mean nothing there
+SAMPLES = 64  # of a function on an interval, or between two points of a limit in dB
 NO_ZERO = (
-    "A signal of finitely many samples whose spectrum vanishes on an interval is zero everywhere. Give a level above "
-    "zero, or remove the bins of the horizon: the band itself instead of a MagnitudeBound."
+    "Only the signal 0 has a spectrum that vanishes on an interval. State a level above zero, or remove "
+    "the bins of the horizon by the band itself."
 )
 NO_LOWER_MASK = (
-    "A lower bound on a magnitude is not convex (of two signals above it, the mean can be zero), so no global optimum "
-    "could be proven. Ask for a reference instead: u_ref, x_ref."
+    "A lower bound on a magnitude is not convex (the mean of two signals above it can be zero), so no global optimum "
+    "could be proven. Use a reference instead: u_ref, x_ref."
 )
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class SpectrumBound(FrequencyConstraint, ABC):
-    """The bins, window and price that MagnitudeBound and EnergyBound share."""
+    """What MagnitudeBound and EnergyBound share: bins, window and price."""
 
     label: ClassVar[str]
-    together: ClassVar[bool]  # whether one limit holds for all bins
+    joint: ClassVar[bool]  # whether one limit bounds all bins together
     limit: float | Array
     band: Band
     component: int | str | None
@@ -100,18 +107,22 @@ class SpectrumBound(FrequencyConstraint, ABC):
 
     @abstractmethod
     def limits(self, count: int, field: str) -> Array:
-        """Return the limit of the norm of each of ``count`` points of the grid, or of all together."""
+        """Return the limits on the norms of ``count`` points of the grid, (count,); one limit, (), of a joint bound."""
 
     def numbers(self, axis: Axis) -> Iterator[Number]:
         edges = self.band.numbers(axis, PART_OF_WIDTH if self.every_frequency else np.inf)
-        for edge in edges if np.ndim(self.limit) == 0 else ():  # else each bin or frequency has a limit of its own
-            yield replace(edge, put=partial(_move_band, edge.put))
+        for edge in edges if np.ndim(self.limit) == 0 else ():  # else every bin or frequency has its own limit
+            yield replace(edge, put=partial(SpectrumBound.with_band, put=edge.put))
         yield from super().numbers(axis)
+
+    def with_band(self, value: float, put: Callable[..., object]) -> Self:
+        """Return the bound with the band that ``put`` makes of its own."""
+        return self.changed(band=put(self.band, value))
 
     @property
     @abstractmethod
     def factor(self) -> float:
-        """Return the limit on the grid per unit of the given limit, or of its root."""
+        """Return the limit on the grid per unit of the stated limit, or of its root."""
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         for name, spectrum, limits in self.spectra(signal, field):
@@ -124,14 +135,15 @@ class SpectrumBound(FrequencyConstraint, ABC):
         for name, C, D in signal.rows(field, self.component):
             limits = self.limits(len(bins), field)
             if len(bins):  # else a warning has been issued
-                yield name, SpectrumMap(C, D, window, points, bins, self.together), limits
+                yield name, SpectrumMap(C, D, window, points, bins, self.joint), limits
 
     def term(self, name: str, kind: TermKind, values: AffineMap, limits: Array, source: tuple[str, int]) -> Term:
-        """Return the term of a component: its values, group by group, are bounded by these limits."""
-        weight = weight_of(self.penalty) / (self.factor if self.together else 1.0)  # of the root of an energy as given
+        """Return the term of a component: the limits bound the norms of its groups."""
+        # the price of a joint bound is on the root of the stated energy
+        weight = weight_of(self.penalty) / (self.factor if self.joint else 1.0)
         return Term(f"{self.label} on {name}", kind, values, NormBall(2, limits, weight), source, self.factor)
 
-    def extended(self, n: int, k: int) -> Sequence[SpectrumBound]:
+    def augmented(self, n: int, k: int) -> Sequence[SpectrumBound]:
         return self.on_components(n)
 
     def softened(self, penalty: float) -> Self:
@@ -139,7 +151,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
 
     @property
     def where(self) -> str:
-        """Return a text of the bins, the window and the grid."""
+        """Return the bins, the window and the grid in words."""
         window = "" if self.window is None else f"; window {self.window if isinstance(self.window, str) else 'given'}"
         finer = "" if self.oversampling == 1 else f"; on a grid {self.oversampling} times as fine"
         return f"{self.band.removed}{window}{finer}"
@@ -158,21 +170,17 @@ class SpectrumBound(FrequencyConstraint, ABC):
         """Return the bounded points of the grid: indices within 0 .. oversampling * length / 2."""
         q, points = self.oversampling, self.oversampling * length
         if self.band.unit != "bins":
-            found = np.flatnonzero(self.band.at(points, sampling_time, f"{field}.band"))
-            if not len(found):
-                what = f"{field}.band: {self.band} bounds no bin of a signal of {length} samples."
-                warnings.warn(what, BandWarning, stacklevel=2)
-            return found
-        named = np.flatnonzero(self.band.at(length, sampling_time, field))
+            bounded = np.flatnonzero(self.band.at(points, sampling_time, f"{field}.band"))
+            if not len(bounded):
+                text = f"{field}.band: {self.band} bounds no bin of a signal of {length} samples."
+                warnings.warn(text, BandWarning, stacklevel=2)
+            return bounded
+        listed = np.flatnonzero(self.band.at(length, sampling_time, field))
         grid = np.zeros(points // 2 + 1, dtype=bool)
-        for k in named:  # between neighbours, too; for odd N, the last bin's is its own conjugate
-            last = q * k + (q if k + 1 in named or 2 * k + 1 == length else 0)
+        for k in listed:  # and the points between neighbours; for odd N, the last bin is next to its own conjugate
+            last = q * k + (q if k + 1 in listed or 2 * k + 1 == length else 0)
             grid[q * k : last + 1] = True
         return np.flatnonzero(grid)
-
-
-def _move_band(put: Callable[..., object], bound: SpectrumBound, value: float) -> SpectrumBound:
-    return bound.changed(band=put(bound.band, value))
 
 
 class MagnitudeBound(SpectrumBound):
@@ -181,45 +189,46 @@ class MagnitudeBound(SpectrumBound):
     Parameters
     ----------
     limit : float or (bins,)
-        In the units of the DFT, sum_t u_t exp(-2 pi i k t/N): the unit of the signal, as no 1/N stands before the sum.
-        One number, or one for each of the bounded bins 0 .. N/2 (with oversampling, for each point of the finer grid).
+        In the unit of the signal: the DFT is sum_t u_t exp(-2 pi i k t/N), without a factor 1/N. One number, or one for
+        each bounded bin 0 .. N/2 (with oversampling, for each point of the finer grid).
     limit_db : float or (bins,), with ``reference`` : float
         Instead of ``limit``: limit = reference * 10^(limit_db / 20).
     bins : list of int, or band : Band
-        Where; of a Band, the bins it would remove.
+        The bounded bins: listed, or the bins that the band would remove.
     component : int or str, optional
         Index or name of the component; default all, each with this bound.
     penalty : float, optional
-        Makes it soft: penalty * excess of each bin is added to the cost; with every_frequency, of max |V|/l - 1.
+        Makes the mask soft: penalty times the violation of each bin is added to the cost; with every_frequency, penalty
+        times max |V|/l - 1.
     window : str or (N,), optional
-        Multiplies the signal first; a name is one of scipy.signal.get_window.
+        A window that multiplies the signal; names are those of scipy.signal.get_window.
     oversampling : int
-        Holds on a grid this many times as fine as the DFT's, with the frequencies of the band between its bins.
+        Bound a grid that is this many times as fine as the DFT's.
     between : bool
-        Hold the limit between the points of the finer grid, too: on them it is made smaller by
-        cos(pi/(2 oversampling)), as no spectrum of N samples exceeds its largest value on the whole grid by more
-        (Ehlich and Zeller, Mathematische Zeitschrift 86, 1964). That is a theorem for a mask of one level on the whole
-        circle. At the ends of a band, beyond which the spectrum is much larger, what it is between the last two points
-        can exceed the limit, the more the deeper the mask: look at the zero-padded spectrum.
-        A price is for the excess over this smaller limit.
+        Bound the spectrum between the points of the finer grid, too: the limit at the points is smaller by the factor
+        cos(pi/(2 oversampling)), because a spectrum of N samples exceeds its largest value on the whole grid by no more
+        (Ehlich and Zeller, Mathematische Zeitschrift 86, 1964). The theorem is for a mask of one level on the whole
+        circle. At the end of a band next to large values, the spectrum between the last two points can exceed the
+        limit, the more the deeper the mask: look at the zero-padded spectrum, or use ``every_frequency``. A price is
+        on the violation of the smaller limit.
     every_frequency : bool
-        |V(w)| <= limit for every w of the band (in its closure), V(w) = sum_t u_t exp(-iwt), and not at bins only:
-        what holds whatever the signal is padded with. The limit is then one number above zero, points (frequency,
-        limit) of shape (points, 2) in the unit of the band, linear between them, or a function of the frequency, which
-        is sampled to 64 points of the band; in ``limit_db``, points are linear over the logarithm of the frequency,
-        sampled to 64 points from each to the next. Excludes bins, oversampling and between.
+        |V(w)| <= limit for every w in the closed band, V(w) = sum_t u_t exp(-iwt), not at bins only: zero-padding shows
+        no violation. The limit is one number above zero, points (frequency, limit) of shape (points, 2) in the unit
+        of the band, linear between them, or a function of the frequency, sampled at 64 points of the band. Points of
+        ``limit_db`` are linear over the logarithm of the frequency, sampled at 64 points between two of them. Not with
+        bins, oversampling or between.
     hold : bool
-        With every_frequency: for the signal as the plant sees it, held for a sampling time h after each sample,
-        |sinc(f h) V(2 pi f h)| <= limit, sinc(a) = sin(pi a) / (pi a), at every f of the band in Hz, images above
-        Nyquist included: low_pass(cutoff_hz=f_c) is then [f_c, infinity), and edges and points may be above Nyquist.
-        After the last point, the last limit holds.
+        With every_frequency: bound the zero-order hold of the signal, which is what the plant sees:
+        |sinc(f h) V(2 pi f h)| <= limit, sinc(a) = sin(pi a) / (pi a), at every f of the band in Hz, with sampling time
+        h. This includes the images above Nyquist: low_pass(cutoff_hz=f_c) bounds [f_c, infinity), and edges and points
+        may be above Nyquist. The limit of the last point holds above it.
 
     Raises
     ------
     ProblemError
         If a value is not of this kind.
     UnsupportedError
-        For ``at_least``: signals above a mask are no convex set.
+        For ``at_least``: the signals above a mask are no convex set.
 
     Examples
     --------
@@ -228,7 +237,7 @@ class MagnitudeBound(SpectrumBound):
     """
 
     label = "mask"
-    together = False
+    joint = False
     limit: Array
     between: bool
     every_frequency: bool
@@ -259,11 +268,11 @@ class MagnitudeBound(SpectrumBound):
         if (limit_db is None) != (reference is None):
             expected = "a reference with limit_db, and only with it"
             raise ProblemError("MagnitudeBound.reference", brief(reference), expected)
-        for name, given in (("every_frequency", every_frequency), ("hold", hold), ("between", between)):
-            require_bool(f"MagnitudeBound.{name}", given)
+        for name, flag in (("every_frequency", every_frequency), ("hold", hold), ("between", between)):
+            require_bool(f"MagnitudeBound.{name}", flag)
         read = partial(limit_of_frequencies, band) if every_frequency else limit_of_bins
-        found = read(limit, limit_db, reference)
-        assign(self, limit=found, between=between, every_frequency=every_frequency, hold=hold)
+        levels = read(limit, limit_db, reference)
+        assign(self, limit=levels, between=between, every_frequency=every_frequency, hold=hold)
         self._set_domain(bins, band, component, penalty, window, oversampling)
         if every_frequency and (self.band.unit == "bins" or oversampling != 1 or between):
             got = "bins, oversampling or between, with every_frequency=True"
@@ -278,11 +287,13 @@ class MagnitudeBound(SpectrumBound):
         if not self.every_frequency:
             yield from super().terms(signal, field, source)
             return
-        limits = limits_of(field, self.limit, self.band, signal.sampling_time, self.hold)
-        samples, price_of_excess = (self.samples(signal.length, field), np.zeros(0)), float(weight_of(self.penalty))
-        kind, of_signal = (HeldFrequencies, HeldMap) if self.hold else (Frequencies, FrequencyMap)
-        maps = (of_signal(C, D, *samples) for _, C, D in signal.rows(field, self.component))
-        masks = (kind(values, limits, price=price_of_excess) for values in maps)
+        limits = limits_of_band(field, self.limit, self.band, signal.sampling_time, self.hold)
+        window, penalty = self.samples(signal.length, field), float(weight_of(self.penalty))
+        mask, values = (ZeroOrderHoldMask, ZeroOrderHoldMap) if self.hold else (MagnitudeMask, FrequencyMap)
+        maps = (values(C, D, window, np.zeros(0)) for _, C, D in signal.rows(field, self.component))
+        step = signal.sampling_time if self.band.unit == "Hz" else None
+        hertz = None if step is None else 1 / (2 * np.pi * step)
+        masks = (mask(spectrum, limits, price=penalty, hertz=hertz) for spectrum in maps)
         yield from self.semi_infinite_terms(f"{'held ' if self.hold else ''}mask on", signal, masks, source)
 
     def describe(self, names: Sequence[str]) -> str:
@@ -297,12 +308,12 @@ class MagnitudeBound(SpectrumBound):
         return f"mask of {of}: |DFT| {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
 
     def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
-        found = super().bins(length, sampling_time, field)
+        bounded = super().bins(length, sampling_time, field)
         listed = [int(k) for k in self.band.edges] if self.band.unit == "bins" and self.limit.ndim else []
         if listed and (listed != sorted(set(listed)) or not 0 <= listed[0] <= listed[-1] <= length // 2):
             got = f"{brief(listed)}, with a limit for each"
             raise ProblemError(f"{field}.bins", got, f"increasing bins within 0 .. {length // 2}")
-        return found
+        return bounded
 
     def limits(self, count: int, field: str) -> Array:
         if self.limit.shape not in ((), (count,)):
@@ -322,15 +333,14 @@ class MagnitudeBound(SpectrumBound):
 
 
 class EnergyBound(SpectrumBound):
-    """sum |uhat_k|^2 <= limit over the bins 0 .. N/2 that a band would remove; each pair of conjugate bins once.
+    """sum |uhat_k|^2 <= limit over the bins 0 .. N/2 that a band would remove, each conjugate pair counted once.
 
     Parameters
     ----------
     limit : float
         In squared units of the DFT. With oversampling q, the sum over the finer grid is divided by q.
     penalty : float, optional
-        Makes it soft: penalty * excess of the root of the energy (with oversampling, of the sum divided by q) over the
-        root of the limit is added to the cost.
+        Makes the bound soft: penalty * max(sqrt(energy) - sqrt(limit), 0) is added to the cost.
     bins, band, component, window, oversampling
         As for ``MagnitudeBound``.
 
@@ -346,7 +356,7 @@ class EnergyBound(SpectrumBound):
     """
 
     label = "energy bound"
-    together = True
+    joint = True
     limit: float
 
     def __init__(
@@ -390,11 +400,11 @@ class EnergyBound(SpectrumBound):
         return float(np.sqrt(self.oversampling))
 
 
-def softened_constraint(penalty: float, given: FrequencyConstraint) -> FrequencyConstraint:
-    """Return a frequency constraint with a price per unit of excess: of a stop band, of each of its bins."""
-    if isinstance(given, Band):
-        return MagnitudeBound(0.0, band=given, penalty=penalty)
-    return given.softened(penalty)
+def softened_constraint(penalty: float, constraint: FrequencyConstraint) -> FrequencyConstraint:
+    """Return a soft frequency constraint; a stop band becomes a mask of level 0, with a price on each bin."""
+    if isinstance(constraint, Band):
+        return MagnitudeBound(0.0, band=constraint, penalty=penalty)
+    return constraint.softened(penalty)
 
 
 def _named_window(field: str, name: str, length: int) -> Array:
@@ -409,13 +419,13 @@ def _named_window(field: str, name: str, length: int) -> Array:
 
 def limit_of_bins(limit: object, limit_db: ArrayLike | None, reference: float | None) -> Array:
     """Return the limit of bins as one number, (), or one for each, (bins,)."""
-    field, given = ("MagnitudeBound.limit", limit) if limit_db is None else ("MagnitudeBound.limit_db", limit_db)
-    bound = real_array(field, given, allow_infinite=limit_db is None)
+    field, value = ("MagnitudeBound.limit", limit) if limit_db is None else ("MagnitudeBound.limit_db", limit_db)
+    bound = real_array(field, value, allow_infinite=limit_db is None)
     if limit_db is not None:
-        with np.errstate(over="ignore"):  # so high that there is no limit
+        with np.errstate(over="ignore"):  # an infinite limit is none
             bound = np.asarray(from_decibels(bound, reference))
     if bound.ndim > 1 or (bound < 0).any():
-        raise ProblemError(field, brief(given), "one number, zero or above, or one for each bin")
+        raise ProblemError(field, brief(value), "one number, zero or above, or one for each bin")
     return bound
 
 
@@ -424,26 +434,30 @@ def limit_of_frequencies(
 ) -> Array:
     """Return the limit as one number, (), or as points (frequency in the band's unit, limit), (points, 2).
 
-    Points in dB are linear over the logarithm of the frequency, and are sampled to points that are linear over it.
+    Points in dB are linear over the logarithm of the frequency; samples of them are linear over the frequency.
     """
     field = "MagnitudeBound.limit"
     if limit_db is not None:
-        found = real_array(f"{field}_db", limit_db)
-        if found.ndim:
-            w, decibels = _sample_decibels(f"{field}_db", _require_points(f"{field}_db", found))
-            found = np.column_stack([w, from_decibels(decibels, reference)])
+        decibels = real_array(f"{field}_db", limit_db)
+        if decibels.ndim:
+            points = _require_points(f"{field}_db", decibels)
+            if points[0, 0] <= 0:
+                expected = "the first point above 0, for dB over log frequency"
+                raise ProblemError(f"{field}_db", "a point at frequency 0", expected)
+            pairs = zip(points[:-1, 0], points[1:, 0], strict=True)
+            w = np.unique(np.concatenate([np.geomspace(low, high, SAMPLES) for low, high in pairs]))
+            decibels = np.interp(np.log(w), np.log(points[:, 0]), points[:, 1])
+            bound = np.column_stack([w, from_decibels(decibels, reference)])
         else:
-            found = from_decibels(found, reference)
-    elif callable(limit):
-        found = _sample_function(field, limit, band)
+            bound = from_decibels(decibels, reference)
     else:
-        found = real_array(field, limit)
-    if found.ndim:
-        found = _require_points(field, found)
-    lowest = (found[:, 1] if found.ndim else found).min()
+        bound = _sample_function(field, limit, band) if callable(limit) else real_array(field, limit)
+    if bound.ndim:
+        bound = _require_points(field, bound)
+    lowest = (bound[:, 1] if bound.ndim else bound).min()
     if lowest <= 0:
         raise ProblemError(field, f"{lowest:g}", "a limit above zero at every frequency", NO_ZERO)
-    return found
+    return bound
 
 
 def from_decibels(decibels: Array, reference: object) -> Array:
@@ -451,44 +465,33 @@ def from_decibels(decibels: Array, reference: object) -> Array:
     return positive_number("MagnitudeBound.reference", reference) * 10 ** (decibels / 20)
 
 
-def _require_points(field: str, given: Array) -> Array:
-    if given.ndim != 2 or given.shape[1] != 2 or len(given) < 2:
+def _require_points(field: str, points: Array) -> Array:
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
         expected = "one number, or points (frequency, limit) of shape (points, 2), at least two"
-        raise ProblemError(field, f"shape {given.shape}", expected)
-    if (np.diff(given[:, 0]) <= 0).any() or given[0, 0] < 0:
-        raise ProblemError(field, brief(given[:, 0].tolist()), "frequencies that increase, from 0 or above")
-    return given
-
-
-def _sample_decibels(field: str, points: Array) -> tuple[Array, Array]:
-    """Return frequencies and levels that are linear in dB over the logarithm of the frequency between given ones."""
-    if points[0, 0] <= 0:
-        raise ProblemError(field, "a point at frequency 0", "the first point above 0, for dB over log frequency")
-    w = np.unique(
-        np.concatenate([np.geomspace(*pair, SAMPLED) for pair in zip(points[:-1, 0], points[1:, 0], strict=True)])
-    )
-    return w, np.interp(np.log(w), np.log(points[:, 0]), points[:, 1])
+        raise ProblemError(field, f"shape {points.shape}", expected)
+    if (np.diff(points[:, 0]) <= 0).any() or points[0, 0] < 0:
+        raise ProblemError(field, brief(points[:, 0].tolist()), "frequencies that increase, from 0 or above")
+    return points
 
 
 def _sample_function(field: str, limit: Callable[[Array], ArrayLike], band: Band | None) -> Array:
-    """Return a function of the frequency in the band's unit as points."""
+    """Return samples of a function of the frequency in the band's unit as points (frequency, limit)."""
     if band is None or band.unit == "bins" or (band.unit == "Hz" and band.kind in ("low_pass", "band_pass")):
         advice = "Give points instead: np.column_stack([frequencies, limits])."
-        raise ProblemError(field, "a function", "a band in rad/sample, whose ends are known", advice)
+        raise ProblemError(field, "a function", "a band in rad/sample, which ends at pi", advice)
     low, high = band.limits
     first = max(low, 0.0) if band.kind == "notch" else 0.0
     last = high if band.kind == "notch" else low if band.kind == "high_pass" else np.pi
-    w = np.unique(
-        np.concatenate([np.linspace(first, last, SAMPLED), [edge for edge in (low, high) if first < edge < last]])
-    )
+    edges = [edge for edge in (low, high) if first < edge < last]
+    w = np.unique(np.concatenate([np.linspace(first, last, SAMPLES), edges]))
     return np.column_stack([w, np.broadcast_to(real_array(field, limit(w)), w.shape)])
 
 
-def limits_of(field: str, limit: Array, band: Band, sampling_time: float | None, hold: bool) -> Limits:
+def limits_of_band(field: str, limit: Array, band: Band, sampling_time: float | None, hold: bool) -> Limits:
     """Return the limit on the closed intervals that a band removes, in rad/sample.
 
-    Of a held signal, at w = 2 pi f h of any size: beyond the last point the limit is constant, and of an interval
-    without end, there is one period of V after it.
+    For a zero-order hold, w = 2 pi f h may be above pi. After the last point the limit is constant; of an unbounded
+    interval, one period of V after that point suffices (``ZeroOrderHoldMask``).
     """
     if hold and sampling_time is None:
         raise ProblemError(field, f"{band}, and no sampling time", "dynamics with a sampling_time in seconds, for hold")
@@ -505,7 +508,7 @@ def limits_of(field: str, limit: Array, band: Band, sampling_time: float | None,
         expected = "a band that removes frequencies" + ("" if hold else " between 0 and Nyquist")
         raise ProblemError(f"{field}.band", str(band), expected)
     first, last = intervals[0][0], float(points[-1]) if hold else intervals[-1][1]
-    slack = 1e-9 * np.pi  # rounding of a change of unit
+    slack = BIN_TOLERANCE * np.pi  # rounding of the change of unit
     if limit.ndim and (points[0] > first + slack or points[-1] < last - slack):
         got = f"points from {limit[0, 0]:g} to {limit[-1, 0]:g} {band.unit}"
         expected = f"points from {first / factor:g}{'' if hold else f' to {last / factor:g}'} {band.unit}"

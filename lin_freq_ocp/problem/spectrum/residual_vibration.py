@@ -1,40 +1,49 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``FrequencyConstraint``)
-"""A bound on what a move leaves ringing in a mode that is known up to a box of frequencies and damping ratios."""
+# ruff: noqa: D102
+"""A bound on the residual vibration of all modes in a box of natural frequencies and damping ratios.
+
+``FrequencyConstraint`` documents the methods without a docstring.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, positive_number, real_array
+from lin_freq_ocp.base.arrays import Array, assign, brief, frozen, positive_number, real_array, require_bool
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST, number
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
-from lin_freq_ocp.problem.terms.semi_infinite import PlantBox, VibrationMap
+from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, VibrationMap
 from lin_freq_ocp.problem.terms.term import Term
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class ResidualVibration(FrequencyConstraint):
-    """The amplitude left ringing after the last sample is at most a limit, for every mode of a box.
+    """A limit on the amplitude of the residual vibration after the last sample, for every mode of a box.
 
-    A mode is q'' + 2 zeta w q' + w^2 q = w^2 u, at rest before the first sample, with u held for a sampling time at
-    each sample, and zero after the last. Then q rings with the amplitude |V| at its end,
-    V = (z - 1) / sqrt(1 - zeta^2) sum_t u_t z^(T-1-t), z = exp(s h), s = w (-zeta + i sqrt(1 - zeta^2)). This is the
-    specification of input shapers, for each mode of the box and not for some.
+    A mode is q'' + 2 zeta w q' + w^2 q = w^2 u, at rest before the first sample, with a zero-order hold of u and u = 0
+    after the last sample. Its residual amplitude is |V|,
+    V = (z - 1) / sqrt(1 - zeta^2) sum_t u_t z^(T-1-t), z = exp(s h), s = w (-zeta + i sqrt(1 - zeta^2)). Input shapers
+    have the same specification, for a few modes of the box.
+
+    If u is the acceleration of a base that carries a load on a spring, q = -w^2 e for the displacement e of the load
+    relative to the base: |V| in m/s^2 is a displacement of |V| / (2 pi f)^2 in m.
 
     Parameters
     ----------
     frequency : (lowest, highest)
         Natural frequencies w / (2 pi) in Hz, above zero. The problem must have a sampling time.
-    damping : (lowest, highest)
+    damping : float, or (lowest, highest)
         Damping ratios zeta, from zero to below one.
     limit : float
         In the unit of the signal: a constant signal u moves q by u.
+    relative : bool
+        Limit |sum_t u_t z^(T-1-t)| instead of |V|: a last sample of size 1 then counts 1 for every mode, as motion
+        controllers and 3D printers state it. The limit is in the unit of the signal, too.
     component : int or str, optional
         Index or name of the component; default all, each with this bound.
 
@@ -61,15 +70,25 @@ class ResidualVibration(FrequencyConstraint):
     damping: Array
     limit: float
     component: int | str | None
+    relative: bool
 
-    def __init__(self, frequency: ArrayLike, damping: ArrayLike, limit: float, component: int | str | None = None):
-        frequencies, ratios = _pair("frequency", frequency), _pair("damping", damping)
+    def __init__(
+        self,
+        frequency: ArrayLike,
+        damping: ArrayLike,
+        limit: float,
+        component: int | str | None = None,
+        relative: bool = False,
+    ):
+        frequencies = _pair("frequency", frequency)
+        ratios = _pair("damping", damping, single=True)
+        require_bool("ResidualVibration.relative", relative)
         if frequencies[0] <= 0:
             raise ProblemError("ResidualVibration.frequency", brief(frequency), "frequencies above 0 Hz")
         if ratios[0] < 0 or ratios[1] >= 1:
             raise ProblemError("ResidualVibration.damping", brief(damping), "damping ratios from 0 to below 1")
         level = positive_number("ResidualVibration.limit", limit)
-        assign(self, frequency=frequencies, damping=ratios, limit=level, component=component)
+        assign(self, frequency=frequencies, damping=ratios, limit=level, component=component, relative=relative)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         h = signal.sampling_time
@@ -78,11 +97,12 @@ class ResidualVibration(FrequencyConstraint):
             raise ProblemError(f"{field}.frequency", "Hz, and no sampling time", "dynamics with one", advice)
         low, high = np.stack([self.frequency, self.damping], axis=1)
         samples = np.ones(signal.length), np.zeros((0, 2))
-        maps = (VibrationMap(C, D, *samples, h) for _, C, D in signal.rows(field, self.component))
-        boxes = (PlantBox(values, low, high, self.limit, h) for values in maps)
-        yield from self.semi_infinite_terms("residual vibration of", signal, boxes, source)
+        maps = (VibrationMap(C, D, *samples, h, self.relative) for _, C, D in signal.rows(field, self.component))
+        boxes = (VibrationLimit(values, low, high, self.limit, h) for values in maps)
+        for term in self.semi_infinite_terms("residual vibration of", signal, boxes, source):
+            yield replace(term, band=f"{_range(self.frequency)} Hz")
 
-    def extended(self, n: int, k: int) -> Sequence[ResidualVibration]:
+    def augmented(self, n: int, k: int) -> Sequence[ResidualVibration]:
         return self.on_components(n)
 
     @property
@@ -93,14 +113,22 @@ class ResidualVibration(FrequencyConstraint):
         return self.changed(limit=float(levels))
 
     def describe(self, names: Sequence[str]) -> str:
-        (low, high), (least, most) = ([number(float(end)) for end in ends] for ends in (self.frequency, self.damping))
         of = component_words(self.component, names)
-        modes = f"every mode of {low} to {high} Hz with a damping ratio of {least} to {most}"
-        return f"residual vibration of {of} {AT_MOST} {number(self.limit)} for {modes}"
+        relative = ", relative to a single sample," if self.relative else ""
+        modes = f"every mode of {_range(self.frequency)} Hz with a damping ratio of {_range(self.damping)}"
+        return f"residual vibration of {of}{relative} {AT_MOST} {number(self.limit)} for {modes}"
 
 
-def _pair(name: str, given: ArrayLike) -> Array:
-    found = real_array(f"ResidualVibration.{name}", given)
-    if found.shape != (2,) or found[0] > found[1]:
-        raise ProblemError(f"ResidualVibration.{name}", brief(given), "two numbers, the lowest and the highest")
-    return found
+def _pair(name: str, ends: ArrayLike, single: bool = False) -> Array:
+    low_high = real_array(f"ResidualVibration.{name}", ends)
+    if single and low_high.ndim == 0:
+        return frozen(np.full(2, low_high))
+    if low_high.shape != (2,) or low_high[0] > low_high[1]:
+        raise ProblemError(f"ResidualVibration.{name}", brief(ends), "two numbers, the lowest and the highest")
+    return low_high
+
+
+def _range(ends: Array) -> str:
+    """Return "0.9 to 1.1", or a single number if both ends are equal."""
+    low, high = (number(float(end)) for end in ends)
+    return low if low == high else f"{low} to {high}"

@@ -1,5 +1,8 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``FrequencyConstraint``)
-"""Frequency constraints on short windows of a signal, and on samples of the past together with those to come."""
+# ruff: noqa: D102
+"""Frequency constraints on short windows of a signal, which may begin with measured samples of the past.
+
+``FrequencyConstraint`` documents the methods without a docstring.
+"""
 
 from __future__ import annotations
 
@@ -23,18 +26,17 @@ from lin_freq_ocp.problem.terms.term import Term
 class Spectrogram(FrequencyConstraint):
     """A mask or an energy bound on every window of a signal: a bound on its spectrogram.
 
-    Windows of ``length`` samples begin at the first sample of the past, and every ``hop`` samples from there. Those
-    that end within the horizon, and not in the past, are constrained. Without ``length`` it is a single window of the
-    past and the whole horizon.
+    Windows of ``length`` samples begin at the first sample of the past and every ``hop`` samples after it. A window is
+    constrained if it ends within the horizon. Without ``length`` there is one window: the past and the whole horizon.
 
     Parameters
     ----------
     bound : MagnitudeBound or EnergyBound
-        On each window, of the same number of samples. A window function is a part of it.
+        The bound on the spectrum of each window; it may have a window function.
     length : int, optional
         Samples of a window.
     hop : int, optional
-        Samples from the begin of a window to that of the next; default half a window.
+        Samples from the start of one window to the start of the next; default half a window.
     past : (P, components), or (P,) for a single one, optional
         The samples before time 0, the last of them at time -1, in the unit of the signal. Default none.
     offset : int
@@ -82,15 +84,15 @@ class Spectrogram(FrequencyConstraint):
             raise ProblemError("Spectrogram.hop", brief(hop), "a length of the windows with it")
         samples = None if length is None else positive_integer("Spectrogram.length", length)
         step = None if samples is None else max(samples // 2, 1)
-        before = None if past is None else real_array("Spectrogram.past", past)
-        if before is not None and (before.ndim not in (1, 2) or not before.size):
-            advice = "Time is axis 0; leave it out for none."
-            raise ProblemError("Spectrogram.past", f"shape {before.shape}", "an array (P, components)", advice)
-        if before is not None and before.ndim == 1:
-            before = before[:, None]
+        measured = None if past is None else real_array("Spectrogram.past", past)
+        if measured is not None and (measured.ndim not in (1, 2) or not measured.size):
+            advice = "Time is axis 0. Leave past out if no sample is known."
+            raise ProblemError("Spectrogram.past", f"shape {measured.shape}", "an array (P, components)", advice)
+        if measured is not None and measured.ndim == 1:
+            measured = measured[:, None]
         if hop is not None:
             step = positive_integer("Spectrogram.hop", hop)
-        later = offset if isinstance(offset, int) and offset == 0 else positive_integer("Spectrogram.offset", offset)
+        skipped = offset if isinstance(offset, int) and offset == 0 else positive_integer("Spectrogram.offset", offset)
         if samples is not None and step is not None and step > samples:
             raise ProblemError("Spectrogram.hop", f"{step}", f"at most the length of a window, {samples}")
         assign(
@@ -98,30 +100,31 @@ class Spectrogram(FrequencyConstraint):
             bound=bound,
             length=samples,
             hop=step,
-            past=before,
-            offset=later,
+            past=measured,
+            offset=skipped,
             component=bound.component,
             penalty=bound.penalty,
         )
 
-    def behind(self, past: Array, measured: int) -> Self:
+    def with_past(self, past: Array, measured: int) -> Self:
         first = np.zeros((0, past.shape[1])) if self.past is None else self.past
         whole = np.concatenate([first, past])
         if self.length is None:
             return self.changed(past=whole[len(past) :] if len(first) else None, offset=0)
-        ended, hop = max(len(whole) + measured - self.length + 1, 0), self.hop or 1
-        begin = self.offset + max(-(-(ended - self.offset) // hop), 0) * hop  # of the first window that is not over
+        over, hop = max(len(whole) + measured - self.length + 1, 0), self.hop or 1
+        begin = self.offset + max(-(-(over - self.offset) // hop), 0) * hop  # of the first window that is not over
         ahead = max(begin - len(whole), 0)
         return self.changed(past=whole[begin:] if begin < len(whole) else None, offset=ahead)
 
     def describe(self, names: Sequence[str]) -> str:
-        behind = "" if self.past is None else f" behind {plural(len(self.past), 'sample')} of the past"
+        past = "" if self.past is None else f" after {plural(len(self.past), 'sample')} of the past"
         of = f"every window of {self.length} samples, a new one every {self.hop}" if self.length else "all samples"
-        return f"{self.bound.describe(names)}; on {of}{behind}"
+        return f"{self.bound.describe(names)}; on {of}{past}"
 
-    def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
+    def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         past = None if self.past is None else with_columns(self.past, k)
-        return [self.changed(bound=one, component=one.component, past=past) for one in self.bound.on_components(n)]
+        bounds = self.bound.on_components(n)
+        return [self.changed(bound=bound, component=bound.component, past=past) for bound in bounds]
 
     @property
     def levels(self) -> Array | None:
@@ -140,19 +143,19 @@ class Spectrogram(FrequencyConstraint):
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         count, samples = len(signal.names), signal.length
-        before = np.zeros((0, count)) if self.past is None else self.past
-        if before.shape[1] != count:
-            raise ProblemError(f"{field}.past", f"shape {before.shape}", f"shape ({len(before)}, {count})")
-        length = len(before) + samples - self.offset if self.length is None else self.length
-        first = np.arange(self.offset - len(before), samples - length + 1, self.hop or 1)
+        past = np.zeros((0, count)) if self.past is None else self.past
+        if past.shape[1] != count:
+            raise ProblemError(f"{field}.past", f"shape {past.shape}", f"shape ({len(past)}, {count})")
+        length = len(past) + samples - self.offset if self.length is None else self.length
+        first = np.arange(self.offset - len(past), samples - length + 1, self.hop or 1)
         first = first[first + length > 0]
         if not len(first):
-            got = f"windows of {length} samples, of {len(before)} in the past and {samples} to come"
+            got = f"windows of {length} samples, with {len(past)} samples in the past and {samples} to come"
             raise ProblemError(f"{field}.length", got, "at least one window that ends within the horizon")
         window = Signal(signal.kind, signal.C, signal.D, signal.names, length, signal.sampling_time)
         components = component_indices(field, self.component, signal.names)
         bounded = self.bound.spectra(window, f"{field}.bound")
         for (name, spectrum, limits), i in zip(bounded, components, strict=False):  # none without bins
-            windows = SpectrogramMap(spectrum, first, before[:, i])
+            windows = SpectrogramMap(spectrum, first, past[:, i])
             of = f"{'windows' if self.length else 'past and future'} of {name}"
             yield self.bound.term(of, signal.kind, windows, np.tile(limits, len(first)), source)

@@ -1,8 +1,8 @@
-# ruff: noqa: D102  (a method without a docstring is described by the class that it implements)
+# ruff: noqa: D102
 """Affine maps of a trajectory, (x, u) -> values (groups, dim): of stages, of both ends, and sums over all times.
 
-Those of spectra are in ``spectrum_maps``. A new map is a subclass of ``AffineMap`` in a file of its own: nothing else
-in the package tells maps apart.
+The maps of spectra are in ``spectrum_maps.py``. A new map is a subclass of ``AffineMap`` in a file of its own: nothing
+else in the package tells maps apart. ``AffineMap`` and ``MatrixMap`` document the methods without a docstring.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Shapes = tuple[tuple[int, ...], tuple[int, ...]]  # of x, (T+1, n), and of u, (T
 
 @dataclass(frozen=True, eq=False)
 class SpectrumForm:
-    """(Re, Im) of sum_t window_t row'(x_t, u_t) exp(-2 pi i bin t / points) for each bin; those ``kept`` are values."""
+    """(Re, Im) of sum_t window_t row'(x_t, u_t) exp(-2 pi i bin t / points) for each bin, the ``kept`` ones."""
 
     row: Array  # (n + m,)
     window: Array  # (samples,)
@@ -30,7 +30,7 @@ class SpectrumForm:
 
     @property
     def zero(self) -> Mask:
-        """Return which of (Re, Im) of each bin are zero for every signal, (2 bins,)."""
+        """Return which of (Re, Im) of each bin vanish for every signal, (2 bins,)."""
         zero = np.zeros((len(self.bins), 2), dtype=bool)
         zero[:, 1] = (self.bins == 0) | (2 * self.bins == self.points)
         return zero.ravel() | (not self.row.any())
@@ -39,8 +39,8 @@ class SpectrumForm:
 class AffineMap(ABC):
     """(x, u) -> values (groups, dim), with its adjoint, its sparse rows, and the magnitudes of its terms.
 
-    The adjoint satisfies <lambda, values(x, u) - values(0, 0)> = <pull_back(lambda), (x, u)>. The rounding errors of
-    ``values`` and ``pull_back`` are relative to ``sizes`` and ``pulled_sizes``.
+    The adjoint satisfies <lambda, values(x, u) - values(0, 0)> = <pull_back(lambda), (x, u)>. Rounding errors of
+    ``values`` are relative to ``sizes``, those of ``pull_back`` to ``pulled_sizes``.
     """
 
     @property
@@ -51,12 +51,12 @@ class AffineMap(ABC):
     @property
     @abstractmethod
     def positions(self) -> Indices:
-        """Return the time of every group, or its nearest bin of the plain DFT."""
+        """Return the time of every group; of a spectrum, the nearest bin of the plain DFT."""
 
     @property
     @abstractmethod
     def additions(self) -> float:
-        """Return the number of operations behind a value: rounding errors grow with it."""
+        """Return the number of operations that make a value: rounding errors grow with it."""
 
     @abstractmethod
     def values(self, x: Array, u: Array) -> Array:
@@ -64,7 +64,7 @@ class AffineMap(ABC):
 
     @abstractmethod
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return the adjoint's values, of the shapes of x and u."""
+        """Return the adjoint of weights (groups, dim), in the shapes of x and u."""
 
     @abstractmethod
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
@@ -81,22 +81,22 @@ class AffineMap(ABC):
     def stage_form(self, n: int, m: int) -> tuple[Array, Array] | None:
         """Return M, (groups or 1, dim, n + m), and c, (groups, dim), with v = M (x_t, u_t) + c for every group.
 
-        t is its time; None if a group depends on several times.
+        t is the time of the group. None if a group depends on several times.
         """
         return None
 
     def spectrum_form(self, n: int, m: int) -> SpectrumForm | None:
-        """Return the data of a spectrum, whose values are the kept (Re, Im) in this order; None for other maps."""
+        """Return the data of a spectrum, whose values are the kept (Re, Im) in their order; None for other maps."""
         return None
 
     @property
     def control_times(self) -> Indices:
-        """Return the time of every group, if each is a function of the control of a single time; else empty."""
+        """Return the time of every group if each depends on the control of a single time; else empty."""
         return np.arange(0)
 
     @property
     def nearest_bins(self) -> Indices:
-        """Return the nearest bin of the plain DFT to each bin of a spectrum, (bins,); empty for other maps."""
+        """Return the bin of the plain DFT nearest to each bin of a spectrum, (bins,); empty for other maps."""
         return np.arange(0)
 
     @property
@@ -106,7 +106,7 @@ class AffineMap(ABC):
 
     @property
     def component(self) -> int:
-        """Return the state or control that a spectrum belongs to."""
+        """Return the index of the state or control that a spectrum belongs to."""
         return 0
 
     @property
@@ -115,26 +115,26 @@ class AffineMap(ABC):
         return np.zeros(0)
 
     @property
-    def places(self) -> Array:
-        """Return where in the parameter set of infinitely many constraints the groups stand, (groups, ...)."""
+    def locations(self) -> Array:
+        """Return the point of each group in the parameter set of a semi-infinite constraint, (groups, ...)."""
         return self.frequencies
 
     def pairs(self, values: Array) -> Array:
-        """Return (Re, Im) of every bin of a spectrum, (bins, 2), from values or multipliers (groups, dim)."""
+        """Return (Re, Im) of every bin of a spectrum, (bins, 2), from values or multipliers, (groups, dim)."""
         return values
 
     def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
-        """Whether this is a spectrum of y = C x + D u."""
+        """Whether the map is a spectrum of y = C x + D u."""
         return False
 
     @property
     def dense_size(self) -> tuple[int, int]:
-        """Return the number of dense rows, and of their entries."""
+        """Return the number of dense rows and the number of their entries."""
         return 0, 0
 
 
 class MatrixMap(AffineMap):
-    """A map given by matrices: magnitudes come from the map of their absolute values."""
+    """A map stated by matrices: the map of their absolute values yields the magnitudes."""
 
     @abstractmethod
     def magnitudes(self) -> AffineMap:
@@ -149,7 +149,7 @@ class MatrixMap(AffineMap):
 
 @dataclass(frozen=True, eq=False)
 class StageMap(MatrixMap):
-    """v_t = C_t x_t + D_t u_t + c_t at some times, one group for each."""
+    """v_t = C_t x_t + D_t u_t + c_t at some times, a group for each."""
 
     times: Indices  # (groups,), within 0 .. T without D, else within 0 .. T-1
     C: Array | None  # (dim, n) or (groups, dim, n)
@@ -213,9 +213,9 @@ class StageMap(MatrixMap):
 
 @dataclass(frozen=True, eq=False)
 class SumMap(MatrixMap):
-    """v = constant + sum_t (C_t x_t + D_t u_t), a single group, of stages without constants (paper, (SFC) and (CFC)).
+    """v = constant + sum_t (C_t x_t + D_t u_t), a single group (paper, (SFC) and (CFC)).
 
-    Equations on both ends are the sum of two stages, 0 and T.
+    The stages have no constants. Equations on both ends are the sum of two stages, 0 and T.
     """
 
     stages: tuple[StageMap, ...]
@@ -253,7 +253,7 @@ class SumMap(MatrixMap):
 
 
 def joined_rows(of_x: sp.csr_array, of_u: sp.csr_array) -> sp.csr_array:
-    """Return the rows on (x, u) from those on x and on u."""
+    """Return rows on (x, u) from rows on x and rows on u."""
     rows = sp.csr_array(sp.hstack([of_x, of_u]))
     rows.eliminate_zeros()
     return rows

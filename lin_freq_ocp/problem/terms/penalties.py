@@ -1,5 +1,7 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``Penalty``)
-"""The convex functions that sets, rows, costs and frequency constraints are made of; see ``penalty`` for the protocol.
+# ruff: noqa: D102
+"""The convex functions of sets, joint rows, costs and frequency constraints.
+
+``Penalty`` (penalty.py) is their protocol and documents the methods without a docstring.
 
 Their conic forms, with slacks s >= 0:
 
@@ -36,7 +38,7 @@ class HalfSpaces(Penalty):
     """h(v) = sum of weight * max(v - limit, 0), entry by entry: v <= limit, where the weight is infinite."""
 
     limit: Array  # (groups, dim) or (dim,); inf where there is none
-    weight: Array  # price per unit of excess, inf for a hard limit; broadcasts to (groups, dim)
+    weight: Array  # price per unit of violation, inf for a hard limit; broadcasts to (groups, dim)
 
     @property
     def weights(self) -> Array:
@@ -89,15 +91,15 @@ class HalfSpaces(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
         return np.zeros_like(c), replace(self, limit=(extended(self.limit) - c).astype(np.float64))
 
-    def stacked(self, others: list[Any]) -> Penalty:
-        weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
-        return HalfSpaces(np.array([one.limit for one in others]), weights.reshape(len(others), -1))
+    def stacked(self, parts: list[Any]) -> Penalty:
+        weights = np.array([np.asarray(part.weight, dtype=float) for part in parts])
+        return HalfSpaces(np.array([part.limit for part in parts]), weights.reshape(len(parts), -1))
 
     def _limited_entries(self, shape: tuple[int, ...]) -> Indices:
         return np.flatnonzero(np.isfinite(np.broadcast_to(self.limit, shape)))
@@ -105,7 +107,7 @@ class HalfSpaces(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class Within(Penalty):
-    """|v| <= reach in every entry, always; with a reach of 0, the equation v = 0."""
+    """|v| <= reach in every entry, always hard; with a reach of 0, the equation v = 0."""
 
     reach: float
 
@@ -134,7 +136,7 @@ class Within(Penalty):
     def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
         return np.full(shape, -self.reach), np.full(shape, self.reach)
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, reach=self.reach + amount)
 
     def conic(self, groups: int, dim: int) -> ConicForm:
@@ -179,7 +181,7 @@ class NormBall(Penalty):
         return (support - (multipliers * v).sum(1) + eta_C * self.cost(v))[:, None]
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
-        return across(v, multipliers)[:, None] if self.order == 2 else np.zeros((len(v), 1))
+        return perpendicular_part(v, multipliers)[:, None] if self.order == 2 else np.zeros((len(v), 1))
 
     def sizes(self) -> Array:
         return np.where(np.isfinite(self.radius), self.radius, 0.0)[..., None]
@@ -220,15 +222,15 @@ class NormBall(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, radius=self.radius + amount)
 
-    def stacked(self, others: list[Any]) -> Penalty:
-        weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
-        return NormBall(self.order, np.array([one.radius for one in others]), weights)
+    def stacked(self, parts: list[Any]) -> Penalty:
+        weights = np.array([np.asarray(part.weight, dtype=float) for part in parts])
+        return NormBall(self.order, np.array([part.radius for part in parts]), weights)
 
     def _cones(self, entries: Indices, radius: Array, weight: Array) -> ConicForm:
-        """Return (radius + s, v) of every group in turn; the groups of radius 0 are equations if they are hard."""
+        """Return a cone (radius + s, v) for every group; a hard group of radius 0 is an equation."""
         round_, count = (radius > 0) | (not self.hard), 0 if self.hard else len(entries)
         zero, inside = entries[~round_].ravel(), entries[round_]
         rows, lower, slices = cone_rows(inside, radius[round_])
@@ -242,7 +244,7 @@ class NormBall(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class StandardCone(Penalty):
-    """h is the indicator of the second-order cone: v_0 >= |(v_1, v_2, ...)|, group by group. Always hard."""
+    """The second-order cone v_0 >= |(v_1, v_2, ...)| in every group, always hard: h is its indicator."""
 
     @property
     def weights(self) -> Array:
@@ -266,9 +268,9 @@ class StandardCone(Penalty):
         return -(multipliers * v).sum(1)[:, None]
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
-        return across(v[:, 1:], multipliers[:, 1:])[:, None]
+        return perpendicular_part(v[:, 1:], multipliers[:, 1:])[:, None]
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c + amount * (np.arange(len(c)) == 0), self
 
     def conic(self, groups: int, dim: int) -> ConicForm:
@@ -278,9 +280,9 @@ class StandardCone(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class LargestExcess(Penalty):
-    """h(v) = weight * max(0, max over groups of |v_j| / l_j - 1): the price of the largest relative excess of norms.
+    """h(v) = weight * max(0, max over groups of |v_j| / l_j - 1): a price on the largest relative violation.
 
-    h*(lambda) = sum_j l_j |lambda_j| where that is <= weight.
+    h*(lambda) = sum_j l_j |lambda_j| if that is <= weight, else infinity.
     """
 
     limit: Array  # (groups,), above zero; inf where there is none
@@ -304,7 +306,7 @@ class LargestExcess(Penalty):
         return (norm_of(change, 2) / self.limit)[:, None]
 
     def cost(self, v: Array) -> Array:
-        """Return h(v), of all groups together, (1,): which of them has the largest excess is a matter of rounding."""
+        """Return h(v) of all groups, (1,): rounding decides which group has the largest violation."""
         return np.array([self.weight * self._largest_violation(v)])
 
     def slope(self, v: Array, change: Array, near: float) -> float:
@@ -321,18 +323,18 @@ class LargestExcess(Penalty):
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
         limited = np.where(np.isfinite(self.limit)[:, None], multipliers, 0.0)
-        most, spent = self.weight * eta_C, self._spent(limited).sum()
-        return limited * (most / spent) if spent > most else limited
+        most, support = self.weight * eta_C, self._support(limited).sum()
+        return limited * (most / support) if support > most else limited
 
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
-        spent, raised = self._spent(multipliers), self._largest_violation(v)
-        gaps = spent * (1 + raised) - (multipliers * v).sum(1)
-        if len(gaps):  # what is not spent counts at the group of the largest excess
-            gaps[int(np.argmax(self.excess(v)))] += raised * (eta_C * self.weight - spent.sum())
+        support, violation = self._support(multipliers), self._largest_violation(v)
+        gaps = support * (1 + violation) - (multipliers * v).sum(1)
+        if len(gaps):  # the rest of the weight belongs to the group of the largest violation
+            gaps[int(np.argmax(self.excess(v)))] += violation * (eta_C * self.weight - support.sum())
         return gaps[:, None]
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
-        return across(v, multipliers)[:, None]
+        return perpendicular_part(v, multipliers)[:, None]
 
     def sizes(self) -> Array:
         return np.where(np.isfinite(self.limit), self.limit, 0.0)[:, None]
@@ -359,7 +361,7 @@ class LargestExcess(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
     @property
@@ -368,11 +370,11 @@ class LargestExcess(Penalty):
         return float(np.max(self.limit, initial=0.0, where=np.isfinite(self.limit))) or 1.0
 
     def _largest_violation(self, v: Array) -> float:
-        """Return the largest relative excess, zero or above."""
+        """Return the largest relative violation, zero or above."""
         return self.excess(v).max(initial=0.0)
 
-    def _spent(self, multipliers: Array) -> Array:
-        """Return l |lambda|, (groups,)."""
+    def _support(self, multipliers: Array) -> Array:
+        """Return l_j |lambda_j|, (groups,), whose sum is h*."""
         size = norm_of(multipliers, 2)
         return np.where(size > 0, self.limit, 0.0) * size
 
@@ -385,19 +387,19 @@ def cone_rows(entries: Indices, radius: Array) -> tuple[Indices, Array, tuple[sl
 
 
 def cone_slices(count: int, size: int) -> tuple[slice, ...]:
-    """Return the rows of each of so many cones, one after the other."""
+    """Return the rows of ``count`` consecutive cones of ``size`` rows each."""
     return tuple(slice(g * size, (g + 1) * size) for g in range(count))
 
 
 def norm_of(v: Array, order: float) -> Array:
     """Return |v| of every group, (groups,)."""
     if order == 2:
-        return np.sqrt((v * v).sum(1))  # and not np.linalg.norm, which leaves extended precision
+        return np.sqrt((v * v).sum(1))  # np.linalg.norm would round to double precision
     return np.abs(v).sum(1) if order == 1 else np.abs(v).max(1)
 
 
 def slope_of_norm(v: Array, change: Array, order: float, near: float) -> Array:
-    """Return the derivative of |v| along a change, per group; entries nearer than ``near`` to a kink count as on it."""
+    """Return the derivative of |v| along a change, (groups,); entries within ``near`` of a kink count as at it."""
     if order == 2:
         size = norm_of(v, 2)
         along = (v * change).sum(1) / np.where(size > 0, size, 1.0)
@@ -409,8 +411,8 @@ def slope_of_norm(v: Array, change: Array, order: float, near: float) -> Array:
     return np.where(largest, by_entry, -np.inf).max(1)
 
 
-def across(v: Array, multipliers: Array) -> Array:
-    """Return |v| |lambda - its part along v|, (groups,)."""
+def perpendicular_part(v: Array, multipliers: Array) -> Array:
+    """Return |v| times the norm of the part of the multipliers perpendicular to v, (groups,)."""
     square = (v * v).sum(1)
     along = (multipliers * v).sum(1) / np.where(square > 0, square, 1.0)
     rest = multipliers - along[:, None] * v

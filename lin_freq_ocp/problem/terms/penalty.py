@@ -1,8 +1,8 @@
-"""The protocol of convex functions h, of which hard constraints, soft constraints and nonsmooth costs are made.
+"""The protocol of the convex functions h in hard constraints, soft constraints and nonsmooth costs.
 
-Every h acts on values v of shape (groups, dim), group by group. It has a weight: finite, it is a price per unit of
-excess (a cost, a soft constraint); infinite, the excess must be zero (a hard constraint). Its subgradients lambda are
-the multipliers. They are recognised by the Fenchel-Young gap
+Every h acts on values v of shape (groups, dim), group by group. The excess is the signed violation of the limits. A
+finite weight is a price per unit of excess (a cost, a soft constraint); with an infinite weight the excess must be zero
+or below (a hard constraint). The subgradients lambda of h are the multipliers. The Fenchel-Young gap recognises them:
 
     h(v) + h*(lambda) - <lambda, v> >= 0,   zero iff lambda is a subgradient of h at v,
 
@@ -10,9 +10,9 @@ where h* is the conjugate; for the indicator of a set, h* is the support functio
 normal cone. In a problem with eta_C = 0, finite weights count as zero.
 
 A new convex function is a subclass of ``Penalty`` in a file of its own. It implements ``weights``, ``excess``,
-``excess_slope``, ``recession``, ``subgradient``, ``gap`` and ``conic``; if it is not of the form weight * excess, also
-``cost`` and ``slope``, and if it has slacks, ``least_slacks``. Solvers, the CVXPY export and the certificate call these
-methods and tell penalties apart by nothing else. ``tests/problem/test_new_term.py`` shows a complete one.
+``excess_slope``, ``recession``, ``subgradient``, ``gap`` and ``conic``; if it is not weight * max(excess, 0), also
+``cost`` and ``slope``; and if it has slacks, ``least_slacks``. Solvers, the CVXPY export and the certificate call these
+methods and never ask for the class. ``tests/problem/test_new_term.py`` shows a complete example.
 """
 
 from __future__ import annotations
@@ -32,64 +32,64 @@ HARD = np.asarray(np.inf)  # the weight of a constraint that must hold
 
 @dataclass(frozen=True, eq=False)
 class ConicForm:
-    """h(v) = min { prices's : lower <= v[entries] + slacks s <= upper, cones hold }.
+    """h(v) = min { prices's : lower <= v[entries] + slacks s <= upper, and the cones }.
 
-    Every row holds at most one value and any slacks. In a cone the rows, less their lower limits, are
-    (t, z) with t >= |z|; rows of cones come first. The multiplier of a value is the sum of the duals of its rows.
+    Every row has at most one value and any slacks. The rows of a cone minus their lower limits are (t, z) with
+    t >= |z|; rows of cones come first. The multiplier of a value is the sum of the duals of its rows.
     """
 
-    entries: Indices  # (rows,): the value in each row, counted through the groups; -1 without one
+    entries: Indices  # (rows,): the value of each row, numbered through the groups; -1: no value
     lower: Array  # (rows,)
     upper: Array  # (rows,)
     slacks: sp.csr_array  # (rows, slacks)
     prices: Array  # (slacks,)
-    paid: Indices  # (slacks, k): the values whose excess a slack measures, in their unit
+    paid: Indices  # (slacks, k): the values whose excess a slack measures
     cones: tuple[slice, ...] = ()
 
 
 class Penalty(ABC):
-    """h(v) = sum of weight * max(excess, 0): a convex function of values (groups, dim), of which some may be hard."""
+    """h(v) = sum of weight * max(excess, 0), a convex function of values (groups, dim); infinite weights are hard."""
 
     @property
     @abstractmethod
     def weights(self) -> Array:
-        """Return the prices per unit of excess, infinite where it must not be positive; broadcasts to the excess."""
+        """Return the prices per unit of excess, infinite for hard limits; broadcasts to the excess."""
 
     @property
     def hard(self) -> bool:
-        """Whether anything of it must hold exactly."""
+        """Whether a limit must hold exactly."""
         return bool(np.isinf(self.weights).any())
 
     @property
     def signature(self) -> tuple[object, ...]:
-        """Return what penalties of different times must share to be stacked."""
+        """Return the properties that penalties of different times must share to be stacked."""
         return type(self), bool(np.isinf(self.weights).all())
 
     @property
     def unlimited(self) -> Mask:
-        """Return which values have no limit, and so no multiplier; broadcasts to (groups, dim)."""
+        """Return which values have no limit and hence no multiplier; broadcasts to (groups, dim)."""
         return np.zeros(1, dtype=bool)
 
     @property
     def polyhedral(self) -> bool:
-        """Whether the bounds on the values are all that it says."""
+        """Whether the bounds on the values are equivalent to the penalty."""
         return False
 
     @abstractmethod
     def excess(self, v: Array) -> Array:
-        """Return by how much values exceed the limits (below 0 inside), (groups, dim) or (groups, 1)."""
+        """Return the signed violation of the limits, below 0 inside, (groups, dim) or (groups, 1)."""
 
     @abstractmethod
     def excess_slope(self, v: Array, change: Array, near: float) -> Array:
-        """Return the derivative of the excess along a change of v; nearer than ``near`` to a kink, the larger one."""
+        """Return the derivative of the excess along a change of v; within ``near`` of a kink, the larger one."""
 
     @abstractmethod
     def recession(self, change: Array) -> Array:
-        """Return the slope of the excess along a change of v far away, where limits no longer matter."""
+        """Return the slope of the excess along a change of v at infinity, where limits no longer matter."""
 
     @abstractmethod
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
-        """Return the nearest multipliers that are subgradients of eta_C h somewhere."""
+        """Return the nearest multipliers that are subgradients of eta_C h at some v."""
 
     @abstractmethod
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
@@ -97,89 +97,89 @@ class Penalty(ABC):
 
     @abstractmethod
     def conic(self, groups: int, dim: int) -> ConicForm:
-        """Return it as rows and second-order cones."""
+        """Return rows and second-order cones that state h."""
 
     def cost(self, v: Array) -> Array:
         """Return h(v) of every group, (groups,), without the hard part."""
         return (self._prices * np.maximum(self.excess(v), 0.0)).sum(1)
 
     def violation(self, v: Array) -> Array:
-        """Return the excess where the constraint is hard, (groups, dim) or (groups, 1)."""
+        """Return the violation of hard limits, zero or above, (groups, dim) or (groups, 1)."""
         return np.where(np.isinf(self.weights), np.maximum(self.excess(v), 0.0), 0.0)
 
     def slope(self, v: Array, change: Array, near: float) -> float:
-        """Return the derivative of the soft part along a change of v; nearer than ``near`` to a kink, the larger one.
+        """Return the derivative of the soft part along a change of v; within ``near`` of a kink, the larger one.
 
-        A value counts as on the limit where its excess is within ``near`` of zero.
+        A value counts as at its limit if its excess is within ``near`` of zero.
         """
         excess, rise = self.excess(v), self.excess_slope(v, change, near)
         rise = np.where(excess > near, rise, np.where(excess < -near, 0.0, np.maximum(rise, 0.0)))
         return float((self._prices * rise).sum())
 
     def leaving(self, v: Array, change: Array, near: float) -> float:
-        """Return by how much a change of v leads out of what is hard and active, or violated, to first order."""
+        """Return the largest first-order violation of hard limits, active or violated ones, by a change of v."""
         active = np.isinf(self.weights) & (self.excess(v) >= -near)
         return float(np.max(np.where(active, self.excess_slope(v, change, near), 0.0), initial=0.0))
 
     def unbounded(self, change: Array) -> tuple[float, float]:
-        """Return by how much multiples of a change of v leave the hard part, and what they cost, per unit."""
+        """Return the violation of hard limits and the cost per unit of a change of v at infinity."""
         rising = np.maximum(self.recession(change), 0.0)
-        left = np.where(np.isinf(self.weights), rising, 0.0)
-        return float(np.max(left, initial=0.0)), float((self._prices * rising).sum())
+        hard = np.where(np.isinf(self.weights), rising, 0.0)
+        return float(np.max(hard, initial=0.0)), float((self._prices * rising).sum())
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
-        """Return how far the directions of multipliers and values differ, to first order (the gap: to second)."""
+        """Return how far the directions of multipliers and values differ; the gap is of second order in it."""
         return np.zeros((len(v), 1))
 
     def sizes(self) -> Array:
-        """Return the absolute values of the limits, 0 where there is none; broadcasts to (groups, dim)."""
+        """Return the absolute values of the limits, 0 for no limit; broadcasts to (groups, dim)."""
         return np.zeros(1)
 
     def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
-        """Return bounds on the values that follow from no excess, (groups, dim), hard or soft."""
+        """Return bounds on the values that the limits imply, hard or soft, (groups, dim)."""
         return np.full(shape, -np.inf), np.full(shape, np.inf)
 
     def hard_bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
-        """Return the bounds where the weight is infinite."""
+        """Return the bounds that hard limits imply."""
         lower, upper = self.bounds(shape)
         return np.where(np.isinf(self.weights), lower, -np.inf), np.where(np.isinf(self.weights), upper, np.inf)
 
     def limit_multipliers(self, multipliers: Array) -> Array | None:
-        """Return minus the derivatives of h by its limits, from the multipliers of the values; None without limits."""
+        """Return minus the derivatives of h by its limits, from the multipliers; None if h has no limits."""
         return None
 
     def least_slacks(self, v: Array) -> Array:
-        """Return the least slacks of the conic form with which values fit, (slacks,)."""
+        """Return the least feasible slacks of the conic form, (slacks,)."""
         return np.zeros(0)
 
     def softened(self, weight: Array) -> Penalty:
-        """Return it with another weight."""
+        """Return the penalty with another weight."""
         raise UnsupportedError(f"{type(self).__name__} cannot be soft.")
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
-        """Return the constant of an affine map and a penalty of its values with limits higher by an amount."""
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+        """Return the constant of the affine map and the penalty if the limits are higher by an amount."""
         raise UnsupportedError(f"{type(self).__name__} has no limits that could be higher.")
 
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
-        """Return the constant of an affine map and a penalty, limits taking up the constant where they can."""
+        """Return the constant of the affine map and the penalty if the limits absorb the constant, if they can."""
         return c, self
 
-    def stacked(self, others: list[Penalty]) -> Penalty:
-        """Return a penalty of several groups, one for each of these, which share its signature."""
+    def stacked(self, parts: list[Penalty]) -> Penalty:
+        """Return one penalty of several groups, one for each of the parts, which share a signature."""
         return self
 
     @property
     def _prices(self) -> Array:
-        """Return the finite weights, 0 for the infinite ones."""
+        """Return the finite weights, and 0 for infinite ones."""
         return np.where(np.isinf(self.weights), 0.0, self.weights)
 
     def _scaled_weight(self, eta_C: float) -> Array:
-        """Return weight * eta_C, with infinity what it is."""
+        """Return eta_C * weight; infinite weights stay infinite."""
         return np.where(np.isinf(self.weights), np.inf, eta_C * self._prices)
 
 
 def weight_of(penalty: float | None) -> Array:
-    """Return the weight of a penalty as users give it: a price per unit of excess, or None for what must hold."""
+    """Return the weight of a penalty that users state: a price per unit of violation, or None for a hard constraint."""
     return HARD if penalty is None else np.asarray(penalty)
 
 
@@ -187,7 +187,7 @@ Block = tuple[Indices | int, Array | float, Array | float, sp.csr_array]  # entr
 
 
 def block_rows(blocks: Sequence[Block], prices: Array, paid: Indices, cones: tuple[slice, ...] = ()) -> ConicForm:
-    """Return the rows of blocks, one after the other; a number stands for all rows of its block."""
+    """Return the rows of blocks in their order; a number applies to all rows of its block."""
     entries, lower, upper = (
         np.concatenate([np.broadcast_to(np.asarray(block[i]), block[3].shape[:1]) for block in blocks])
         for i in range(3)

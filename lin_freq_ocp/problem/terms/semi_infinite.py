@@ -1,11 +1,12 @@
-# ruff: noqa: D102  (a method without a docstring is described by the class that it implements)
+# ruff: noqa: D102
 """Semi-infinite constraints |V(p)| <= l(p), one for each point p of a parameter set, on a signal of the trajectory.
 
-A term of a problem has finitely many of them, at its points; what must hold at all others stands in its ``everywhere``.
-By Caratheodory's theorem, an optimum has multipliers at finitely many points only. The sets are the frequencies of a
-spectrum, those of a signal that is held between its samples, and the modes of a plant that is known up to a box. Each
-has its largest |V|/l on some curves, intervals or edges, on which ``peaks_above`` finds the local maxima. A new set is
-a subclass of ``Continuum`` with a function registered in ``proven_peak`` (certificate/peaks), which proves the maxima.
+A term of a problem samples the constraint at finitely many points; its ``semi_infinite`` is the whole constraint. By
+Caratheodory's theorem, an optimum has multipliers at finitely many points only. The parameter sets are the frequencies
+of a spectrum, those of a zero-order hold, and a box of vibration modes. On each, the largest |V|/l lies on curves
+(intervals or edges), where ``peaks_above`` finds the local maxima. A new set is a subclass of
+``SemiInfiniteConstraint`` with a function in ``proven_peak`` (certificate/peaks.py), which proves the maxima.
+``AffineMap`` and ``SemiInfiniteConstraint`` document the methods without a docstring.
 """
 
 from __future__ import annotations
@@ -26,16 +27,16 @@ from lin_freq_ocp.problem.terms.penalties import LargestExcess, NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD, Penalty
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap
 
-Curve = tuple[complex, complex]  # its ends: frequencies, or logarithms of eigenvalues
-SMALLEST = float(np.finfo(np.float64).tiny)  # ratio whose logarithm stands for that of zero
+Curve = tuple[complex, complex]  # the ends: frequencies, or logarithms of eigenvalues
+SMALLEST = float(np.finfo(np.float64).tiny)  # the ratio whose logarithm replaces that of zero
 
 
 @dataclass(frozen=True, eq=False)
-class Continuum(ABC):
-    """|V(p)| <= l(p) at every point of a parameter set; points are arrays (k,) or (k, parameters)."""
+class SemiInfiniteConstraint(ABC):
+    """|V(p)| <= l(p) at every point p of a parameter set; points are arrays (k,) or (k, parameters)."""
 
-    map: FrequencyMap  # at no point
-    price: float = field(default=np.inf, kw_only=True)  # of the largest |V|/l - 1, if that is above 0; inf: never is
+    map: FrequencyMap  # without points
+    price: float = field(default=np.inf, kw_only=True)  # per unit of the largest |V|/l - 1 above 0; inf: hard
 
     @abstractmethod
     def limit_at(self, points: Array) -> Array:
@@ -43,68 +44,68 @@ class Continuum(ABC):
 
     @abstractmethod
     def first_points(self) -> Array:
-        """Return the points to begin with."""
+        """Return the points that a solve starts with."""
 
     @abstractmethod
-    def distances(self, some: Array, others: Array) -> Array:
-        """Return the distances of k points and l others, in DFT bins of the signal, (k, l)."""
+    def distances(self, first: Array, second: Array) -> Array:
+        """Return the distances of k points and l points, in DFT bins of the signal, (k, l)."""
 
     @abstractmethod
     def points_on(self, curve: Curve, share: Array) -> Array:
-        """Return the points at shares (k,) of the way along a curve."""
+        """Return the points at fractions (k,) of a curve."""
 
     @abstractmethod
     def samples(self, signal: Array) -> Iterator[tuple[Curve, Array, Array]]:
-        """Yield the curves that hold all maxima, with shares (k,) of the way along each, and |V|/l there, (k,)."""
+        """Yield the curves that contain all maxima, with fractions (k,) of each and |V|/l there, (k,)."""
 
     def ratios(self, signal: Array, points: Array) -> Array:
         """Return |V|/l of a windowed signal at points, (k,)."""
-        return np.abs(self.map.placed(points).transform(signal)) / self.limit_at(points)
+        return np.abs(self.map.at_points(points).transform(signal)) / self.limit_at(points)
 
     def at(self, points: Array) -> tuple[FrequencyMap, Penalty]:
-        """Return the map to the values at points, and their balls."""
+        """Return the map to the values at points, and the penalty that bounds them."""
         if points.shape[1:] != self.map.at.shape[1:]:
             expected = "shape " + str(("atoms", *self.map.at.shape[1:])).replace("'", "")
             raise ProblemError("multipliers.frequencies", f"{brief(points.tolist())}", expected)
         limits = self.limit_at(points)
         soft = np.isfinite(self.price)
         ball = LargestExcess(limits, np.asarray(self.price)) if soft else NormBall(2, limits, HARD)
-        return self.map.placed(points), ball
+        return self.map.at_points(points), ball
 
 
-FINENESS = 16  # points of a first search for each bin of the signal's DFT
+FINENESS = 16  # points of the first search per bin of the signal's DFT
 STEPS = 4  # of Newton's method, from 1/16 of a bin: it converges quadratically from the first on
-DIFFERENCE = 1e-2  # distance of the points of differences, in that of the samples: they err by 1e-5 of a step
-FARTHEST = 2.0  # distances of the samples that a maximum may be from the sample
+DIFFERENCE = 1e-2  # step of the difference quotients, relative to the distance of samples: an error of 1e-5 of a step
+FARTHEST = 2.0  # largest distance of a maximum from its sample, relative to the distance of samples
 
 
-def peaks_above(everywhere: Continuum, x: Array, u: Array, above: float) -> tuple[Array, Array]:
+def peaks_above(constraint: SemiInfiniteConstraint, x: Array, u: Array, above: float) -> tuple[Array, Array]:
     """Return the points of the local maxima of |V|/l above a ratio, and these ratios, (peaks,).
 
-    Those of samples on the curves of the set are refined by Newton's method for ln |V|/l, from differences.
+    Newton's method for ln |V|/l, with difference quotients, refines the local maxima of samples on the curves.
     """
-    signal, peaks = everywhere.map.signal(x, u), list[Array]()
-    for curve, share, ratio in everywhere.samples(signal):
+    signal, peaks = constraint.map.signal(x, u), list[Array]()
+    for curve, share, ratio in constraint.samples(signal):
         padded, step = np.concatenate([[-np.inf], ratio, [-np.inf]]), float(np.diff(share).max())
         highest = (ratio >= padded[:-2]) & (ratio >= padded[2:]) & (ratio > above * (1 - 1 / FINENESS))
         start = share[highest]
         peak, d = start, DIFFERENCE * step
         for _ in range(STEPS):
             inner = np.clip(peak, d, 1 - d)
-            around = everywhere.points_on(curve, np.concatenate([inner - d, inner, inner + d]))
-            left, here, right = np.log(np.maximum(everywhere.ratios(signal, around), SMALLEST)).reshape(3, -1)
+            around = constraint.points_on(curve, np.concatenate([inner - d, inner, inner + d]))
+            left, here, right = np.log(np.maximum(constraint.ratios(signal, around), SMALLEST)).reshape(3, -1)
             slope, curvature = (right - left) / (2 * d), (right - 2 * here + left) / d**2
             move = np.where(curvature < 0, -slope / np.where(curvature < 0, curvature, 1.0), np.sign(slope) * step)
             peak = np.clip(np.clip(inner + move, start - FARTHEST * step, start + FARTHEST * step), 0.0, 1.0)
-        peaks.append(everywhere.points_on(curve, peak))
-    found = np.unique(np.concatenate(peaks), axis=0)
-    ratios = everywhere.ratios(signal, found)
-    return found[ratios > above], ratios[ratios > above]
+        peaks.append(constraint.points_on(curve, peak))
+    points = np.unique(np.concatenate(peaks), axis=0)
+    ratios = constraint.ratios(signal, points)
+    return points[ratios > above], ratios[ratios > above]
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """l(w) on intervals low <= w <= high (pieces,), linear from ``at_low`` to ``at_high`` on each, above zero."""
+    """A limit l(w) > 0 on intervals low <= w <= high, (pieces,), linear from ``at_low`` to ``at_high`` on each."""
 
     low: Array
     high: Array
@@ -112,12 +113,11 @@ class Limits:
     at_high: Array
 
     def at(self, frequencies: Array) -> Array:
-        """Return the least limit at frequencies (k,) in rad/sample; infinity beyond all intervals."""
+        """Return the least limit at frequencies (k,) in rad/sample; infinity outside all intervals."""
         w = frequencies[:, None]
         inside = (w >= self.low) & (w <= self.high)
         share = (w - self.low) / np.where(self.high > self.low, self.high - self.low, 1.0)
-        found = (1 - share) * self.at_low + share * self.at_high
-        return np.where(inside, found, np.inf).min(axis=1)
+        return np.where(inside, (1 - share) * self.at_low + share * self.at_high, np.inf).min(axis=1)
 
     def scaled(self, factor: float) -> Limits:
         """Return the limits times a factor."""
@@ -129,7 +129,7 @@ class Limits:
 
 
 def limits_on(intervals: Sequence[tuple[float, float]], frequencies: Array, limits: Array) -> Limits:
-    """Return the limit through points (k,), constant beyond them, on intervals in rad/sample."""
+    """Return the limit through points (k,), constant outside of them, on intervals in rad/sample."""
     low, high = list[float](), list[float]()
     for first, last in intervals:
         inner = frequencies[(frequencies > first) & (frequencies < last)]
@@ -140,21 +140,22 @@ def limits_on(intervals: Sequence[tuple[float, float]], frequencies: Array, limi
     return Limits(starts, stops, np.interp(starts, frequencies, limits), np.interp(stops, frequencies, limits))
 
 
-ZERO = 1e-6  # of S, below which an end of an interval is none of the first points: its constraint is hardly any
+ZERO = 1e-6  # of |S|, below which an end of an interval is no first point: it limits hardly anything
 
 
 @dataclass(frozen=True, eq=False)
-class Frequencies(Continuum):
+class MagnitudeMask(SemiInfiniteConstraint):
     """|V(w)| <= l(w) at every frequency w in rad/sample of the intervals of the limits."""
 
     limits: Limits
-    highest: ClassVar[float] = np.pi  # beyond it, there are no points
+    hertz: float | None = field(default=None, kw_only=True)  # per rad/sample, if the band is stated in Hz
+    highest: ClassVar[float] = np.pi  # no point lies above
 
     def limit_at(self, points: Array) -> Array:
         return self.limits.at(points)
 
     def first_points(self) -> Array:
-        """Return the bins within the intervals, of those with the same V the one with the least limit, and the ends."""
+        """Return the ends of the intervals, and the bins within: of bins with the same V, the most limited one."""
         N = self.map.samples
         k = np.arange(round(N * self.limits.high.max() / (2 * np.pi)) + 1)
         w = 2 * np.pi * k / N
@@ -172,18 +173,18 @@ class Frequencies(Continuum):
         return super().at(points)
 
     def factor(self, points: Array) -> Array:
-        """Return the modulus of what V is multiplied by, (k,)."""
+        """Return the modulus of the factor of V, (k,)."""
         return np.ones(len(points))
 
-    def distances(self, some: Array, others: Array) -> Array:
-        return np.abs(some[:, None] - others) * self.map.samples / (2 * np.pi)
+    def distances(self, first: Array, second: Array) -> Array:
+        return np.abs(first[:, None] - second) * self.map.samples / (2 * np.pi)
 
     def points_on(self, curve: Curve, share: Array) -> Array:
         low, high = (end.real for end in curve)
         return np.clip(low + (high - low) * share, low, high)
 
     def samples(self, signal: Array) -> Iterator[tuple[Curve, Array, Array]]:
-        """Yield the intervals, with the ends and the points of a zero-padded FFT within, whose period is 2 pi."""
+        """Yield the intervals, with their ends and the points of a zero-padded FFT, which has the period 2 pi."""
         points = fft.next_fast_len(FINENESS * len(signal), real=True)
         step, spectrum, limits = 2 * np.pi / points, np.abs(fft.rfft(signal, n=points)), self.limits
         for low, high, *levels in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
@@ -197,12 +198,12 @@ class Frequencies(Continuum):
 
 @dataclass(frozen=True, eq=False)
 class ScaledMap(FrequencyMap, ABC):
-    """A factor times a sum of the samples, of which no term is larger than its sample; the values are about no bins."""
+    """A gain times a sum of the samples, no term of it larger than its sample; the values belong to no DFT bins."""
 
     @property
     @abstractmethod
     def gain(self) -> ComplexArray:
-        """Return the factor of each value, (groups,)."""
+        """Return the gain of each value, (groups,)."""
 
     @property
     def nearest_bins(self) -> Indices:
@@ -223,7 +224,7 @@ class ScaledMap(FrequencyMap, ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class HeldMap(ScaledMap):
+class ZeroOrderHoldMap(ScaledMap):
     """(Re, Im) of S(w) V(w)."""
 
     @property
@@ -241,13 +242,13 @@ class HeldMap(ScaledMap):
 
 
 @dataclass(frozen=True, eq=False)
-class HeldFrequencies(Frequencies):
+class ZeroOrderHoldMask(MagnitudeMask):
     """|S(w) V(w)| <= l(w) at every w of the intervals of the limits, w = 2 pi f h for any f >= 0 in Hz.
 
-    v(t) = v_k for k h <= t < (k + 1) h has the spectrum h S V but for a factor of modulus 1, with S(w) = sin(w/2) /
-    (w/2) and V(w) = sum_t v_t exp(-iwt), of period 2 pi. Limits that are constant from some w = a on need only be held
-    up to a + 2 pi: |S V| = 2 |sin(w/2) V(w)| / w, whose numerator has the period 2 pi, so that every later value is
-    below the value at a frequency of that interval.
+    The zero-order hold v(t) = v_k for k h <= t < (k + 1) h has the spectrum h S V, up to a factor of modulus 1, with
+    S(w) = sin(w/2) / (w/2) and V(w) = sum_t v_t exp(-iwt), of period 2 pi. If the limit is constant from w = a on, the
+    interval up to a + 2 pi suffices: |S V| = 2 |sin(w/2) V(w)| / w has a numerator of period 2 pi, so that a value
+    at a frequency of that interval exceeds every later one.
     """
 
     highest: ClassVar[float] = np.inf
@@ -257,16 +258,17 @@ class HeldFrequencies(Frequencies):
 
 
 def sinc(w: Array) -> Array:
-    """Return S(w), of any precision."""
+    """Return S(w) = sin(w/2) / (w/2) in the precision of w."""
     half = np.where(w == 0, 1.0, w / 2)
     return np.where(w == 0, 1.0, np.sin(half) / half)
 
 
 @dataclass(frozen=True, eq=False)
 class VibrationMap(ScaledMap):
-    """(Re, Im) of V for modes ``at`` (groups, 2): natural frequency in Hz, damping ratio."""
+    """(Re, Im) of V for modes ``at``, (groups, 2): natural frequency in Hz, damping ratio; see ``VibrationLimit``."""
 
     sampling_time: float
+    relative: bool = False  # V is the sum of the samples alone
 
     @property
     def real(self) -> Mask:
@@ -274,7 +276,9 @@ class VibrationMap(ScaledMap):
 
     @property
     def gain(self) -> ComplexArray:
-        """Return (z - 1) / sqrt(1 - zeta^2), (groups,)."""
+        """Return (z - 1) / sqrt(1 - zeta^2), (groups,); 1 if relative."""
+        if self.relative:
+            return extended(np.ones(len(self.at)) + 0j)
         turned: ComplexArray = np.exp(self._angles)
         return (turned - 1) / np.sqrt(1 - self._damping_ratio**2)
 
@@ -291,24 +295,26 @@ class VibrationMap(ScaledMap):
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
         B, s = int(np.ceil(np.sqrt(self.samples))), self._angles[:, None]
-        left = self.samples - 1 - B * np.arange(-(-self.samples // B))
-        return self.gain[:, None] * np.exp(s * left), np.exp(-s * np.arange(B))
+        later = self.samples - 1 - B * np.arange(-(-self.samples // B))
+        return self.gain[:, None] * np.exp(s * later), np.exp(-s * np.arange(B))
 
 
 @dataclass(frozen=True, eq=False)
-class PlantBox(Continuum):
-    """|V| <= limit for every mode of a box: the residual vibration of a signal that is held between its samples.
+class VibrationLimit(SemiInfiniteConstraint):
+    """|V| <= limit for every mode of a box: the residual vibration that a zero-order hold of the signal excites.
 
     A mode is q'' + 2 zeta w q' + w^2 q = w^2 v. With the eigenvalue s = w (-zeta + i sqrt(1 - zeta^2)), z = exp(s h),
-    and no signal after N samples, its amplitude is |V|,
+    and no signal after N samples, the amplitude of q at the end is |V|,
 
         V = (z - 1) / sqrt(1 - zeta^2) sum_t v_t z^(N-1-t).
 
-    In y = ln s = ln w + i phi, the sum times (z - 1) is analytic and sqrt(1 - zeta^2) = sin(phi): ln |V| is
-    subharmonic, as the second derivative of -ln sin(phi) is 1/sin(phi)^2. The box of (w, zeta) is a rectangle in y: the
-    largest |V| is on its edges.
+    In y = ln s = ln w + i phi, the sum times (z - 1) is analytic and sqrt(1 - zeta^2) = sin(phi). Hence ln |V| is
+    subharmonic: -ln sin(phi) has the second derivative 1/sin(phi)^2 > 0. The box of (w, zeta) is a rectangle in y, so
+    that the largest |V| lies on its edges. With a ``relative`` map, V is the sum alone, whose logarithm is subharmonic,
+    too.
     """
 
+    map: VibrationMap
     low: Array  # natural frequency in Hz and damping ratio, (2,)
     high: Array
     limit: float
@@ -318,23 +324,22 @@ class PlantBox(Continuum):
         return np.where(((points >= self.low) & (points <= self.high)).all(axis=1), self.limit, np.inf)
 
     def first_points(self) -> Array:
-        """Return points on the edges, a bin of the signal's DFT apart at most."""
-        per_edge = [np.linspace(0.0, 1.0, int(np.ceil(self.bins(edge))) + 1) for edge in self.edges]
-        found = [self.points_on(edge, share) for edge, share in zip(self.edges, per_edge, strict=True)]
-        return np.unique(np.concatenate(found), axis=0)
+        """Return points on the edges, at most a bin of the signal's DFT apart."""
+        points = [self.points_on(edge, np.linspace(0.0, 1.0, int(np.ceil(self.bins(edge))) + 1)) for edge in self.edges]
+        return np.unique(np.concatenate(points), axis=0)
 
-    def distances(self, some: Array, others: Array) -> Array:
-        first, second = (np.exp(self.logarithms(points)) for points in (some, others))
-        return np.abs(first[:, None] - second) * self.duration / (2 * np.pi)
+    def distances(self, first: Array, second: Array) -> Array:
+        s, r = (np.exp(self.logarithms(points)) for points in (first, second))
+        return np.abs(s[:, None] - r) * self.duration / (2 * np.pi)
 
     @property
     def duration(self) -> float:
-        """Return that of the signal in seconds."""
+        """Return the duration of the signal in seconds."""
         return self.map.samples * self.sampling_time
 
     @property
     def edges(self) -> list[tuple[complex, complex]]:
-        """Return the ends of the rectangle's edges in y = ln s; of edges that coincide, one."""
+        """Return the ends of the rectangle's edges in y = ln s, without edges that coincide with another."""
         y = self.logarithms(np.array([self.low, self.high]))
         (left, right), (bottom, top) = y.real, y.imag
         along = [(complex(left, phi), complex(right, phi)) for phi in dict.fromkeys((bottom, top))]
@@ -342,7 +347,7 @@ class PlantBox(Continuum):
         return (along if left < right or bottom == top else []) + (across if bottom < top else [])
 
     def bins(self, edge: tuple[complex, complex]) -> float:
-        """Return the length of an edge in bins of the signal's DFT, or more."""
+        """Return an upper bound on the length of an edge, in bins of the signal's DFT."""
         return abs(edge[1] - edge[0]) * float(self.high[0]) * self.duration
 
     def logarithms(self, points: Array) -> ComplexArray:
@@ -350,7 +355,7 @@ class PlantBox(Continuum):
         return np.log(2 * np.pi * points[:, 0]) + 1j * np.arccos(-points[:, 1])
 
     def points_on(self, curve: Curve, share: Array) -> Array:
-        """Return the modes at shares (k,) of the way along an edge, (k, 2)."""
+        """Return the modes at fractions (k,) of an edge, (k, 2)."""
         y = curve[0] + (curve[1] - curve[0]) * share
         return np.clip(np.column_stack([np.exp(y.real) / (2 * np.pi), -np.cos(y.imag)]), self.low, self.high)
 

@@ -1,7 +1,8 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``AffineMap``)
+# ruff: noqa: D102
 """Spectra of a linear output y_t = C x_t + D u_t of the trajectory as affine maps.
 
-They stand at the bins of a DFT, at any frequencies, or at the bins of windows, of which samples before time 0 are data.
+Their values are at the bins of a DFT, at any frequencies, or at the bins of windows that may begin with known samples
+of the past. ``AffineMap`` documents the methods without a docstring.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ class OutputMap(AffineMap):
     """A map of the windowed output w_t y_t, y_t = C x_t + D u_t, whose values are (Re, Im) of bins or frequencies."""
 
     C: Array | None  # (n,)
-    D: Array | None  # (m,); y_t counts for t = 0 .. T-1, and at T, too, without D
+    D: Array | None  # (m,); y has the samples t = 0 .. T-1, and without D also T
     window: Array  # w_t, (samples,); ones for the plain DFT
 
     @property
     @abstractmethod
     def real(self) -> Mask:
-        """Which of the bins or frequencies are real for every signal, (count,)."""
+        """At which bins or frequencies the spectrum is real for every signal, (count,)."""
 
     @abstractmethod
     def waves(self) -> Array:
-        """Return the coefficients of the samples, (rows, samples): of Re and Im of each bin or frequency in turn."""
+        """Return the coefficients of the samples in Re and Im of each bin or frequency in turn, (rows, samples)."""
 
     @property
     def samples(self) -> int:
@@ -44,7 +45,7 @@ class OutputMap(AffineMap):
     @property
     def component(self) -> int:
         row = self.C if self.C is not None else self.D
-        assert row is not None  # there is a signal
+        assert row is not None  # one of C and D is stated
         return int(np.flatnonzero(row)[0])
 
     @property
@@ -58,8 +59,8 @@ class OutputMap(AffineMap):
 
     def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
         return all(
-            own is given or (own is not None and given is not None and np.array_equal(own, given))
-            for own, given in ((self.C, C), (self.D, D))
+            first is second or (first is not None and second is not None and np.array_equal(first, second))
+            for first, second in ((self.C, C), (self.D, D))
         )
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
@@ -67,12 +68,12 @@ class OutputMap(AffineMap):
         return self.signal_rows(sp.csr_array(waves), horizon, n, m), np.zeros(len(waves))
 
     def signal_rows(self, of_y: sp.csr_array, horizon: int, n: int, m: int) -> sp.csr_array:
-        """Return rows on y, (rows, some samples), as rows on (x, u)."""
+        """Return rows on y, (rows, samples), as rows on (x, u)."""
         of_x = _rows_of_output(of_y, self.C, horizon + 1, n)
         return joined_rows(of_x, _rows_of_output(of_y, self.D, horizon, m))
 
     def sizes(self, x: Array, u: Array) -> Array:
-        """Return the Euclidean norm of w y, the typical size of a bin, for every entry, (groups, dim)."""
+        """Return the typical size of a bin, the Euclidean norm of w y, for every entry, (groups, dim)."""
         y = self.magnitudes().output(np.abs(x), np.abs(u))[: self.samples]
         return np.full(self.shape, np.sqrt(((self.window * y) ** 2).sum()))
 
@@ -94,7 +95,7 @@ class OutputMap(AffineMap):
         return sum(parts[1:], parts[0])
 
     def spread(self, signal: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return what a change of y by the first samples of a signal is worth in x and u."""
+        """Return the adjoint of ``output`` for weights of its first samples, in the shapes of x and u."""
         of_x, of_u = (np.zeros(shape, dtype=signal.dtype) for shape in shapes)
         for row, part in ((self.C, of_x), (self.D, of_u)):
             if row is not None:
@@ -106,17 +107,17 @@ class OutputMap(AffineMap):
 class SpectrumMap(OutputMap):
     """(Re, Im) of Y_j = sum_t w_t y_t exp(-2 pi i j t / N) at chosen bins j, for y_t = C x_t + D u_t.
 
-    One group (Re, Im) for each bin, or with ``together`` a single group of all of them. The imaginary part of bins 0
-    and N/2, always zero, is left out where all are together, and is a zero elsewhere.
+    Each bin is a group (Re, Im); with ``joint``, all of them are a single group. The imaginary parts of bins 0 and N/2
+    are zero; a joint group leaves them out.
     """
 
     points: int  # N: the number of samples, or a multiple of it for a finer grid
     bins: Indices  # (bins,), within 0 .. N/2
-    together: bool = False
+    joint: bool = False
 
     @property
     def shape(self) -> tuple[int, int]:
-        return (1, 2 * len(self.bins) - int(self.real.sum())) if self.together else (len(self.bins), 2)
+        return (1, 2 * len(self.bins) - int(self.real.sum())) if self.joint else (len(self.bins), 2)
 
     @property
     def real(self) -> Mask:
@@ -128,11 +129,11 @@ class SpectrumMap(OutputMap):
 
     @property
     def frequencies(self) -> Array:
-        return np.zeros(0) if self.together else 2 * np.pi * self.bins / self.points
+        return np.zeros(0) if self.joint else 2 * np.pi * self.bins / self.points
 
     def spectrum_form(self, n: int, m: int) -> SpectrumForm:
         parts = [np.zeros(size) if part is None else part for part, size in ((self.C, n), (self.D, m))]
-        kept = self.kept if self.together else np.ones(2 * len(self.bins), dtype=bool)
+        kept = self.kept if self.joint else np.ones(2 * len(self.bins), dtype=bool)
         return SpectrumForm(np.concatenate(parts), self.window, self.points, self.bins, kept)
 
     @property
@@ -149,7 +150,7 @@ class SpectrumMap(OutputMap):
         return self.spread(signal, shapes)
 
     def signal_of(self, weights: ComplexArray) -> Array:
-        """Return the adjoint of the windowed DFT, (..., samples), from complex weights of the bins, (..., bins)."""
+        """Return the adjoint of the windowed DFT, (..., samples), for complex weights of the bins, (..., bins)."""
         spectra = np.zeros((*weights.shape[:-1], self.points // 2 + 1), dtype=np.result_type(weights, np.complex64))
         spectra[..., self.bins] = weights
         return real_signal(spectra, self.points)[..., : self.samples] * self.window
@@ -158,19 +159,19 @@ class SpectrumMap(OutputMap):
         return self.waves_at(np.arange(self.samples))
 
     def waves_at(self, times: Array | Indices) -> Array:
-        """Return the coefficients of the samples of windows at these times, (..., samples), (..., rows, samples)."""
+        """Return the coefficients, (..., rows, samples), of samples at these times, (..., samples)."""
         angle = 2 * np.pi * (self.bins[:, None] * times[..., None, :] % self.points) / self.points
         waves = np.stack([np.cos(angle), -np.sin(angle)], axis=-2) * self.window
-        waves[..., self.real, 1, :] = 0.0  # and not the rounding error of sin(pi t)
+        waves[..., self.real, 1, :] = 0.0  # exactly, without the rounding error of sin(pi t)
         waves = waves.reshape(*times.shape[:-1], -1, self.samples)
-        return waves[..., self.kept, :] if self.together else waves
+        return waves[..., self.kept, :] if self.joint else waves
 
     def grouped(self, pairs: Array) -> Array:
-        """Return values, (groups, dim), from (Re, Im) of every bin, (bins, 2); of several spectra, one by one."""
-        return pairs.reshape(-1, 2 * len(self.bins))[:, self.kept] if self.together else pairs
+        """Return values, (groups, dim), from (Re, Im) of every bin, (bins, 2), of one spectrum or several."""
+        return pairs.reshape(-1, 2 * len(self.bins))[:, self.kept] if self.joint else pairs
 
     def pairs(self, values: Array) -> Array:
-        if not self.together:
+        if not self.joint:
             return values
         pairs = np.zeros((len(values), 2 * len(self.bins)), dtype=values.dtype)
         pairs[:, self.kept] = values
@@ -178,7 +179,7 @@ class SpectrumMap(OutputMap):
 
     @property
     def kept(self) -> Mask:
-        """Which of (Re, Im) of each bin are values of a map ``together``, (2 bins,)."""
+        """Which of (Re, Im) of each bin are values of a joint map, (2 bins,)."""
         kept = np.ones((len(self.bins), 2), dtype=bool)
         kept[self.real, 1] = False
         return kept.ravel()
@@ -186,9 +187,9 @@ class SpectrumMap(OutputMap):
 
 @dataclass(frozen=True, eq=False)
 class FrequencyMap(OutputMap):
-    """(Re, Im) of Y(w) = sum_t w_t y_t exp(-iwt) at frequencies w, one group each, for y_t = C x_t + D u_t.
+    """(Re, Im) of Y(w) = sum_t w_t y_t exp(-iwt) at frequencies w, a group for each, for y_t = C x_t + D u_t.
 
-    With t = a B + b, exp(-iwt) is a product of two factors, of some sqrt(T) values each.
+    With t = a B + b, exp(-iwt) is a product of two factors with about sqrt(T) values each.
     """
 
     at: Array  # w in rad/sample, (groups,)
@@ -206,7 +207,7 @@ class FrequencyMap(OutputMap):
         return self.at
 
     @property
-    def places(self) -> Array:
+    def locations(self) -> Array:
         return self.at
 
     @property
@@ -218,8 +219,8 @@ class FrequencyMap(OutputMap):
         return float(4 * len(self.window) + 10)  # that many roundings are in an angle w t
 
     def values(self, x: Array, u: Array) -> Array:
-        found = self.transform(self.signal(x, u))
-        return np.stack([found.real, found.imag], axis=1)
+        spectrum = self.transform(self.signal(x, u))
+        return np.stack([spectrum.real, spectrum.imag], axis=1)
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         first, second = self.factors(weights.dtype)
@@ -231,11 +232,11 @@ class FrequencyMap(OutputMap):
         first, second = self.factors(np.dtype(np.float64))
         whole = (first[:, :, None] * second[:, None, :]).reshape(len(self.at), -1)[:, : self.samples] * self.window
         waves = np.stack([whole.real, whole.imag], axis=1)
-        waves[self.real, 1] = 0.0  # and not the rounding error of sin(pi t)
+        waves[self.real, 1] = 0.0  # exactly, without the rounding error of sin(pi t)
         return waves.reshape(-1, self.samples)
 
     def transform(self, signal: Array) -> ComplexArray:
-        """Return Y of a signal that is windowed already, (groups,)."""
+        """Return Y of a windowed signal, (groups,)."""
         first, second = self.factors(signal.dtype)
         blocks = np.zeros(first.shape[1] * second.shape[1], dtype=signal.dtype)
         blocks[: len(signal)] = signal
@@ -243,7 +244,7 @@ class FrequencyMap(OutputMap):
         return (first * inner).sum(axis=1)
 
     def factors(self, dtype: np.dtype[np.floating]) -> tuple[ComplexArray, ComplexArray]:
-        """Return exp(-iw a B), (groups, A), and exp(-iw b), (groups, B), for signals of a type."""
+        """Return exp(-iw a B), (groups, A), and exp(-iw b), (groups, B), in the precision of a type."""
         first, second = self._factors
         return (first, second) if dtype == np.longdouble else (first.astype(complex), second.astype(complex))
 
@@ -258,8 +259,8 @@ class FrequencyMap(OutputMap):
         """Return w_t y_t, (samples,)."""
         return self.window * self.output(x, u)[: self.samples]
 
-    def placed(self, points: Array) -> FrequencyMap:
-        """Return the map to the values at other points."""
+    def at_points(self, points: Array) -> FrequencyMap:
+        """Return the same map at other points."""
         return replace(self, at=points)
 
 
@@ -270,7 +271,7 @@ PI = np.arccos(np.longdouble(-1.0))
 class SpectrogramMap(AffineMap):
     """(Re, Im) of Y_sj = sum_i w_i y_{s+i} exp(-2 pi i j (s+i) / N) for windows from s on, and bins j of each of them.
 
-    The phase is counted from time 0. Groups are those of ``spectrum``, window by window.
+    The phase refers to time 0. The groups are those of ``spectrum``, window by window.
     """
 
     spectrum: SpectrumMap  # of the first window's length
@@ -300,10 +301,10 @@ class SpectrogramMap(AffineMap):
         return len(self.starts) * rows, len(self.starts) * entries
 
     def values(self, x: Array, u: Array) -> Array:
-        found = fft.rfft(self._frames(self.spectrum.output(x, u)), n=self.spectrum.points, axis=1)
-        turned = found[:, self.spectrum.bins] * self._turns.astype(found.dtype)
+        spectra = fft.rfft(self._frames(self.spectrum.output(x, u)), n=self.spectrum.points, axis=1)
+        turned = spectra[:, self.spectrum.bins] * self._turns.astype(spectra.dtype)
         pairs = np.stack([turned.real, turned.imag], axis=-1)
-        pairs[:, self.spectrum.real, 1] = 0.0  # and not rounding of a factor of one
+        pairs[:, self.spectrum.real, 1] = 0.0  # exactly, without the rounding error of a factor 1
         return self.spectrum.grouped(pairs.reshape(-1, 2))
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
@@ -318,8 +319,8 @@ class SpectrogramMap(AffineMap):
         waves = base.waves_at(times)
         rows = np.arange(waves.size // base.samples).reshape(*waves.shape[:2], 1)
         row, column = np.broadcast_arrays(rows, times[:, None])
-        here = column >= 0
-        of_y = sp.csr_array((waves[here], (row[here], column[here])), shape=(rows.size, base.length(horizon)))
+        ahead = column >= 0
+        of_y = sp.csr_array((waves[ahead], (row[ahead], column[ahead])), shape=(rows.size, base.length(horizon)))
         constant = self.values(np.zeros((horizon + 1, n)), np.zeros((horizon, m))).ravel()
         return base.signal_rows(of_y, horizon, n, m), constant
 
@@ -360,7 +361,7 @@ class SpectrogramMap(AffineMap):
         return frames * self.spectrum.window
 
     def _add_windows(self, frames: Array, shapes: Shapes) -> Array:
-        """Return the sum of windows over each time from 0 on."""
+        """Return the sum of the windows at each time from 0 on."""
         P, samples = len(self.past), self.spectrum.length(shapes[1][0])
         signal = np.zeros(P + samples, dtype=frames.dtype)
         np.add.at(signal, P + self.starts[:, None] + np.arange(frames.shape[1]), frames)
@@ -368,10 +369,10 @@ class SpectrogramMap(AffineMap):
 
 
 def _rows_of_output(of_y: sp.csr_array, row: Array | None, samples: int, columns: int) -> sp.csr_array:
-    """Return rows on y_t = row'v_t, (rows, some samples), as rows on v, (rows, samples * columns)."""
+    """Return rows on y_t = row'v_t, (rows, samples), as rows on v, (rows, samples * columns)."""
     if row is None:
         return sp.csr_array((of_y.shape[0], samples * columns))
-    used = np.flatnonzero(row)  # scipy's Kronecker product takes several times as long
+    used = np.flatnonzero(row)  # by hand: scipy's Kronecker product takes several times as long
     indices = of_y.indices[:, None] * columns + used.astype(of_y.indices.dtype)
     data, pointers = of_y.data[:, None] * row[used], of_y.indptr * len(used)
     return sp.csr_array((data.ravel(), indices.ravel(), pointers), shape=(of_y.shape[0], samples * columns))

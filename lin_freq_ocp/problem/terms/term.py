@@ -1,4 +1,4 @@
-"""A term h(L(x, u)) of a problem: a constraint, hard or soft, or a nonsmooth cost, with one multiplier per value."""
+"""A term h(L(x, u)) of a problem: a hard constraint, a soft one, or a nonsmooth cost; a multiplier for each value."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.penalties import Within
 from lin_freq_ocp.problem.terms.penalty import Penalty
-from lin_freq_ocp.problem.terms.semi_infinite import Continuum, peaks_above
+from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint, peaks_above
 
 
 class TermKind(StrEnum):
-    """Where a term comes from, the field of the problem that it was given in, and what that says of it.
+    """The field of the problem that a term comes from, with the traits of its terms.
 
     Attributes
     ----------
     of : str
-        The signal that it is about alone: "states", "controls" or "outputs"; empty for joint rows, ends and costs.
+        The only signal of the term: "states", "controls" or "outputs"; empty for joint rows, ends and costs.
     is_cost : bool
-        Whether it is part of the cost as the user stated it.
+        Whether the term is part of the cost that the user stated.
     is_spectrum : bool
-        Whether it is a frequency constraint.
+        Whether the term is a frequency constraint.
     is_rows : bool
-        Whether its entries are joint rows, which have multipliers, limits and names of their own.
+        Whether the entries are joint rows, each with its own multiplier, limit and name.
     is_link : bool
-        Whether it is equations on both ends.
+        Whether the term is a system of equations on both ends.
     """
 
     of: str
@@ -48,7 +48,7 @@ class TermKind(StrEnum):
     TERMINAL_COST = "terminal cost", "", "cost"
 
     def __new__(cls, text: str, of: str, trait: str = "") -> TermKind:
-        """Make a kind of its text, its signal, and the one trait that is true of it."""
+        """Make a kind from its text, its signal and its only trait."""
         kind = str.__new__(cls, text)
         kind._value_, kind.of = text, of
         for name in ("cost", "spectrum", "rows", "link"):
@@ -58,9 +58,9 @@ class TermKind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class LinearRows:
-    """C (x_t, u_t) <= e at some times."""
+    """The rows C (x_t, u_t) <= e at some times."""
 
-    name: str  # of the term that they come from
+    name: str  # of their term
     times: Indices  # (groups,)
     C: Array  # (groups or 1, rows, n + m)
     e: Array  # (groups, rows)
@@ -72,19 +72,20 @@ class LinearRows:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """h(L(x, u)), with h convex and L affine."""
+    """A convex function h of an affine map L of the trajectory: h(L(x, u))."""
 
-    name: str  # of its multipliers, too, which have the shape of its values, (groups, dim)
+    name: str  # of the term and of its multipliers, which have the shape of the values, (groups, dim)
     kind: TermKind
     map: AffineMap  # L
     penalty: Penalty  # h
-    source: tuple[str, int] | None = None  # the problem's field that it was given in, and its index there
-    per_limit: float = 1.0  # change of the penalty's limit per unit of the given limit (of an energy, of its root)
-    everywhere: Continuum | None = None  # what must hold at all frequencies, and does at those of the map only
+    source: tuple[str, int] | None = None  # the field of the problem that states it, and the index there
+    per_limit: float = 1.0  # the penalty's limit per unit of the stated limit (of the root of a stated energy)
+    semi_infinite: SemiInfiniteConstraint | None = None  # the constraint that the map samples at its points
+    band: str = ""  # of the constraint: it names terms that would have the same name
 
     @property
     def hard(self) -> bool:
-        """Whether it is a constraint that must hold."""
+        """Whether a part of the term must hold exactly."""
         return self.penalty.hard
 
     @property
@@ -93,42 +94,43 @@ class Term:
         return self.map.shape
 
     def cost(self, x: Array, u: Array) -> Array:
-        """Return what it adds to J, one number a group, or one of all groups together."""
-        if self.everywhere is None or self.hard:
-            return self.penalty.cost(self.map.values(x, u))
-        values, penalty = self.everywhere.at(peaks_above(self.everywhere, x, u, 1.0)[0])
+        """Return the cost of each group, (groups,), or that of all groups, (1,)."""
+        values, penalty, constraint = self.map, self.penalty, self.semi_infinite
+        if constraint is not None and not self.hard:  # the price is on the largest violation at any point
+            values, penalty = constraint.at(peaks_above(constraint, x, u, 1.0)[0])
         return penalty.cost(values.values(x, u))
 
     def violation(self, x: Array, u: Array) -> Array:
-        """Return by how much it is violated where it is hard, (groups, dim) or (groups, 1)."""
+        """Return the violation of the hard part, zero or above, (groups, dim) or (groups, 1)."""
         return self.penalty.violation(self.map.values(x, u))
 
     def polyhedron(self, n: int, m: int) -> LinearRows | None:
-        """Return the rows of a hard term that is nothing but rows of (x_t, u_t), one for each value; else None."""
+        """Return the rows of a hard term that consists of rows of (x_t, u_t), one for each value; else None."""
         form = self.map.stage_form(n, m) if self.hard and self.penalty.polyhedral else None
         if form is None:
             return None
         return LinearRows(self.name, self.map.positions, form[0], self.penalty.hard_bounds(self.shape)[1] - form[1])
 
     def implied_rows(self, n: int, m: int) -> LinearRows | None:
-        """Return rows of (x_t, u_t) that follow from a hard term, as from a ball those around it; None without any."""
+        """Return rows of (x_t, u_t) that a hard term implies, such as the box around a ball; None if there is none."""
         form = self.map.stage_form(n, m) if self.hard else None
         if form is None:
             return None
         lower, upper = self.penalty.hard_bounds(self.shape)
         sides = [(form[0], upper - form[1]), (-form[0], form[1] - lower)]
-        kept = [(matrix, limits) for matrix, limits in sides if np.isfinite(limits).any()]
-        if not kept:
+        finite = [(matrix, limits) for matrix, limits in sides if np.isfinite(limits).any()]
+        if not finite:
             return None
-        matrices, limits = zip(*kept, strict=True)
+        matrices, limits = zip(*finite, strict=True)
         return LinearRows(self.name, self.map.positions, np.concatenate(matrices, 1), np.concatenate(limits, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """Equations on both ends: their values, what these must satisfy, and whether they say x_T = x_0.
+    """Equations on both ends: an affine map of the ends whose values must be within the reach of a penalty.
 
-    ``repeats`` says whether spectra of states have T samples: x_T repeats x_0, beside other equations or none.
+    ``periodic``: the equations are x_T = x_0. ``repeats``: they include x_T = x_0, so that spectra of states have T
+    samples.
     """
 
     name: str

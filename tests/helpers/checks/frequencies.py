@@ -12,7 +12,7 @@ from scipy.signal.windows import chebwin
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.peaks import certified_peak
-from lin_freq_ocp.problem.terms.semi_infinite import Frequencies, Limits, limits_on
+from lin_freq_ocp.problem.terms.semi_infinite import Limits, MagnitudeMask, limits_on
 
 GRID = 64  # points of CVXPY's masks for each sample
 DENSE = 1024  # points for each sample at which an upper bound is feasible
@@ -156,9 +156,9 @@ def factors(w: np.ndarray, kind: str) -> np.ndarray:
     return np.sinc(w / (2 * np.pi)) if kind.startswith("held") else np.ones(len(w))
 
 
-def mask_of(problem: lfo.OptimalControlProblem) -> Frequencies | None:
+def mask_of(problem: lfo.OptimalControlProblem) -> MagnitudeMask | None:
     """Return the mask at every frequency; None without one."""
-    return next((one.everywhere for one in problem.terms if one.everywhere is not None), None)
+    return next((one.semi_infinite for one in problem.terms if one.semi_infinite is not None), None)
 
 
 def frequencies(limits: Limits, points: int) -> np.ndarray:
@@ -167,7 +167,7 @@ def frequencies(limits: Limits, points: int) -> np.ndarray:
     return np.unique(np.concatenate([w[np.isfinite(limits.at(w))], limits.low, limits.high]))
 
 
-def largest(signal: np.ndarray, everywhere: Frequencies, kind: str, points: int) -> float:
+def largest(signal: np.ndarray, everywhere: MagnitudeMask, kind: str, points: int) -> float:
     """Return the largest |V|/l on a grid of so many points for each sample."""
     w = frequencies(everywhere.limits, points * len(signal))
     spectrum = factors(w, kind) * np.polyval(signal[::-1], np.exp(-1j * w))

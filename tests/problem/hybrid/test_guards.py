@@ -73,7 +73,7 @@ def test_guards_on_controls():
 def test_signs_may_be_left_out_on_purpose():
     guards = {"G": [[1.0, 0.0], [0.0, 1.0]], "H": None, "d": [0.0, 5.0]}
     modes = {"+-": (A, B), "--": (2 * A, B)}
-    with pytest.raises(lfo.errors.ProblemError, match=r"no pattern for the signs '\+\+' *; .* give None for them"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"no pattern for the signs '\+\+' *; .* state None for them"):
         from_guards(**guards, modes=modes)
     dynamics = from_guards(**guards, modes=modes | {"*+": None})
     assert len(dynamics.modes) == 2
@@ -97,7 +97,7 @@ def test_signs_may_be_left_out_on_purpose():
         ({"modes": {"**": 3}}, "guards.modes['**']", "got 3"),
         ({"modes": {"**": (A, [[1.0]])}}, "guards.modes['**'].B", "shape (1, 1)"),
         ({"modes": {"**": (A, B, [1.0, np.nan])}}, "guards.modes['**'].offset[1]", "nan"),
-        ({"modes": {"**": lfo.AffineMode(A, B, H=[[1.0]], h=[0.0])}}, "guards.modes['**']", "a region of its own"),
+        ({"modes": {"**": lfo.AffineMode(A, B, H=[[1.0]], h=[0.0])}}, "guards.modes['**']", "its own region"),
         ({"modes": {"+*": (A, B), "-*": ([[1.0]], [[1.0]])}}, "guards.modes['-*']", "1 state and"),
         ({"G": None, "H": None}, "guards.G", "neither G nor H"),
         ({"G": [1.0, 0.0]}, "guards.G", "expected shape (guards, 2)"),
