@@ -12,11 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx_gallery.scrapers import figure_rst
 
 HERE = Path(__file__).parent
+FIELDS = ("motion", "mri", "power", "space", "energy", "hybrid", "method")  # the gallery's sections, in this order
 project, author, copyright = "lin_freq_ocp", "the lin_freq_ocp authors", "the lin_freq_ocp authors"
 release = version = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 extensions = [
@@ -48,12 +50,17 @@ autosummary_generate, autodoc_typehints = True, "none"
 suppress_warnings = ["config.cache", "ref.python"]
 
 
-def figures_of_an_example(block: object, variables: dict[str, dict], settings: dict, **options: object) -> str:
-    """Save every Figure that an example holds for the first time, and return the text that shows them."""
+def save_figures(block: object, variables: dict[str, dict], settings: dict, **options: object) -> str:
+    """Save each Figure that an example holds for the first time, and return the text that shows them.
+
+    The first image of an example is its thumbnail, which no page shows: the first panel of its first figure.
+    """
     shown = variables["example_globals"].setdefault("_shown", [])
     paths = list[str]()
     for figure in _figures(variables["example_globals"]):
-        if not any(figure is one for one in shown):
+        if not any(figure is earlier for earlier in shown):
+            if not shown:
+                figure.savefig(next(variables["image_path_iterator"]), dpi=110, bbox_inches=_first_panel(figure))
             shown.append(figure)
             paths.append(next(variables["image_path_iterator"]))
             figure.savefig(paths[-1], dpi=110)
@@ -64,11 +71,20 @@ def _figures(names: dict[str, object]) -> Iterator[Figure]:
     return (value for name, value in list(names.items()) if isinstance(value, Figure) and not name.startswith("_"))
 
 
+def _first_panel(figure: Figure) -> Bbox:
+    """Return the box in inches around the first axes of a figure, with their labels."""
+    figure.draw_without_rendering()
+    panel = figure.axes[0].get_tightbbox()
+    assert panel is not None  # the first axes of each example are visible
+    return panel.padded(10).transformed(figure.dpi_scale_trans.inverted())
+
+
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
+    "subsection_order": [f"../examples/{field}" for field in FIELDS],
     "filename_pattern": r"\.py$",
-    "image_scrapers": (figures_of_an_example,),
+    "image_scrapers": (save_figures,),
     "within_subsection_order": "ExampleTitleSortKey",
     "capture_repr": (),
     "download_all_examples": False,
@@ -76,7 +92,7 @@ sphinx_gallery_conf = {
     "remove_config_comments": True,
     "min_reported_time": 1e9,
     "write_computation_times": False,
-    "copyfile_regex": r".*\.(csv|toml)$",
+    "thumbnail_size": (400, 260),
 }
 
 
