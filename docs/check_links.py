@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-LOADED = {"script": "src", "img": "src", "link": "href", "iframe": "src", "source": "src"}  # what a browser fetches
+LOADED = {"script": "src", "img": "src", "link": "href", "iframe": "src", "source": "src"}  # fetched by a browser
 
 
 class Links(HTMLParser):
@@ -19,14 +19,14 @@ class Links(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Keep what leads or loads from somewhere."""
+        """Collect the address of each tag that links or loads."""
         address = dict(attrs).get("href" if tag == "a" else LOADED.get(tag, ""))
         if address:
             self.found.append((tag, address))
 
 
 def faults(page: Path, site: Path) -> list[str]:
-    """Return what is wrong with the links of a page, a line each."""
+    """Return the faulty links of a page, one line each."""
     wrong = list[str]()
     for tag, address in Links(page.read_text(encoding="utf-8")).found:
         parts = urlsplit(address)

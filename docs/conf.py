@@ -31,11 +31,11 @@ extensions = [
     "sphinx_click",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "_extra", "benchmarks/*", "ISSUE_TEMPLATE", "gallery/*.ipynb"]
+exclude_patterns = ["_build", "_extra", "benchmarks/*", "ISSUE_TEMPLATE", "gallery/*/*.ipynb"]
 html_theme, html_title = "furo", f"lin_freq_ocp {release}"
 html_static_path, html_css_files = ["_static"], ["site.css"]
 html_show_sphinx = False
-html_context = {  # what build.sh says; see _templates/sidebar/variant-selector.html
+html_context = {  # from build.sh; see _templates/sidebar/variant-selector.html
     "date": time.strftime("%-d %B %Y", time.gmtime(float(os.environ.get("SOURCE_DATE_EPOCH", time.time())))),
     "tag": os.environ.get("DOCS_TAG", ""),
     "tags": os.environ.get("DOCS_TAGS", "").split(),
@@ -97,7 +97,7 @@ sphinx_gallery_conf = {
 
 
 def plain_text(app: Sphinx, kind: str, name: str, value: object, options: object, lines: list[str]) -> None:
-    """Escape what docstrings mean literally: |x| is an absolute value, and * a product."""
+    """Escape the signs of docstrings: |x| is an absolute value, and * a product."""
     for i, line in enumerate(lines):
         if not line.lstrip().startswith((">>>", "...")):
             parts = re.split(r"(``.*?``)", line)
@@ -107,7 +107,7 @@ def plain_text(app: Sphinx, kind: str, name: str, value: object, options: object
 
 
 def setup(app: Sphinx) -> None:
-    """Write the pages of the reference and what the first page shows, and read docstrings as plain text."""
+    """Write the generated pages, and read docstrings as plain text."""
     for script in ("reference.py", "first_page.py"):
         subprocess.run([sys.executable, str(HERE / script)], check=True)
     app.add_lexer("mermaid", TextLexer)

@@ -1,4 +1,4 @@
-"""What the first page shows: a live page with a solved sweep inside, and what is said of an infeasible problem."""
+"""Two parts of the first page: a live page with a solved sweep, and the message for an infeasible problem."""
 
 from __future__ import annotations
 

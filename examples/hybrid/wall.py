@@ -44,9 +44,8 @@ print("modes    ", " ".join(names[result.sequence]))
 print(f"cost      {result.cost:.6f}, no trajectory below {result.lower_bound:.6f}")
 print(f"maximum principle {result.certificate.pmp}; {result.certificate.borders}")
 
-comparison = lfo.compare(
-    problem
-)  # the optimum without the limit, filtered and replayed through the true modes
+# the optimum without the limit, filtered, and simulated with the true modes
+comparison = lfo.compare(problem)
 for filtered in comparison.filtered:
     measures = filtered.replay.measures
     energy = measures.stopband_energy

@@ -1,6 +1,6 @@
 """
-Predictive control beside a resonance
-=====================================
+Predictive control near a resonance
+===================================
 
 A cart carries a pendulum and a mode at 12 Hz that the controller's model does not have.
 

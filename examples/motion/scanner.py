@@ -1,6 +1,6 @@
 """
-A scanner: follow a triangle wave beside a resonance
-====================================================
+A scanner: follow a triangle wave without its resonance
+=======================================================
 
 A piezo scanner follows a triangle of 8 um at 25 Hz, line after line.
 
