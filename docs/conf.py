@@ -72,11 +72,13 @@ def _figures(names: dict[str, object]) -> Iterator[Figure]:
 
 
 def _first_panel(figure: Figure) -> Bbox:
-    """Return the box in inches around the first axes of a figure, with their labels."""
+    """Return the box in inches around the first axes of a figure, with their tick labels but without their title."""
     figure.draw_without_rendering()
-    panel = figure.axes[0].get_tightbbox()
-    assert panel is not None  # the first axes of each example are visible
-    return panel.padded(10).transformed(figure.dpi_scale_trans.inverted())
+    axes = figure.axes[0]
+    frame, labelled = axes.get_window_extent(), axes.get_tightbbox()
+    assert labelled is not None  # the first axes of each example are visible
+    panel = Bbox.from_extents(labelled.x0, labelled.y0, frame.x1, frame.y1)
+    return panel.padded(6).transformed(figure.dpi_scale_trans.inverted())
 
 
 sphinx_gallery_conf = {
