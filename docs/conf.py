@@ -60,7 +60,7 @@ def save_figures(block: object, variables: dict[str, dict], settings: dict, **op
     for figure in _figures(variables["example_globals"]):
         if not any(figure is earlier for earlier in shown):
             if not shown:
-                figure.savefig(next(variables["image_path_iterator"]), dpi=110, bbox_inches=_first_panel(figure))
+                _save_first_panel(figure, next(variables["image_path_iterator"]))
             shown.append(figure)
             paths.append(next(variables["image_path_iterator"]))
             figure.savefig(paths[-1], dpi=110)
@@ -71,14 +71,19 @@ def _figures(names: dict[str, object]) -> Iterator[Figure]:
     return (value for name, value in list(names.items()) if isinstance(value, Figure) and not name.startswith("_"))
 
 
-def _first_panel(figure: Figure) -> Bbox:
-    """Return the box in inches around the first axes of a figure, with their tick labels but without their title."""
+def _save_first_panel(figure: Figure, path: str) -> None:
+    """Save the first axes of a figure with their tick labels, but without titles and legends."""
+    around = [*figure.legends, *figure.texts]  # their places follow the size of the figure, and would be in the panel
+    for artist in around:
+        artist.set_visible(False)
     figure.draw_without_rendering()
     axes = figure.axes[0]
     frame, labelled = axes.get_window_extent(), axes.get_tightbbox()
     assert labelled is not None  # the first axes of each example are visible
-    panel = Bbox.from_extents(labelled.x0, labelled.y0, frame.x1, frame.y1)
-    return panel.padded(6).transformed(figure.dpi_scale_trans.inverted())
+    panel = Bbox.from_extents(labelled.x0, labelled.y0, frame.x1, frame.y1).padded(6)
+    figure.savefig(path, dpi=110, bbox_inches=panel.transformed(figure.dpi_scale_trans.inverted()))
+    for artist in around:
+        artist.set_visible(True)
 
 
 sphinx_gallery_conf = {
