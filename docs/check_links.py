@@ -15,34 +15,34 @@ class Links(HTMLParser):
 
     def __init__(self, text: str):
         super().__init__()
-        self.found = list[tuple[str, str]]()
+        self.addresses = list[tuple[str, str]]()
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         """Collect the address of each tag that links or loads."""
         address = dict(attrs).get("href" if tag == "a" else LOADED.get(tag, ""))
         if address:
-            self.found.append((tag, address))
+            self.addresses.append((tag, address))
 
 
-def faults(page: Path, site: Path) -> list[str]:
+def link_faults(page: Path, site: Path) -> list[str]:
     """Return the faulty links of a page, one line each."""
-    wrong = list[str]()
-    for tag, address in Links(page.read_text(encoding="utf-8")).found:
+    lines = list[str]()
+    for tag, address in Links(page.read_text(encoding="utf-8")).addresses:
         parts = urlsplit(address)
-        where = f"{page.relative_to(site)}: <{tag}> {address}"
+        place = f"{page.relative_to(site)}: <{tag}> {address}"
         if parts.scheme in ("data", "mailto"):
             continue
         if parts.scheme or parts.netloc:
-            wrong += [f"{where}: loaded from a network"] if tag in LOADED else []
+            lines += [f"{place}: loaded from a network"] if tag in LOADED else []
         elif parts.path and not (page.parent / unquote(parts.path)).exists():
-            wrong.append(f"{where}: no such file")
-    return wrong
+            lines.append(f"{place}: no such file")
+    return lines
 
 
 if __name__ == "__main__":
     root = Path(sys.argv[1])
     pages = sorted(root.rglob("*.html"))
-    found = [fault for page in pages for fault in faults(page, root)]
-    print("\n".join(found) if found else f"{len(pages)} pages, every local link leads to a file")
-    raise SystemExit(bool(found))
+    faults = [fault for page in pages for fault in link_faults(page, root)]
+    print("\n".join(faults) if faults else f"{len(pages)} pages, every local link leads to a file")
+    raise SystemExit(bool(faults))
