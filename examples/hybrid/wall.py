@@ -35,8 +35,8 @@ problem = lfo.OptimalControlProblem(
 )
 
 for border in problem.borders:
-    kind = "continuous" if border.continuous else f"jumps by {border.jump:.3g}"
-    print(f"border of {free.name} and {contact.name}: {kind}")
+    kind = "continuous" if border.continuous else "a jump"
+    print(f"switching boundary of {free.name} and {contact.name}: {kind}")
 
 result = lfo.solve(problem)
 names = np.array(dynamics.mode_names)

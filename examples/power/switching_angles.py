@@ -40,7 +40,7 @@ result = lfo.solve(problem)
 print(result)
 x = result.trajectory.x
 print("angles [deg]", np.degrees(x[1:-1, 0]).round(3))
-print(f"distortion of the integrated output {100 * np.sqrt(result.cost):.3f} %")
+print(f"distortion of the integrated output {100 * result.cost**0.5:.3f} %")
 figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
 axes.step(np.degrees(x[:, 0]), np.append(x[:-1, 1], x[-2, 1]), where="post")
 axes.set(xlabel="angle [deg]", ylabel="level")
