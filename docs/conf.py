@@ -92,7 +92,7 @@ sphinx_gallery_conf = {
     "subsection_order": [f"../examples/{field}" for field in FIELDS],
     "filename_pattern": r"\.py$",
     "image_scrapers": (save_figures,),
-    "within_subsection_order": "ExampleTitleSortKey",
+    "within_subsection_order": "FileNameSortKey",
     "capture_repr": (),
     "download_all_examples": False,
     "show_signature": False,
