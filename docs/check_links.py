@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-LOADED = {"script": "src", "img": "src", "link": "href", "iframe": "src", "source": "src"}  # fetched by a browser
+LOADED = {"script": "src", "img": "src", "link": "href", "iframe": "src", "source": "src"}  # what a browser fetches
 
 
 class Links(HTMLParser):
@@ -15,34 +15,34 @@ class Links(HTMLParser):
 
     def __init__(self, text: str):
         super().__init__()
-        self.addresses = list[tuple[str, str]]()
+        self.found = list[tuple[str, str]]()
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Collect the address of each tag that links or loads."""
+        """Collect the links and the sources of a page."""
         address = dict(attrs).get("href" if tag == "a" else LOADED.get(tag, ""))
         if address:
-            self.addresses.append((tag, address))
+            self.found.append((tag, address))
 
 
-def link_faults(page: Path, site: Path) -> list[str]:
-    """Return the faulty links of a page, one line each."""
-    lines = list[str]()
-    for tag, address in Links(page.read_text(encoding="utf-8")).addresses:
+def faults(page: Path, site: Path) -> list[str]:
+    """Return the broken links of a page, a line each."""
+    wrong = list[str]()
+    for tag, address in Links(page.read_text(encoding="utf-8")).found:
         parts = urlsplit(address)
-        place = f"{page.relative_to(site)}: <{tag}> {address}"
+        where = f"{page.relative_to(site)}: <{tag}> {address}"
         if parts.scheme in ("data", "mailto"):
             continue
         if parts.scheme or parts.netloc:
-            lines += [f"{place}: loaded from a network"] if tag in LOADED else []
+            wrong += [f"{where}: loaded from a network"] if tag in LOADED else []
         elif parts.path and not (page.parent / unquote(parts.path)).exists():
-            lines.append(f"{place}: no such file")
-    return lines
+            wrong.append(f"{where}: no such file")
+    return wrong
 
 
 if __name__ == "__main__":
     root = Path(sys.argv[1])
     pages = sorted(root.rglob("*.html"))
-    faults = [fault for page in pages for fault in link_faults(page, root)]
-    print("\n".join(faults) if faults else f"{len(pages)} pages, every local link leads to a file")
-    raise SystemExit(bool(faults))
+    found = [fault for page in pages for fault in faults(page, root)]
+    print("\n".join(found) if found else f"{len(pages)} pages, every local link leads to a file")
+    raise SystemExit(bool(found))

@@ -104,7 +104,7 @@ sphinx_gallery_conf = {
 
 
 def plain_text(app: Sphinx, kind: str, name: str, value: object, options: object, lines: list[str]) -> None:
-    """Escape the signs of docstrings: |x| is an absolute value, and * a product."""
+    """Escape characters that docstrings mean literally: |x| is an absolute value, and * a product."""
     for i, line in enumerate(lines):
         if not line.lstrip().startswith((">>>", "...")):
             parts = re.split(r"(``.*?``)", line)
@@ -114,7 +114,7 @@ def plain_text(app: Sphinx, kind: str, name: str, value: object, options: object
 
 
 def setup(app: Sphinx) -> None:
-    """Write the generated pages, and read docstrings as plain text."""
+    """Write the pages of the reference and the contents of the first page, and read docstrings as plain text."""
     for script in ("reference.py", "first_page.py"):
         subprocess.run([sys.executable, str(HERE / script)], check=True)
     app.add_lexer("mermaid", TextLexer)

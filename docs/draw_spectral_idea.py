@@ -141,7 +141,7 @@ def draw_rows(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.solver
 
 
 def draw_kernels(ax: Axes, structure: Structure, solution: lfo.solvers.SpectralSolution) -> None:
-    """Draw the response of force and position at t to a force on the control at s, and the entries of S."""
+    """Draw the response of force and position at t to a force on the control at time s, and where S is read off."""
     style_axes(
         ax,
         "(d) How one row acts on another: kernels",

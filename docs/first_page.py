@@ -1,4 +1,4 @@
-"""Two parts of the first page: a live page with a solved sweep, and the message for an infeasible problem."""
+"""Contents of the first page: a live page with a solved sweep inside, and the explanation of an infeasible problem."""
 
 from __future__ import annotations
 
