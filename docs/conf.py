@@ -12,11 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx_gallery.scrapers import figure_rst
 
 HERE = Path(__file__).parent
+FIELDS = ("motion", "mri", "power", "space", "energy", "hybrid", "method")  # the gallery's sections, in this order
 project, author, copyright = "lin_freq_ocp", "the lin_freq_ocp authors", "the lin_freq_ocp authors"
 release = version = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 extensions = [
@@ -29,11 +31,11 @@ extensions = [
     "sphinx_click",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "_extra", "benchmarks/*", "ISSUE_TEMPLATE", "gallery/*.ipynb"]
+exclude_patterns = ["_build", "_extra", "benchmarks/*", "ISSUE_TEMPLATE", "gallery/*/*.ipynb"]
 html_theme, html_title = "furo", f"lin_freq_ocp {release}"
 html_static_path, html_css_files = ["_static"], ["site.css"]
 html_show_sphinx = False
-html_context = {  # what build.sh says; see _templates/sidebar/variant-selector.html
+html_context = {  # from build.sh; see _templates/sidebar/variant-selector.html
     "date": time.strftime("%-d %B %Y", time.gmtime(float(os.environ.get("SOURCE_DATE_EPOCH", time.time())))),
     "tag": os.environ.get("DOCS_TAG", ""),
     "tags": os.environ.get("DOCS_TAGS", "").split(),
@@ -48,12 +50,17 @@ autosummary_generate, autodoc_typehints = True, "none"
 suppress_warnings = ["config.cache", "ref.python"]
 
 
-def figures_of_an_example(block: object, variables: dict[str, dict], settings: dict, **options: object) -> str:
-    """Save every Figure that an example holds for the first time, and return the text that shows them."""
+def save_figures(block: object, variables: dict[str, dict], settings: dict, **options: object) -> str:
+    """Save each Figure that an example holds for the first time, and return the text that shows them.
+
+    The first image of an example is its thumbnail, which no page shows: the first panel of its first figure.
+    """
     shown = variables["example_globals"].setdefault("_shown", [])
     paths = list[str]()
     for figure in _figures(variables["example_globals"]):
-        if not any(figure is one for one in shown):
+        if not any(figure is earlier for earlier in shown):
+            if not shown:
+                _save_first_panel(figure, next(variables["image_path_iterator"]))
             shown.append(figure)
             paths.append(next(variables["image_path_iterator"]))
             figure.savefig(paths[-1], dpi=110)
@@ -64,19 +71,35 @@ def _figures(names: dict[str, object]) -> Iterator[Figure]:
     return (value for name, value in list(names.items()) if isinstance(value, Figure) and not name.startswith("_"))
 
 
+def _save_first_panel(figure: Figure, path: str) -> None:
+    """Save the first axes of a figure with their tick labels, but without titles and legends."""
+    around = [*figure.legends, *figure.texts]  # their places follow the size of the figure, and would be in the panel
+    for artist in around:
+        artist.set_visible(False)
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    frame, labelled = axes.get_window_extent(), axes.get_tightbbox()
+    assert labelled is not None  # the first axes of each example are visible
+    panel = Bbox.from_extents(labelled.x0, labelled.y0, frame.x1, frame.y1).padded(6)
+    figure.savefig(path, dpi=110, bbox_inches=panel.transformed(figure.dpi_scale_trans.inverted()))
+    for artist in around:
+        artist.set_visible(True)
+
+
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
+    "subsection_order": [f"../examples/{field}" for field in FIELDS],
     "filename_pattern": r"\.py$",
-    "image_scrapers": (figures_of_an_example,),
-    "within_subsection_order": "ExampleTitleSortKey",
+    "image_scrapers": (save_figures,),
+    "within_subsection_order": "FileNameSortKey",
     "capture_repr": (),
     "download_all_examples": False,
     "show_signature": False,
     "remove_config_comments": True,
     "min_reported_time": 1e9,
     "write_computation_times": False,
-    "copyfile_regex": r".*\.(csv|toml)$",
+    "thumbnail_size": (400, 260),
 }
 
 

@@ -124,7 +124,7 @@ def draw_rows(ax: Axes, problem: lfo.OptimalControlProblem, solution: lfo.solver
         f"(b) The working rows: {len(active.t)} of {bounded} samples",
         "time step t",
         "part of the bound",
-        [Note("only what is at a bound enters a small dense QP")],
+        [Note("only samples at a bound enter the small dense QP")],
     )
     ax.axhline(1, color=BOUND, linewidth=1.4)
     ax.axhline(-1, color=BOUND, linewidth=1.4)
@@ -147,7 +147,7 @@ def draw_kernels(ax: Axes, structure: Structure, solution: lfo.solvers.SpectralS
         "(d) How one row acts on another: kernels",
         "t - s, modulo the horizon",
         "K / largest |K|",
-        [Note("what a unit force on u at s takes away at t; dots: entries of the QP")],
+        [Note("decrease at t by a unit force on u at s; dots: entries of the QP")],
     )
     T = structure.kkt.lti.horizon
     lag = np.arange(-T // 2, T // 2 + 1)

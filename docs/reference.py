@@ -1,4 +1,4 @@
-"""The pages of the reference: one for each namespace, made of the names that the package gives out."""
+"""The pages of the reference: one for each namespace, with its public names."""
 
 from __future__ import annotations
 
@@ -8,30 +8,32 @@ import lin_freq_ocp as lfo
 
 
 def write(folder: Path) -> None:
-    """Write index.rst and a page for every namespace; a page that would not change is left alone."""
+    """Write index.rst and a page for every namespace; unchanged pages are not written."""
     folder.mkdir(exist_ok=True)
     everyday = [name for name in lfo.__all__ if name not in lfo.NAMESPACES]
     pages = {"everyday": ("Names of everyday use", "lin_freq_ocp", everyday)}
     seen = set(everyday)
     for space in lfo.NAMESPACES:
-        given = list(lfo.library.PROBLEMS) if space == "library" else getattr(lfo, space).__all__
-        names = [name for name in given if name not in seen]  # a name is described once, where it is met first
+        public = list(lfo.library.PROBLEMS) if space == "library" else getattr(lfo, space).__all__
+        names = [name for name in public if name not in seen]  # each name is described once, in its first namespace
         seen.update(names)
         pages[space] = f"lin_freq_ocp.{space}", f"lin_freq_ocp.{space}", names
     for page, (title, module, names) in pages.items():
-        _write(folder / f"{page}.rst", title, module, names)
+        write_namespace(folder / f"{page}.rst", title, module, names)
     listing = "\n".join(f"   {page}" for page in pages)
     text = f"Python\n======\n\nEvery example below is run by the tests.\n\n.. toctree::\n   :maxdepth: 1\n\n{listing}\n"
-    _keep(folder / "index.rst", text)
+    write_if_changed(folder / "index.rst", text)
 
 
-def _write(path: Path, title: str, module: str, names: list[str]) -> None:
+def write_namespace(path: Path, title: str, module: str, names: list[str]) -> None:
+    """Write the page of a namespace, with a summary of each name."""
     listing = "\n".join(f"   {name}" for name in names)
     body = f".. currentmodule:: {module}\n\n.. autosummary::\n   :toctree: names\n   :nosignatures:\n\n{listing}\n"
-    _keep(path, f"{title}\n{'=' * len(title)}\n\n{body}")
+    write_if_changed(path, f"{title}\n{'=' * len(title)}\n\n{body}")
 
 
-def _keep(path: Path, text: str) -> None:
+def write_if_changed(path: Path, text: str) -> None:
+    """Write a page, unless it has this text already: Sphinx reads changed pages again."""
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
 

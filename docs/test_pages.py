@@ -24,3 +24,11 @@ def test_what_a_page_shows_runs(page, tmp_path):
             (tmp_path / "page.py").write_text(text)
         arguments = ["page.py"] if kind == "python" else ["-m", "lin_freq_ocp", *shlex.split(text)[2:]]
         subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("page", ["source.md", "architecture.md"])
+def test_files_named_by_a_page_exist(page):
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8").split("## A new cost")[0]
+    named = [name for name in re.findall(r"`([a-z_/]+\.py)`", text) if "/" in name]
+    assert len(named) > 10
+    assert [name for name in named if not (ROOT / "lin_freq_ocp" / name).exists() and not (ROOT / name).exists()] == []

@@ -180,15 +180,17 @@ def test_the_trajectory_as_json():
     assert "trajectory" not in json.loads(run("solve", "pendulum", "--json")[1])
 
 
-# --- the page a reader begins with ----------------------------------------------------------------------------------
+# --- the pages a reader begins with ----------------------------------------------------------------------------------
 
 
-def test_the_commands_of_the_readme_do_what_it_says(tmp_path, monkeypatch):
+def test_the_commands_of_the_first_pages_run(tmp_path, monkeypatch):
     """All but the slow ones and the one that runs until Ctrl-C, in their order: each ends with its proof."""
     monkeypatch.chdir(tmp_path)
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    block = text.split("## From the command line")[1].split("```sh\n")[1].split("```")[0]
-    lines = [shlex.split(line, comments=True) for line in block.splitlines()]
+    root = Path(__file__).parents[2]
+    first = (root / "README.md").read_text(encoding="utf-8").split("## From the command line")[1]
+    second = (root / "docs" / "command_line.md").read_text(encoding="utf-8")
+    blocks = [text.split("```sh\n")[1].split("```")[0] for text in (first, second)]
+    lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
     assert {"list", "show", "solve", "certify", "rerun", "init"} <= {line[1] for line in lines}
     for command, *line in lines:
         if command == "lfo-check":

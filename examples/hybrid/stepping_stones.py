@@ -1,0 +1,35 @@
+"""
+Stepping stones: regions with gaps
+==================================
+
+A point may stand only on the stones: outside all regions, no trajectory is feasible.
+
+The search proves which jumps are best.
+"""
+
+import numpy as np
+
+import lin_freq_ocp as lfo
+
+stones = [(0.0, 1.0), (1.6, 1.9), (2.8, 4.0)]
+modes = [
+    lfo.AffineMode([[1.0]], [[1.0]], G=[[-1.0], [1.0]], h=[-low, high], name=f"stone {k}")
+    for k, (low, high) in enumerate(stones, start=1)
+]
+problem = lfo.OptimalControlProblem(
+    lfo.PiecewiseAffineDynamics(
+        modes, state_names=["position [m]"], control_names=["step [m]"]
+    ),
+    horizon=8,
+    cost=lfo.QuadraticCost(R=1.0),
+    control_set=lfo.Box(-1, 1),
+    state_set=lfo.Box(-1, 5),
+    initial_state=[0.5],
+    terminal_state=[3.5],
+    name="stepping stones",
+)
+print("no mode", problem.gap)
+result = lfo.solve(problem)
+print("positions", np.round(result.trajectory.x[:, 0], 4))
+print(f"cost {result.cost:.6f}, no trajectory below {result.lower_bound:.6f}")
+figure = result.plot()

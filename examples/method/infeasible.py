@@ -1,0 +1,22 @@
+"""
+An infeasible problem: the conflict, and its repairs
+====================================================
+
+An actuator is too slow for its task, and the error names the constraints in conflict.
+
+For each of them it computes the smallest change that restores feasibility.
+"""
+
+import lin_freq_ocp as lfo
+
+problem = lfo.library.pendulum(cutoff=0.35)
+try:
+    lfo.solve(problem)
+except lfo.errors.InfeasibleError as error:
+    print(error)
+
+# one of the repairs: a larger bound on the force
+cured = lfo.library.pendulum(cutoff=0.35, control_bound=5.54)
+result = lfo.solve(cured)
+print(f"with 5.54 N instead of 5 N: cost {result.cost:.6g}, {result.certificate.pmp}")
+figure = result.plot()

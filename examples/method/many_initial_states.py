@@ -1,0 +1,28 @@
+"""
+A hundred initial states in one call
+====================================
+
+``lfo.solve_many`` sets up the problem once, and certifies every answer.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import lin_freq_ocp as lfo
+
+problem = lfo.library.pendulum()
+start = problem.initial_box.lower
+starts = start + np.random.default_rng(0).uniform(-1, 1, (100, 4)) * [
+    0.01,
+    0.01,
+    0.02,
+    0.02,
+]
+solutions = lfo.solve_many(problem, starts)
+feasible = np.isfinite(solutions.costs)
+print(f"{feasible.sum()} of {len(starts)} feasible; all proven: {solutions.proven}")
+
+figure, axes = plt.subplots(figsize=(7, 3.5), layout="constrained")
+axes.plot(problem.times[:-1], solutions.controls[feasible, :, 0].T, linewidth=0.5)
+axes.set_xlabel("time [s]")
+axes.set_ylabel(problem.control_names[0])

@@ -1,0 +1,34 @@
+"""
+First steps: a cart from rest to rest
+=====================================
+
+A cart moves 1 m in 2 s, with bounded force and speed.
+
+Its actuator follows up to 20 Hz, so that the force must not contain higher frequencies.
+"""
+
+import control
+
+import lin_freq_ocp as lfo
+
+plant = control.ss([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]])
+problem = lfo.OptimalControlProblem(
+    dynamics=lfo.LinearDynamics.from_statespace(
+        plant,
+        sampling_time=0.01,
+        state_names=["position [m]", "speed [m/s]"],
+        control_names=["force [N]"],
+    ),
+    horizon=200,
+    cost=lfo.QuadraticCost(R=1.0),
+    control_set=lfo.Box(-5, 5),
+    state_set=lfo.Box([None, -1], [None, 1]),
+    initial_state=[0, 0],
+    terminal_state=[1, 0],
+    control_spectrum=lfo.low_pass(cutoff_hz=20),
+    name="first steps",
+)
+result = lfo.solve(problem)
+print(result)
+print("last states:", result.trajectory.x[-3:].round(6).tolist())
+figure = result.plot()
