@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, known_entries
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
+from lin_freq_ocp.methods.condensed.solver import CondensedSolver
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.spectral.recovery import Together
 from lin_freq_ocp.methods.structured.solver import Prepared
@@ -19,6 +20,10 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Chain, reduce_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
+
+CONDENSED_SOLVES = 3
+"""The solve from which the condensed method is tried: its set-up takes as long as some ten solves of the Fourier-domain
+method, so that a problem that is solved twice does not need it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +73,8 @@ class Kept:
         self._solver: SpectralSolver | None = None
         self._refusal: UnsupportedError | None = None
         self._last: SpectralSolution | None = None
+        self._condensed: CondensedSolver | None = None
+        self._solves, self._refused_condensed = 0, False
         self.prepared = Prepared()
 
     def spectral(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
@@ -87,6 +94,27 @@ class Kept:
         if found.status == "optimal":
             self._last = found
         return reduced.recover(found)
+
+    def condensed(self, problem: OptimalControlProblem, change: Change) -> Candidate | None:
+        """Solve the changed problem in few unknowns, from the multipliers of the last solve.
+
+        None where the method does not take it, ends without an answer, or does not pay yet.
+        """
+        self._solves += 1
+        if self._solves < CONDENSED_SOLVES or self._refused_condensed or not self._takes(problem, change):
+            return None
+        try:
+            reduced, solver = self._spectral_solver()
+            if self._condensed is None or self._condensed.units is not solver.units:
+                self._condensed = CondensedSolver(solver.lti, solver.units)
+        except UnsupportedError:
+            self._refused_condensed = True
+            return None
+        changed, lti = solver.changed_problem(
+            change.initial_state, change.terminal_state, change.references, change.bounds
+        )
+        found = self._condensed.solve(changed, lti) if self._condensed.takes(lti) else None
+        return None if found is None or found.status != "optimal" else reduced.recover(found)
 
     def _takes(self, problem: OptimalControlProblem, change: Change) -> bool:
         """Whether the kept solver takes a changed problem: new sets are boxes, none is rows, equal values are fixed."""

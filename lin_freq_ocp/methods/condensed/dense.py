@@ -30,20 +30,22 @@ class DenseKernel:
 
     def __init__(self, tables: Tables):
         self.tables = tables
-        loop, (T, n, m), (r, p) = tables.loop, tables.loop.shape, (tables.unknowns, tables.W.shape[1])
-
-        def values(v: Array, x_0: Array, data: Array) -> Array:
-            x, _ = loop.simulate(x_0, v.reshape(T, m, -1), data)
-            return tables.row_values(x, v.reshape(T, m, -1)).reshape(len(tables.families) * (T + 1), -1)
-
-        self._M = values(tables.V, np.zeros((n, r)), np.zeros(r))
-        self._of_start = values(tables.W, np.eye(n, p), np.eye(p)[-1])
+        (T, n, m), r = tables.loop.shape, tables.unknowns
+        self._M = tables.row_values(tables.V, np.zeros((r, n)), np.zeros(r))
+        self._of_states = tables.row_values(tables.W[:, :n], np.eye(n), np.zeros(n))
         self._lengths = np.linalg.norm(self._M, axis=1)
+        self.take(tables)
+        self._plan, self._x, self.changes = np.zeros(T * m), np.zeros(n), 0
+        self._forget()
+
+    def take(self, tables: Tables) -> None:
+        """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
+        self.tables, (T, n, _) = tables, tables.loop.shape
+        constant = tables.row_values(tables.W[:, n:], np.zeros((1, n)), np.ones(1))
+        self._of_start = np.hstack([self._of_states, constant])
         self._size = np.repeat(tables.sizes, T + 1)
         self._lower, self._upper = (side.ravel() for side in tables.bounds)
         self._low, self._up = (side.ravel() for side in tables.limits)
-        self._plan, self._x, self.changes = np.zeros(T * m), np.zeros(n), 0
-        self._forget()
 
     def _forget(self) -> None:
         """Begin without multipliers."""

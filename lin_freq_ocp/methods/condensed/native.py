@@ -92,17 +92,17 @@ class NativeKernel:
 
     def __init__(self, tables: Tables, compiled: ctypes.CDLL):
         self.tables, self._library = tables, compiled
-        loop, lti, (T, n, m), count = tables.loop, tables.loop.lti, tables.loop.shape, len(tables.families)
+        loop, (T, n, m), count, r = tables.loop, tables.loop.shape, len(tables.families), tables.unknowns
         C = tables.C + tables.D @ loop.K
-        offset = np.zeros((T, n)) if lti.offset is None else lti.offset.T
-        arrays = {
-            "A": loop.A, "B": lti.B, "K": loop.K, "d": offset, "W": np.vstack([tables.W.T, tables.V.T]),
-            "E": self._responses(C), "C": C, "D": tables.D, "size": tables.sizes,
-            "lower": np.maximum(tables.bounds[0], -NONE), "upper": np.minimum(tables.bounds[1], NONE),
-            "limit_low": np.minimum(tables.limits[0], NONE), "limit_up": np.minimum(tables.limits[1], NONE),
+        constant = {
+            "A": loop.A, "B": loop.lti.B, "K": loop.K, "W": np.vstack([tables.W.T, tables.V.T]),
+            "E": self._responses(C), "C": C, "D": tables.D,
         }  # fmt: skip
-        self._arrays = {name: np.ascontiguousarray(arrays[name], dtype=np.float64) for name in ARRAYS}
-        r, rows = tables.unknowns, count * (T + 1)
+        shapes = {"d": (T, n), "size": (count,)} | dict.fromkeys(ARRAYS[-4:], (count, T + 1))
+        self._arrays = {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in constant.items()}
+        self._arrays |= {name: np.zeros(shape) for name, shape in shapes.items()}
+        self.take(tables)
+        rows = count * (T + 1)
         most = min(r, rows)
         integers = dict(zip(INTEGERS, (T, n, m, n + 1, r, count, most, tables.most_changes), strict=True))
         self._model = Model(**integers, tolerance=TOLERANCE, dependent=DEPENDENT)
@@ -114,11 +114,18 @@ class NativeKernel:
         pointers = [ctypes.c_void_p(part.ctypes.data) for part in (*self._work, self._x, self._u, self._weights)]
         memory = ctypes.byref(self._memory)
         # pointers are made once: a call then takes a microsecond
-        self._step = model, memory, *pointers[3:5], None
-        self._read = model, memory, pointers[5]
+        self._step, self._read = (model, memory, *pointers[3:5], None), (model, memory, pointers[5])
         compiled.lfo_begin(model, memory, *pointers[:3])
-        r, Tm = tables.unknowns, T * m
-        self._plan = self._work[0][4 * r + Tm : 4 * r + 2 * Tm]
+        self._plan = self._work[0][4 * r + T * m : 4 * r + 2 * T * m]
+
+    def take(self, tables: Tables) -> None:
+        """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
+        self.tables, arrays, (T, n, _) = tables, self._arrays, tables.loop.shape
+        offset = tables.loop.lti.offset
+        arrays["d"][:] = 0.0 if offset is None else offset.T
+        arrays["W"][n], arrays["size"][:] = tables.W[:, n], tables.sizes
+        for name, side in zip(ARRAYS[-4:], (*tables.bounds, *tables.limits), strict=True):
+            np.clip(side, -NONE, NONE, out=arrays[name])
 
     def _responses(self, C: Array) -> Array:
         loop, (T, n, m) = self.tables.loop, self.tables.loop.shape

@@ -2,7 +2,7 @@
 
 With u_t = K x_t + v_t and a stabilising feedback K, every map below is one of the stable loop, however unstable the
 plant is. Stop bands and a fixed end are equations E v = e; their solutions are v = W (x_0, 1, xi), where the unknowns
-xi have the cost 1/2 |xi|^2 + const. Sweeps have all columns of their arguments as a last axis.
+xi have the cost 1/2 |xi|^2 + const.
 
 Source: dense condensing with prestabilisation as in Rossiter, Kouvaritakis and Rice (1998); least-distance form as in
 Lawson and Hanson, "Solving Least Squares Problems" (1974), chapter 23.
@@ -17,10 +17,9 @@ import numpy as np
 from scipy import fft
 from scipy.linalg import solve_discrete_are, solve_triangular
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral.model import Bounds, Lti
-from lin_freq_ocp.methods.spectral.recovery import Recovered
 
 RANK_TOLERANCE = 1e-11
 """Singular values of the equations below this part of the largest count as zero: the equations then depend on each
@@ -56,7 +55,11 @@ def refusal(lti: Lti) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """The loop x_{t+1} = (A + B K) x_t + B v_t + d_t with the cost and the equations of a problem."""
+    """The loop x_{t+1} = (A + B K) x_t + B v_t + d_t with the cost and the equations of a problem.
+
+    Signals x (T+1, k, n), u and v (T, k, m) hold k trajectories; ``data`` (k,) are factors of offsets, linear costs and
+    fixed ends: 1 for a trajectory, 0 for a change of one.
+    """
 
     lti: Lti
     K: Array  # (m, n)
@@ -76,49 +79,83 @@ class Loop:
         """The components of x_T that are fixed."""
         return np.flatnonzero(~np.isnan(self.lti.end))
 
-    def simulate(self, x_0: Array, v: Array, data: Array | float = 1.0) -> tuple[Array, Array]:
-        """Return x (T+1, n, k) and u (T, m, k) of x_0 (n, k) and v (T, m, k), with the offset times ``data`` (k,)."""
-        (T, n, _), x, u = self.shape, np.empty((len(v) + 1, *x_0.shape)), v.copy()
-        x[0], offset = x_0, self.lti.offset
-        for t in range(T):
-            x[t + 1] = self.A @ x[t] + self.lti.B @ v[t]
-            if offset is not None:
-                x[t + 1] += offset[:, t, None] * data
-            u[t] += self.K @ x[t]
-        return x, u
+    def plans(self, v: Array) -> Array:
+        """Return controls (T, k, m) from flat ones, (T m, k)."""
+        T, _, m = self.shape
+        return v.reshape(T, m, -1).swapaxes(1, 2)
 
-    def slopes(self, x: Array, u: Array, data: Array | float = 1.0) -> tuple[Array, Array]:
-        """Return the slopes of the cost in all states and controls, with linear terms times ``data``."""
+    def simulate(self, x_0: Array, v: Array, data: Array) -> tuple[Array, Array]:
+        """Return x and u of x_0 (k, n) and v (T, k, m)."""
+        steps = v @ self.lti.B.T
+        if self.lti.offset is not None:
+            steps += self.lti.offset.T[:, None] * data[:, None]
+        x = _recursion(self.A.T, np.concatenate([x_0[None], steps]))
+        return x, v + x[:-1] @ self.K.T
+
+    def slopes(self, x: Array, u: Array, data: Array) -> tuple[Array, Array]:
+        """Return the slopes of the cost in all states and controls."""
         lti, (T, n, _) = self.lti, self.shape
-        inner = lti.M @ np.concatenate([x[:T], u], axis=1)
+        inner = np.concatenate([x[:T], u], axis=2) @ lti.M
         if lti.linear is not None:
-            inner += lti.linear.T[:, :, None] * data
-        last = lti.P @ x[T] + lti.p[:, None] * data
-        return np.concatenate([inner[:, :n], last[None]]), inner[:, n:]
+            inner += lti.linear.T[:, None] * data[:, None]
+        last = x[T] @ lti.P + lti.p * data[:, None]
+        return np.concatenate([inner[..., :n], last[None]]), inner[..., n:]
 
     def adjoint(self, in_x: Array, in_u: Array) -> Array:
-        """Return eta (T, n, k) with eta_{t-1} = A'eta_t - (slopes in x_t and K u_t), and eta_{T-1} = -slope in x_T."""
-        total, eta = in_x.copy(), np.empty((len(in_u), *in_x.shape[1:]))
-        total[:-1] += self.K.T @ in_u
-        eta[-1] = -total[-1]
-        for t in range(len(in_u) - 1, 0, -1):
-            eta[t - 1] = self.A.T @ eta[t] - total[t]
-        return eta
+        """Return eta (T, k, n): eta_{t-1} = A'eta_t - (slope in x_t) - K'(slope in u_t), eta_{T-1} = -slope in x_T."""
+        total = in_x[1:].copy()
+        total[:-1] += in_u[1:] @ self.K
+        return -_recursion(self.A, total[::-1])[::-1]
 
     def gradient(self, in_x: Array, in_u: Array) -> Array:
-        """Return the slopes in v, (T, m, k), of the slopes in x and u."""
-        return in_u - self.lti.B.T @ self.adjoint(in_x, in_u)
+        """Return the slopes in v, flat, (T m, k), of the slopes in x and u."""
+        slope = in_u - self.adjoint(in_x, in_u) @ self.lti.B
+        return slope.swapaxes(1, 2).reshape(-1, slope.shape[1])
 
-    def equations(self, x: Array, u: Array, data: Array | float = 1.0) -> Array:
+    def equations(self, x: Array, u: Array, data: Array) -> Array:
         """Return the violations of the stop bands, by orthonormal rows, and of the fixed end, (equations, k)."""
         bins, found = fft.rfft(u, axis=0) / np.sqrt(len(u) / 2), list[Array]()
         for j, passed in enumerate(self.lti.passed):
             stopped = np.flatnonzero(~passed)
             real = (stopped == 0) | (2 * stopped == len(u))
-            of_bins = bins[stopped, j]
+            of_bins = bins[stopped, :, j]
             found += [of_bins.real * np.where(real, np.sqrt(0.5), 1.0)[:, None], of_bins.imag[~real]]
         end = self.fixed_end
-        return np.concatenate([*found, x[-1][end] - self.lti.end[end][:, None] * data])
+        return np.concatenate([*found, (x[-1][:, end] - self.lti.end[end] * data[:, None]).T])
+
+    def forces(self, multipliers: Array) -> tuple[Array, Array]:
+        """Return the forces of multipliers of the equations, (equations, k): on u (T, k, m), and on the fixed end."""
+        (T, _, m), first = self.shape, 0
+        spectrum = np.zeros((T // 2 + 1, multipliers.shape[1], m), dtype=np.complex128)
+        for j, passed in enumerate(self.lti.passed):
+            stopped = np.flatnonzero(~passed)
+            real = (stopped == 0) | (2 * stopped == T)
+            middle, last = first + len(stopped), first + len(stopped) + int((~real).sum())
+            spectrum[stopped, :, j] = multipliers[first:middle] * np.where(real, np.sqrt(2.0), 1.0)[:, None]
+            spectrum[stopped[~real], :, j] += 1j * multipliers[middle:last]
+            first = last
+        return fft.irfft(spectrum * np.sqrt(T / 2), T, axis=0), multipliers[first:].T
+
+
+def _recursion(M: Array, values: Array) -> Array:
+    """Return z_t = z_{t-1} M + values_t, z_0 = values_0, (T, k, n), by doubling: after step s, z_t sums the last 2^s."""
+    z, span = np.array(values), 1
+    while span < len(z):
+        z[span:] += z[:-span] @ M
+        M, span = M @ M, 2 * span
+    return z
+
+
+@dataclass(frozen=True, eq=False)
+class Extremal:
+    """k points with multipliers in the units of the problem; ``band`` is the spectrum of the stop bands' forces."""
+
+    x: Array  # (T+1, k, n)
+    u: Array  # (T, k, m)
+    eta: Array  # (T, k, n)
+    on_rows: Array  # of F, (rows, T+1, k)
+    band: ComplexArray  # (bins, k, m)
+    stationarity: Array  # residuals, (k,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,65 +198,50 @@ class Tables:
         return np.where(largest > 0, largest, 1.0)
 
     def with_data(self, lti: Lti) -> Tables | None:
-        """Return the tables of a problem with other references, offsets, end and bounds; None if others are bounded."""
+        """Return the tables of a problem with other references, offsets, ends and bounds; None if others are bounded."""
         families, bounds, limits = _bounds(lti)
         if not np.array_equal(families, self.families):
             return None
         changed, W = replace(self, loop=replace(self.loop, lti=lti)), self.W.copy()
-        W[:, -1:] = changed.centers(np.zeros((len(lti.A), 1)), np.ones(1))
+        W[:, -1:] = changed.centers(np.zeros((1, len(lti.A))), np.ones(1))
         return replace(changed, W=W, bounds=bounds, limits=limits)
 
     def centers(self, x_0: Array, data: Array) -> Array:
-        """Return v of least cost on the equations, (T m, k), for x_0 (n, k) and the data times numbers (k,)."""
-        loop, (T, _, m), count = self.loop, self.loop.shape, len(data)
+        """Return v of least cost on the equations, (T m, k), for x_0 (k, n) and the data times numbers (k,)."""
+        loop = self.loop
+        at_zero = loop.simulate(x_0, loop.plans(np.zeros((len(self.V), len(data)))), data)
+        v = -self.solve_equations @ loop.equations(*at_zero, data)
+        slopes = loop.slopes(*loop.simulate(x_0, loop.plans(v), data), data)
+        return v - self.V @ (self.V.T @ loop.gradient(*slopes))
 
-        def signals(v: Array) -> tuple[Array, Array]:
-            return loop.simulate(x_0, v.reshape(T, m, count), data)
+    def row_values(self, v: Array, x_0: Array, data: Array) -> Array:
+        """Return C x_t + D u_t of all families at all times, (families (T+1), k), of v (T m, k) from x_0 (k, n)."""
+        x, u = self.loop.simulate(x_0, self.loop.plans(v), data)
+        y = x @ self.C.T
+        y[:-1] += u @ self.D.T
+        return np.moveaxis(y, 2, 0).reshape(-1, len(data))
 
-        v = -self.solve_equations @ loop.equations(*signals(np.zeros((T * m, count))), data)
-        slope = loop.gradient(*loop.slopes(*signals(v), data)).reshape(T * m, count)
-        return v - self.V @ (self.V.T @ slope)
+    def recover(self, x_0: Array, v: Array, weights: Array) -> Extremal:
+        """Return the points of x_0 (k, n) and v (T m, k) with their multipliers, from those of the rows.
 
-    def row_values(self, x: Array, v: Array) -> Array:
-        """Return C x_t + D u_t of all families, (families, T+1, k), for x (T+1, n, k) and v (T, m, k)."""
-        y = np.moveaxis(self.C @ x, 0, 1)
-        y[:, :-1] += np.moveaxis(self.D @ (v + self.loop.K @ x[:-1]), 0, 1)
-        return y
-
-    def recover(self, x_0: Array, v: Array, weights: Array) -> tuple[Array, Array, Recovered]:
-        """Return x (T+1, n), u (T, m) and the multipliers, from those of the rows, (families, T+1)."""
-        loop, lti, (T, n, m) = self.loop, self.loop.lti, self.loop.shape
-        x, u = loop.simulate(x_0[:, None], v.reshape(T, m, 1))
-        in_x, in_u = loop.slopes(x, u)
-        in_x += (weights.T @ self.C)[:, :, None]
-        in_u += (weights[:, :-1].T @ self.D)[:, :, None]
-        on_equations = -self.solve_equations.T @ loop.gradient(in_x, in_u).reshape(T * m, 1)
-        band, on_end = self._forces(on_equations)
-        at_end = in_x.copy()
-        at_end[-1, loop.fixed_end] += on_end
-        eta = loop.adjoint(at_end, in_u + band)[:, :, 0]
-        spectrum = fft.rfft(eta @ lti.B - in_u[:, :, 0], axis=0).T
-        missed = np.where(lti.passed, spectrum, 0.0)
-        on_rows = np.zeros((len(lti.F), T + 1))
+        ``weights`` are the multipliers of the rows, (families, T+1, k), above zero at upper bounds.
+        """
+        loop, lti, (T, n, _), data = self.loop, self.loop.lti, self.loop.shape, np.ones(len(x_0))
+        x, u = loop.simulate(x_0, loop.plans(v), data)
+        in_x, in_u = loop.slopes(x, u, data)
+        at_rows = np.ascontiguousarray(np.moveaxis(weights, 0, 2))
+        in_x += at_rows @ self.C
+        in_u += at_rows[:-1] @ self.D
+        band, on_end = loop.forces(-self.solve_equations.T @ loop.gradient(in_x, in_u))
+        in_x[-1][:, loop.fixed_end] += on_end
+        eta = loop.adjoint(in_x, in_u + band)
+        spectrum = fft.rfft(eta @ lti.B - in_u, axis=0)
+        missed = np.where(lti.passed.T[:, None], spectrum, 0.0)
+        on_rows = np.zeros((len(lti.F), *weights.shape[1:]))
         on_rows[self.families] = weights
-        on_rows[:n, 0] += eta[0] @ lti.A - in_x[0, :, 0]
-        on_rows[loop.fixed_end, T] = on_end[:, 0]
-        stationarity = float(np.abs(missed).max(initial=0.0)) / T
-        none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
-        return x[:, :, 0], u[:, :, 0], Recovered(1.0, eta.T, on_rows, spectrum - missed, stationarity, none)
-
-    def _forces(self, multipliers: Array) -> tuple[Array, Array]:
-        """Return the forces of multipliers of the equations on all controls, (T, m, 1), and those on the fixed end."""
-        loop, (T, _, m), first = self.loop, self.loop.shape, 0
-        spectrum = np.zeros((T // 2 + 1, m, 1), dtype=np.complex128)
-        for j, passed in enumerate(loop.lti.passed):
-            stopped = np.flatnonzero(~passed)
-            real = (stopped == 0) | (2 * stopped == T)
-            parts = np.split(multipliers[first:], np.cumsum([len(stopped), int((~real).sum())]))[:2]
-            spectrum[stopped, j] = parts[0] * np.where(real, np.sqrt(2.0), 1.0)[:, None]
-            spectrum[stopped[~real], j] += 1j * parts[1]
-            first += len(parts[0]) + len(parts[1])
-        return fft.irfft(spectrum * np.sqrt(T / 2), T, axis=0), multipliers[first:]
+        on_rows[:n, 0] += (eta[0] @ lti.A - in_x[0]).T
+        on_rows[loop.fixed_end, T] = on_end.T
+        return Extremal(x, u, eta, on_rows, spectrum - missed, np.abs(missed).max(axis=(0, 2), initial=0.0) / T)
 
 
 def condense(lti: Lti) -> Tables:
@@ -229,8 +251,9 @@ def condense(lti: Lti) -> Tables:
         raise UnsupportedError(f"method 'condensed': {reason}.")
     loop = Loop(lti, stabilising_feedback(lti))
     T, n, m = loop.shape
-    x, u = loop.simulate(np.zeros((n, T * m)), np.eye(T * m).reshape(T, m, -1), 0.0)
-    E, hessian = loop.equations(x, u, 0.0), loop.gradient(*loop.slopes(x, u, 0.0)).reshape(T * m, -1)
+    none = np.zeros(T * m)
+    x, u = loop.simulate(np.zeros((T * m, n)), loop.plans(np.eye(T * m)), none)
+    E, hessian = loop.equations(x, u, none), loop.gradient(*loop.slopes(x, u, none))
     solve_equations, Z = _solve_equations(loop, E)
     in_unknowns = Z.T @ hessian @ Z
     in_unknowns = (in_unknowns + in_unknowns.T) / 2
@@ -241,7 +264,7 @@ def condense(lti: Lti) -> Tables:
     V = solve_triangular(L, Z.T, lower=True).T
     families, bounds, limits = _bounds(lti)
     tables = Tables(loop, V, np.zeros((T * m, n + 1)), solve_equations, families, bounds, limits)
-    return replace(tables, W=tables.centers(np.eye(n, n + 1), np.eye(n + 1)[-1]))
+    return replace(tables, W=tables.centers(np.eye(n + 1, n), np.eye(n + 1)[-1]))
 
 
 def stabilising_feedback(lti: Lti) -> Array:
@@ -265,8 +288,9 @@ def _solve_equations(loop: Loop, E: Array) -> tuple[Array, Array]:
     left, sigma, right = np.linalg.svd(E, full_matrices=True)
     rank = int((sigma > RANK_TOLERANCE * sigma[0]).sum())
     if rank < len(E):
-        T, n, m = loop.shape
-        alone = loop.equations(*loop.simulate(np.eye(n, n + 1), np.zeros((T, m, n + 1)), np.eye(n + 1)[-1]), np.eye(n + 1)[-1])
+        n, data = loop.shape[1], np.eye(loop.shape[1] + 1)[-1]
+        still = loop.plans(np.zeros((E.shape[1], n + 1)))
+        alone = loop.equations(*loop.simulate(np.eye(n + 1, n), still, data), data)
         contradiction = np.abs(left[:, rank:].T @ alone).max(initial=0.0)
         if contradiction > RIGHT_SIDE_ROUNDING * max(float(np.abs(alone).max()), sigma[0]):
             raise UnsupportedError("method 'condensed': stop bands and end contradict each other for some initial states.")

@@ -1,0 +1,91 @@
+"""CondensedSolver: the problem of the Fourier-domain method solved again and again in few unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, sealed
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.condensed.dense import DenseKernel
+from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
+from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, Tables, condense
+from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
+from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+
+class CondensedSolver:
+    """The tables and the kernel of a problem, with the multipliers of the last step.
+
+    Parameters
+    ----------
+    lti, units
+        The problem of the Fourier-domain method, whose initial state is fixed.
+
+    Raises
+    ------
+    UnsupportedError
+        With the reason, if the condensed method does not take the problem.
+    """
+
+    def __init__(self, lti: Lti, units: LtiUnits):
+        self.units, started = units, now()
+        with one_blas_thread():
+            self._set_up(condense(lti))
+        self.setup_seconds = now() - started
+
+    def _set_up(self, tables: Tables) -> None:
+        compiled = library() if len(tables.families) <= FAMILIES and tables.loop.shape[1] <= STATES else None
+        self.kernel = DenseKernel(tables) if compiled is None else NativeKernel(tables, compiled)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return what another process needs; the kernel is made anew."""
+        return {"units": self.units, "setup_seconds": self.setup_seconds, "tables": self.kernel.tables}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        tables = state.pop("tables")
+        assert isinstance(tables, Tables)
+        self.__dict__.update(state)
+        self._set_up(tables)
+
+    def takes(self, lti: Lti) -> bool:
+        """Take the data of a problem that differs in its ends, references, offsets and bounds; whether it can be."""
+        tables = self.kernel.tables
+        old = tables.loop.lti
+        same = all(getattr(lti, name) is getattr(old, name) for name in ("linear", "p", "offset", "prices"))
+        same &= lti.bounds.lower is old.bounds.lower and lti.bounds.upper is old.bounds.upper
+        ends = [(one.end, one.bounds.last_lower, one.bounds.last_upper) for one in (lti, old)]
+        if same and all(np.array_equal(*pair, equal_nan=True) for pair in zip(*ends, strict=True)):
+            return True
+        if not np.array_equal(np.isnan(lti.end), np.isnan(old.end)):
+            return False
+        changed = tables.with_data(lti)
+        if changed is not None:
+            self.kernel.take(changed)
+        return changed is not None
+
+    def step(self, x: Array) -> int:
+        """Solve from an initial state in the user's units, (n,)."""
+        return self.kernel.step(x / self.units.x)
+
+    def solve(self, problem: OptimalControlProblem, lti: Lti) -> Candidate:
+        """Solve a problem whose data ``takes`` has taken, with lti in the same units."""
+        started = now()
+        status = self.kernel.step(lti.start)
+        if status != SOLVED:
+            claim = "contradictory rows" if status == INFEASIBLE else "most changes of the working set"
+            return Candidate("numerical_error", message=f"condensed: {claim}")
+        kernel, units = self.kernel, self.units
+        found = kernel.tables.recover(lti.start[None], kernel.plan[:, None], kernel.multipliers[..., None])
+        none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
+        stationarity = float(found.stationarity[0])
+        duals = Recovered(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
+        return Candidate(
+            "optimal",
+            Trajectory(sealed(found.x[:, 0] * units.x), sealed(found.u[:, 0] * units.u)),
+            in_units(problem, lti, units, duals),
+            seconds={"setup": self.setup_seconds, "solve": now() - started},
+        )
