@@ -113,8 +113,8 @@ class Kept:
         changed, lti = solver.changed_problem(
             change.initial_state, change.terminal_state, change.references, change.bounds
         )
-        found = self._condensed.solve(changed, lti) if self._condensed.takes(lti) else None
-        return None if found is None or found.status != "optimal" else reduced.recover(found)
+        found = self._condensed.solve(changed, lti)
+        return None if found is None else reduced.recover(found)
 
     def _takes(self, problem: OptimalControlProblem, change: Change) -> bool:
         """Whether the kept solver takes a changed problem: new sets are boxes, none is rows, equal values are fixed."""

@@ -86,8 +86,8 @@ class DenseKernel:
                 xi = self._correct(xi, missed)
                 continue
             violation = np.where(rounded, 0.0, self._violations(y) / self._size)
-            row = int(np.argmax(violation))
-            if violation[row] <= TOLERANCE:
+            row = int(np.argmax(violation)) if len(violation) else -1
+            if row < 0 or violation[row] <= TOLERANCE:
                 status = SOLVED
                 break
             corrections, before = 0, self.changes

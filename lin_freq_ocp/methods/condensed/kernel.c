@@ -377,9 +377,11 @@ static int relaxed_run(const lfo_model *p, lfo_memory *s, const candidate *c) {
 }
 
 int lfo_step(const lfo_model *p, lfo_memory *s, const lfo_real *x, lfo_real *u, lfo_real *states) {
-  int T = p->T, m = p->m, status = LFO_LIMIT, corrections = 0;
+  int T = p->T, m = p->m, status = LFO_LIMIT, corrections = 0, finite = 1;
   candidate queue[LFO_QUEUE];
   s->changes = s->sweeps = 0;
+  for (int i = 0; i < p->n; i++) finite &= x[i] - x[i] == 0;
+  if (!finite) return LFO_INFEASIBLE; /* nothing is changed */
   if (s->plans > 0) memcpy(s->before, s->plan, BYTES(T * m));
   memcpy(s->base, p->W + p->n * T * m, BYTES(T * m));
   for (int j = 0; j < p->n; j++) add(s->base, x[j], p->W + j * T * m, T * m);

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, sealed
+from lin_freq_ocp.base.arrays import sealed
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
-from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, Tables, condense
+from lin_freq_ocp.methods.condensed.tables import SOLVED, Tables, condense
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -38,6 +40,7 @@ class CondensedSolver:
         self.setup_seconds = now() - started
 
     def _set_up(self, tables: Tables) -> None:
+        self._turn = threading.Lock()  # the kernel keeps the multipliers of its last step
         compiled = library() if len(tables.families) <= FAMILIES and tables.loop.shape[1] <= STATES else None
         self.kernel = DenseKernel(tables) if compiled is None else NativeKernel(tables, compiled)
 
@@ -51,8 +54,8 @@ class CondensedSolver:
         self.__dict__.update(state)
         self._set_up(tables)
 
-    def takes(self, lti: Lti) -> bool:
-        """Take the data of a problem that differs in its ends, references, offsets and bounds; whether it can be."""
+    def _take(self, lti: Lti) -> bool:
+        """Take the ends, references, offsets and bounds of a problem; whether it differs in nothing else."""
         tables = self.kernel.tables
         old = tables.loop.lti
         same = all(getattr(lti, name) is getattr(old, name) for name in ("linear", "p", "offset", "prices"))
@@ -67,19 +70,17 @@ class CondensedSolver:
             self.kernel.take(changed)
         return changed is not None
 
-    def step(self, x: Array) -> int:
-        """Solve from an initial state in the user's units, (n,)."""
-        return self.kernel.step(x / self.units.x)
+    def solve(self, problem: OptimalControlProblem, lti: Lti) -> Candidate | None:
+        """Solve a problem that differs in its ends, references, offsets and bounds, with lti in the same units.
 
-    def solve(self, problem: OptimalControlProblem, lti: Lti) -> Candidate:
-        """Solve a problem whose data ``takes`` has taken, with lti in the same units."""
+        None if it differs in more, or the working set does not settle; a claim of contradictory rows proves nothing.
+        """
         started = now()
-        status = self.kernel.step(lti.start)
-        if status != SOLVED:
-            claim = "contradictory rows" if status == INFEASIBLE else "most changes of the working set"
-            return Candidate("numerical_error", message=f"condensed: {claim}")
-        kernel, units = self.kernel, self.units
-        found = kernel.tables.recover(lti.start[None], kernel.plan[:, None], kernel.multipliers[..., None])
+        with self._turn:
+            if not self._take(lti) or self.kernel.step(lti.start) != SOLVED:
+                return None
+            plan, weights, tables = self.kernel.plan, self.kernel.multipliers, self.kernel.tables
+        found, units = tables.recover(lti.start[None], plan[:, None], weights[..., None]), self.units
         none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
         stationarity = float(found.stationarity[0])
         duals = Recovered(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)

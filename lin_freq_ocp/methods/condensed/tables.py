@@ -32,7 +32,7 @@ DEFINITE = 1e-12
 
 SMALL_WEIGHT = 1e-6  # of the feedback's cost, relative to the mean weight, where the problem has none
 
-TOLERANCE = 1e-9  # of a row's value, relative to the largest bound of its family
+TOLERANCE = 1e-9  # of a row's value, relative to the size of its family
 ROUNDING = 100  # a dependent row that is violated by this many tolerances contradicts the active ones
 DEPENDENT = 1e-7  # a gradient with less than this part of its length outside of the active ones depends on them
 SOLVED, LIMIT, INFEASIBLE = range(3)  # statuses of a step
@@ -192,10 +192,12 @@ class Tables:
 
     @cached_property
     def sizes(self) -> Array:
-        """Largest finite bound of each family, (families,); 1 without one."""
-        both = np.stack([np.where(np.isfinite(side), np.abs(side), 0.0).max(axis=1) for side in self.bounds])
-        largest = both.max(axis=0)
-        return np.where(largest > 0, largest, 1.0)
+        """Units of the tolerances of the families, (families,): their largest bounds, but the unit of the signal at most.
+
+        A bound of 1e9 units stands for none, and allows no more than others.
+        """
+        largest = np.max([np.where(np.isfinite(side), np.abs(side), 0.0).max(axis=1) for side in self.bounds], axis=0)
+        return np.where(largest > 0, np.minimum(largest, 1.0), 1.0)
 
     def with_data(self, lti: Lti) -> Tables | None:
         """Return the tables of a problem with other references, offsets, ends and bounds; None if others are bounded."""
@@ -219,7 +221,7 @@ class Tables:
         x, u = self.loop.simulate(x_0, self.loop.plans(v), data)
         y = x @ self.C.T
         y[:-1] += u @ self.D.T
-        return np.moveaxis(y, 2, 0).reshape(-1, len(data))
+        return np.moveaxis(y, 2, 0).reshape(len(self.families) * len(y), len(data))
 
     def recover(self, x_0: Array, v: Array, weights: Array) -> Extremal:
         """Return the points of x_0 (k, n) and v (T m, k) with their multipliers, from those of the rows.
