@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.rays import Exclusion, exclusion
+from lin_freq_ocp.methods.condensed.solver import Plan
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import chosen, saved_options
+from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
@@ -54,6 +56,31 @@ class Located:
         return Change(changed.initial_state.translated(self.origin), terminal, references, bounds)
 
 
+@dataclass(frozen=True, eq=False)
+class PlannedStart:
+    """A plan of a translated problem from another initial state, not certified yet."""
+
+    translation: Translation  # of the problem with another initial state
+    plan: Plan
+
+    @property
+    def control(self) -> Array:
+        """Return u_0, (m,)."""
+        return self.plan.control
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Return the plan in the given coordinates."""
+        return self.translation.trajectory(self.plan.trajectory)
+
+    def certified(self, tolerance: float | None) -> Outcome:
+        """Return the judged outcome."""
+        problem = self.translation.problem.with_ends(self.plan.start)
+        base = self.translation.given.with_ends(self.plan.start + self.translation.origin)
+        outcome = judged(problem, self.plan.candidate(problem), "condensed", None, tolerance)
+        return restored_outcome(Translation(base, problem, self.translation.origin), outcome, tolerance)
+
+
 class Repeated:
     """A problem with its method, and what earlier solves of it left."""
 
@@ -83,13 +110,23 @@ class Repeated:
 
         The origin stays until a state has travelled far from it, compared with what it moves in a solve.
         """
-        if self._located is not None:
-            start = changed.ends[0]
-            travelled = np.where(start.fixed, np.abs(start.lower - self._located.origin), 0.0)
-            if not ((self._moves > 0) & (travelled > TRAVEL * self._moves)).any():
-                return self._located
+        if self._located is not None and not self._is_far(self._located, changed.ends[0].lower, changed.ends[0].fixed):
+            return self._located
         self._located = Located(self.problem, changed, self.linear)
         return self._located
+
+    def _is_far(self, located: Located, start: Array, fixed: Mask | bool = True) -> bool:
+        """Whether a state has travelled far from the origin, compared with what it moves in a solve."""
+        travelled = np.where(fixed, np.abs(start - located.origin), 0.0)
+        return bool(((self._moves > 0) & (travelled > TRAVEL * self._moves)).any())
+
+    def plan(self, start: Array) -> PlannedStart | None:
+        """Return a plan from another initial state, (n,), without a certificate; None where only ``solve`` helps."""
+        located = self._located
+        if located is None or located.kept is None or self._is_far(located, start):
+            return None
+        plan = located.kept.plan(start - located.origin)
+        return plan and PlannedStart(located.translation, plan)
 
     def excluded(self, change: Change) -> bool:
         """Whether a ray of an infeasible problem before excludes the changed initial state."""

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, known_entries
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
-from lin_freq_ocp.methods.condensed.solver import CondensedSolver
+from lin_freq_ocp.methods.condensed.solver import CondensedSolver, Plan
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.spectral.recovery import Together
 from lin_freq_ocp.methods.structured.solver import Prepared
@@ -110,11 +111,23 @@ class Kept:
         except UnsupportedError:
             self._refused_condensed = True
             return None
-        changed, lti = solver.changed_problem(
-            change.initial_state, change.terminal_state, change.references, change.bounds
-        )
-        found = self._condensed.solve(changed, lti)
-        return None if found is None else reduced.recover(found)
+        changes = change.initial_state, change.terminal_state, change.references, change.bounds
+        changed, lti = solver.changed_problem(*changes)
+        started = now()
+        plan = self._condensed.plan(changed.initial_box.lower, lti)
+        if plan is None:
+            return None
+        seconds = {"setup": self._condensed.setup_seconds, "solve": now() - started}
+        return reduced.recover(replace(plan.candidate(changed), seconds=seconds))
+
+    def plan(self, start: Array) -> Plan | None:
+        """Return the condensed method's plan from another initial state, (n,), without a certificate.
+
+        None where ``condensed`` has not solved the problem before, or the method ends without an answer.
+        """
+        if self._condensed is None or self._solver is None or (self._reduced and self._reduced.inverses):
+            return None
+        return self._condensed.plan(start, self._solver.lti)
 
     def _takes(self, problem: OptimalControlProblem, change: Change) -> bool:
         """Whether the kept solver takes a changed problem: new sets are boxes, none is rows, equal values are fixed."""

@@ -1,1 +1,1 @@
-"""A dual active-set method in the few unknowns that stop bands and ends leave, for one problem solved again and again."""
+"""A dual active-set method in the unknowns that stop bands and ends leave, for repeated solves of one problem."""

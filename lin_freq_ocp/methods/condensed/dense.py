@@ -6,15 +6,7 @@ import numpy as np
 from scipy.linalg import qr_delete, solve_triangular
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.methods.condensed.tables import (
-    DEPENDENT,
-    INFEASIBLE,
-    LIMIT,
-    ROUNDING,
-    SOLVED,
-    TOLERANCE,
-    Tables,
-)
+from lin_freq_ocp.methods.condensed.tables import DEPENDENT, INFEASIBLE, LIMIT, ROUNDING, SOLVED, TOLERANCE, Tables
 
 CORRECTIONS = 3  # of rounding in active rows, before another row enters
 
@@ -24,8 +16,8 @@ class DenseKernel:
 
     minimise 1/2 |xi|^2 + prices   over   lower <= y = y_0 + M xi <= upper.
 
-    xi = -M'lambda at all times. lambda_i > 0 belongs to the upper bound, lambda_i < 0 to the lower one; its limits are the
-    prices of soft rows. The multipliers of a step are the start of the next.
+    xi = -M'lambda at all times. lambda_i > 0 belongs to the upper bound, lambda_i < 0 to the lower one; prices of soft
+    rows limit it. The multipliers of a step are the start of the next.
     """
 
     def __init__(self, tables: Tables):
@@ -118,7 +110,7 @@ class DenseKernel:
         return float((self._up if side > 0 else self._low)[row])
 
     def _first_block(self, rate: Array, step: float) -> tuple[int | None, float, int]:
-        """Return the first active multiplier that ends on the way rate * step, the step until then, and its new flag."""
+        """Return the first active multiplier that ends on the way rate * step, the step to there, and its new flag."""
         blocking, rest = None, 0
         for j, row in enumerate(self._active):
             side = int(np.sign(self._flag[row]))

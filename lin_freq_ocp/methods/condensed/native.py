@@ -120,7 +120,7 @@ class NativeKernel:
 
     def take(self, tables: Tables) -> None:
         """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
-        self.tables, arrays, (T, n, _) = tables, self._arrays, tables.loop.shape
+        self.tables, arrays, n = tables, self._arrays, tables.loop.shape[1]
         offset = tables.loop.lti.offset
         arrays["d"][:] = 0.0 if offset is None else offset.T
         arrays["W"][n], arrays["size"][:] = tables.W[:, n], tables.sizes
@@ -128,7 +128,7 @@ class NativeKernel:
             np.clip(side, -NONE, NONE, out=arrays[name])
 
     def _responses(self, C: Array) -> Array:
-        loop, (T, n, m) = self.tables.loop, self.tables.loop.shape
+        loop, (T, _, m) = self.tables.loop, self.tables.loop.shape
         E = np.empty((len(C), T + 1, m))
         E[:, T] = self.tables.D
         for back in range(T):

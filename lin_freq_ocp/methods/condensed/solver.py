@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import sealed
+from lin_freq_ocp.base.arrays import Array, sealed
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.methods.candidate import Candidate
@@ -17,6 +18,35 @@ from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A plan without a certificate: what the kernel found from an initial state."""
+
+    tables: Tables
+    units: LtiUnits
+    start: Array  # (n,), in the user's units
+    control: Array  # u_0, (m,), in the user's units
+    v: Array  # (T m,)
+    weights: Array  # multipliers of the rows, (families, T+1)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Return the states and controls of the plan, in the user's units."""
+        loop, units = self.tables.loop, self.units
+        x, u = loop.simulate((self.start / units.x)[None], loop.plans(self.v[:, None]), np.ones(1))
+        return Trajectory(sealed(x[:, 0] * units.x), sealed(u[:, 0] * units.u))
+
+    def candidate(self, problem: OptimalControlProblem) -> Candidate:
+        """Return the plan with its multipliers, for the judge of the problem that it solves."""
+        tables, units, lti = self.tables, self.units, self.tables.loop.lti
+        found = tables.recover((self.start / units.x)[None], self.v[:, None], self.weights[..., None])
+        none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
+        stationarity = float(found.stationarity[0])
+        duals = Recovered(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
+        trajectory = Trajectory(sealed(found.x[:, 0] * units.x), sealed(found.u[:, 0] * units.u))
+        return Candidate("optimal", trajectory, in_units(problem, lti, units, duals))
 
 
 class CondensedSolver:
@@ -70,23 +100,15 @@ class CondensedSolver:
             self.kernel.take(changed)
         return changed is not None
 
-    def solve(self, problem: OptimalControlProblem, lti: Lti) -> Candidate | None:
-        """Solve a problem that differs in its ends, references, offsets and bounds, with lti in the same units.
+    def plan(self, start: Array, lti: Lti) -> Plan | None:
+        """Return the plan from an initial state, (n,), with the other data of lti in the same units.
 
-        None if it differs in more, or the working set does not settle; a claim of contradictory rows proves nothing.
+        None if these differ in more than ends, references, offsets and bounds, or if the working set does not settle: a
+        claim of contradictory rows proves nothing.
         """
-        started = now()
+        units = self.units
         with self._turn:
-            if not self._take(lti) or self.kernel.step(lti.start) != SOLVED:
+            kernel = self.kernel
+            if not self._take(lti) or kernel.step(start / units.x) != SOLVED:
                 return None
-            plan, weights, tables = self.kernel.plan, self.kernel.multipliers, self.kernel.tables
-        found, units = tables.recover(lti.start[None], plan[:, None], weights[..., None]), self.units
-        none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
-        stationarity = float(found.stationarity[0])
-        duals = Recovered(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
-        return Candidate(
-            "optimal",
-            Trajectory(sealed(found.x[:, 0] * units.x), sealed(found.u[:, 0] * units.u)),
-            in_units(problem, lti, units, duals),
-            seconds={"setup": self.setup_seconds, "solve": now() - started},
-        )
+            return Plan(kernel.tables, units, start, kernel.control * units.u, kernel.plan, kernel.multipliers)

@@ -25,7 +25,7 @@ RANK_TOLERANCE = 1e-11
 """Singular values of the equations below this part of the largest count as zero: the equations then depend on each
 other up to the rounding of their coefficients."""
 
-RIGHT_SIDE_ROUNDING = 1e-9  # of dependent equations, relative to their coefficients: beyond it they contradict each other
+RIGHT_SIDE_ROUNDING = 1e-9  # of dependent equations, relative to their coefficients: above it they are contradictory
 
 DEFINITE = 1e-12
 """Least eigenvalue of the Hessian, relative to the largest, of a cost that is strictly convex in the unknowns."""
@@ -138,7 +138,7 @@ class Loop:
 
 
 def _recursion(M: Array, values: Array) -> Array:
-    """Return z_t = z_{t-1} M + values_t, z_0 = values_0, (T, k, n), by doubling: after step s, z_t sums the last 2^s."""
+    """Return z_t = z_{t-1} M + values_t, z_0 = values_0, (T, k, n): each pass doubles the values that z_t sums."""
     z, span = np.array(values), 1
     while span < len(z):
         z[span:] += z[:-span] @ M
@@ -192,7 +192,7 @@ class Tables:
 
     @cached_property
     def sizes(self) -> Array:
-        """Units of the tolerances of the families, (families,): their largest bounds, but the unit of the signal at most.
+        """Units of the tolerances of the families, (families,): their largest bounds, at most the unit of the signal.
 
         A bound of 1e9 units stands for none, and allows no more than others.
         """
@@ -200,7 +200,7 @@ class Tables:
         return np.where(largest > 0, np.minimum(largest, 1.0), 1.0)
 
     def with_data(self, lti: Lti) -> Tables | None:
-        """Return the tables of a problem with other references, offsets, ends and bounds; None if others are bounded."""
+        """Return the tables with other references, offsets, ends and bounds; None if other rows are bounded."""
         families, bounds, limits = _bounds(lti)
         if not np.array_equal(families, self.families):
             return None
@@ -261,7 +261,8 @@ def condense(lti: Lti) -> Tables:
     in_unknowns = (in_unknowns + in_unknowns.T) / 2
     values = np.linalg.eigvalsh(in_unknowns)
     if not len(values) or not values[0] > DEFINITE * values[-1]:
-        raise UnsupportedError("method 'condensed': the cost is not strictly convex in the controls that bands and ends leave.")
+        what = "the cost is not strictly convex in the controls that stop bands and ends leave"
+        raise UnsupportedError(f"method 'condensed': {what}.")
     L = np.linalg.cholesky(in_unknowns)
     V = solve_triangular(L, Z.T, lower=True).T
     families, bounds, limits = _bounds(lti)
@@ -270,7 +271,7 @@ def condense(lti: Lti) -> Tables:
 
 
 def stabilising_feedback(lti: Lti) -> Array:
-    """Return K (m, n) of the linear-quadratic regulator u = K x of the stage cost, with small weights in place of none."""
+    """Return K (m, n) of the regulator u = K x of the stage cost, with small weights in place of none."""
     n, m = lti.state_dim, lti.control_dim
     Q, R = lti.M[:n, :n], lti.M[n:, n:]
     size = max(float(np.trace(Q)) / n, SMALL_WEIGHT * float(np.trace(R)) / m)
@@ -295,14 +296,16 @@ def _solve_equations(loop: Loop, E: Array) -> tuple[Array, Array]:
         alone = loop.equations(*loop.simulate(np.eye(n + 1, n), still, data), data)
         contradiction = np.abs(left[:, rank:].T @ alone).max(initial=0.0)
         if contradiction > RIGHT_SIDE_ROUNDING * max(float(np.abs(alone).max()), sigma[0]):
-            raise UnsupportedError("method 'condensed': stop bands and end contradict each other for some initial states.")
+            what = "stop bands and end contradict each other for some initial states"
+            raise UnsupportedError(f"method 'condensed': {what}.")
     return (right[:rank].T / sigma[:rank]) @ left[:, :rank].T, right[rank:].T
 
 
 def _bounds(lti: Lti) -> tuple[Indices, tuple[Array, Array], tuple[Array, Array]]:
-    """Return the rows of F with a bound after x_0, their bounds and the limits of their multipliers, (families, T+1)."""
+    """Return the rows of F with a bound after x_0, their bounds and limits of multipliers, (families, T+1)."""
     n, prices = lti.state_dim, lti.prices
-    hard = Bounds(*(np.full(part.shape, np.inf) for part in (lti.bounds.lower, lti.bounds.upper)), *np.full((2, n), np.inf))
+    inner, last = np.full(lti.bounds.lower.shape, np.inf), np.full(n, np.inf)
+    of = Bounds(inner, inner, last, last) if prices is None else prices
 
     def over_all_times(inner: Array, last: Array, none: float) -> Array:
         values = np.hstack([inner, np.full((len(inner), 1), none)])
@@ -313,7 +316,6 @@ def _bounds(lti: Lti) -> tuple[Indices, tuple[Array, Array], tuple[Array, Array]
     upper = over_all_times(lti.bounds.upper, lti.bounds.last_upper, np.inf)
     fixed = np.flatnonzero(~np.isnan(lti.end))
     lower[fixed, -1], upper[fixed, -1] = -np.inf, np.inf
-    of = hard if prices is None else prices
     limits = over_all_times(of.lower, of.last_lower, np.inf), over_all_times(of.upper, of.last_upper, np.inf)
     families = np.flatnonzero((np.isfinite(lower) | np.isfinite(upper)).any(axis=1))
     return families, (lower[families], upper[families]), (limits[0][families], limits[1][families])
