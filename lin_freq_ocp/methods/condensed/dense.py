@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import qr_delete, solve_triangular
 
 from lin_freq_ocp.base.arrays import Array
@@ -23,9 +24,9 @@ class DenseKernel:
     def __init__(self, tables: Tables):
         self.tables = tables
         (T, n, m), r = tables.loop.shape, tables.unknowns
-        self._M = tables.row_values(tables.V, np.zeros((r, n)), np.zeros(r))
+        self.gradients = tables.row_values(tables.V, np.zeros((r, n)), np.zeros(r))
         self._of_states = tables.row_values(tables.W[:, :n], np.eye(n), np.zeros(n))
-        self._lengths = np.linalg.norm(self._M, axis=1)
+        self._lengths = np.linalg.norm(self.gradients, axis=1)
         self.take(tables)
         self._plan, self._x, self.changes = np.zeros(T * m), np.zeros(n), 0
         self._forget()
@@ -34,14 +35,14 @@ class DenseKernel:
         """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
         self.tables, (T, n, _) = tables, tables.loop.shape
         constant = tables.row_values(tables.W[:, n:], np.zeros((1, n)), np.ones(1))
-        self._of_start = np.hstack([self._of_states, constant])
+        self.of_start = np.hstack([self._of_states, constant])
         self._size = np.repeat(tables.sizes, T + 1)
-        self._lower, self._upper = (side.ravel() for side in tables.bounds)
+        self.lower, self.upper = (side.ravel() for side in tables.bounds)
         self._low, self._up = (side.ravel() for side in tables.limits)
 
     def _forget(self) -> None:
         """Begin without multipliers."""
-        rows, r = self._M.shape
+        rows, r = self.gradients.shape
         self._flag = np.zeros(rows, dtype=int)  # 0 inactive, +-2 active at its upper, lower bound, +-1 beyond it
         self._lambda, self._active = np.zeros(rows), list[int]()
         self._Q, self._R = np.zeros((r, 0)), np.zeros((0, 0))
@@ -63,15 +64,17 @@ class DenseKernel:
         return self._lambda.reshape(len(self.tables.families), -1).copy()
 
     def step(self, x: Array) -> int:
-        """Solve from an initial state, (n,); return SOLVED, LIMIT or INFEASIBLE."""
+        """Solve from an initial state, (n,); return SOLVED, LIMIT or INFEASIBLE, also for one that is not finite."""
+        if not np.isfinite(x).all():
+            return INFEASIBLE
         self._x, start, self.changes, corrections = x, np.append(x, 1.0), 0, 0
-        y_0, xi = self._of_start @ start, -self._M.T @ self._lambda
-        if not 0.5 * xi @ xi + self._lambda @ self._distance(y_0 + self._M @ xi) >= 0:  # worse than none
+        y_0, xi = self.of_start @ start, -self.gradients.T @ self._lambda
+        if not 0.5 * xi @ xi + self._lambda @ self._distance(y_0 + self.gradients @ xi) >= 0:  # worse than none
             self._forget()
             xi[:] = 0.0
         status, rounded = LIMIT, np.zeros(len(y_0), dtype=bool)
         while status == LIMIT and self.changes <= self.tables.most_changes:
-            y = y_0 + self._M @ xi
+            y = y_0 + self.gradients @ xi
             missed = self._distance(y)[self._active]
             if corrections < CORRECTIONS and (np.abs(missed) > TOLERANCE / 4 * self._size[self._active]).any():
                 corrections += 1
@@ -97,13 +100,13 @@ class DenseKernel:
 
     def _distance(self, y: Array) -> Array:
         """Return y less the bounds that the flags of the rows name; 0 for inactive rows."""
-        bound = np.where(self._flag > 0, self._upper, self._lower)
+        bound = np.where(self._flag > 0, self.upper, self.lower)
         return np.where(self._flag == 0, 0.0, y - bound)
 
     def _violations(self, y: Array) -> Array:
         """Return by how much rows violate what their flags say: their bounds, or that they are beyond one."""
-        outside = np.maximum(y - self._upper, self._lower - y)
-        beyond = np.where(self._flag > 0, self._upper - y, y - self._lower)
+        outside = np.maximum(y - self.upper, self.lower - y)
+        beyond = np.where(self._flag > 0, self.upper - y, y - self.lower)
         return np.where(self._flag == 0, outside, np.where(np.abs(self._flag) == 1, beyond, 0.0))
 
     def _limit(self, row: int, side: int) -> float:
@@ -146,9 +149,9 @@ class DenseKernel:
     def _enter(self, row: int, y: float, xi: Array) -> Array | None:
         """Bring a violated row to its bound and return xi, or None if the active rows prevent that."""
         flag = int(self._flag[row])
-        side = flag or (1 if y > self._upper[row] else -1)
-        bound, limit = (self._upper if side > 0 else self._lower)[row], self._limit(row, side)
-        sigma, moved, gradient = -flag or side, 0.0, self._M[row]
+        side = flag or (1 if y > self.upper[row] else -1)
+        bound, limit = (self.upper if side > 0 else self.lower)[row], self._limit(row, side)
+        sigma, moved, gradient = -flag or side, 0.0, self.gradients[row]
         while self.changes <= self.tables.most_changes:
             along = self._Q.T @ gradient
             z = gradient - self._Q @ along
@@ -182,7 +185,7 @@ class DenseKernel:
         return xi
 
 
-def _bordered(R: Array, column: Array, corner: float) -> Array:
+def _bordered(R: NDArray[np.floating], column: Array, corner: float) -> Array:
     """Return [[R, column], [0, corner]]."""
     larger = np.zeros((len(R) + 1, len(R) + 1))
     larger[:-1, :-1], larger[:-1, -1], larger[-1, -1] = R, column, corner

@@ -281,7 +281,7 @@ def stabilising_feedback(lti: Lti) -> Array:
         value = solve_discrete_are(lti.A, lti.B, Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise UnsupportedError(f"method 'condensed': no feedback stabilises the dynamics ({error}).") from None
-    return -np.linalg.solve(R + lti.B.T @ value @ lti.B, lti.B.T @ value @ lti.A)
+    return np.asarray(-np.linalg.solve(R + lti.B.T @ value @ lti.B, lti.B.T @ value @ lti.A), dtype=np.float64)
 
 
 def _solve_equations(loop: Loop, E: Array) -> tuple[Array, Array]:
