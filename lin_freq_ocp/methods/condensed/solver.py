@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, sealed
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, sealed
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
@@ -16,8 +18,11 @@ from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel
 from lin_freq_ocp.methods.condensed.tables import SOLVED, Tables, condense
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units
+from lin_freq_ocp.methods.spectral.spaces import bin_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+
+BLOCK = 200  # plans whose multipliers are computed at once: the arrays stay in the cache of a processor
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +52,23 @@ class Plan:
         duals = Recovered(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
         trajectory = Trajectory(sealed(found.x[:, 0] * units.x), sealed(found.u[:, 0] * units.u))
         return Candidate("optimal", trajectory, in_units(problem, lti, units, duals))
+
+
+@dataclass(frozen=True, eq=False)
+class PlanBatch:
+    """Trajectories x (N, T+1, n), u (N, T, m) with eta (N, T, n), mu, nu as x and u, and rho_u (N, bins, m).
+
+    They belong to the initial states number ``solved``, (N,). Nothing of them is judged.
+    """
+
+    solved: Indices
+    x: Array
+    u: Array
+    eta: Array
+    mu: Array
+    nu: Array
+    rho_u: ComplexArray
+    interrupted: bool = False
 
 
 class CondensedSolver:
@@ -112,3 +134,40 @@ class CondensedSolver:
             if not self._take(lti) or kernel.step(start / units.x) != SOLVED:
                 return None
             return Plan(kernel.tables, units, start, kernel.control * units.u, kernel.plan, kernel.multipliers)
+
+    def plan_batch(self, starts: Array, lti: Lti) -> PlanBatch | None:
+        """Return the plans from initial states, (N, n), each from the multipliers of the one before; None as ``plan``.
+
+        Ctrl-C ends it early.
+        """
+        units, plans = self.units, dict[int, tuple[Array, Array]]()
+        with self._turn, interrupts_noted() as interrupt:
+            kernel = self.kernel
+            if not self._take(lti):
+                return None
+            for i, start in enumerate(starts / units.x):
+                if kernel.step(start) == SOLVED:
+                    plans[i] = kernel.plan, kernel.multipliers
+                if interrupt.is_set():
+                    break
+            tables = kernel.tables
+        if not plans:
+            return None
+        solved = np.array(list(plans), dtype=np.intp)
+        blocks = [solved[first : first + BLOCK] for first in range(0, len(solved), BLOCK)]
+        parts = [_extremals(tables, units, starts[block], [plans[i] for i in block]) for block in blocks]
+        return PlanBatch(solved, *(np.concatenate(part) for part in zip(*parts, strict=True)), interrupt.is_set())
+
+
+def _extremals(
+    tables: Tables, units: LtiUnits, starts: Array, plans: Sequence[tuple[Array, Array]]
+) -> tuple[Array, ...]:
+    """Return x, u, eta, mu, nu and rho_u of plans (v, multipliers of the rows), in the user's units."""
+    (T, n, m), of_y = tables.loop.shape, units.multipliers
+    v, weights = (np.stack(part, axis=-1) for part in zip(*plans, strict=True))
+    found = tables.recover(starts / units.x, v, weights)
+    forces = np.moveaxis(found.on_rows[: n + m], 2, 0).swapaxes(1, 2) * of_y
+    signals = found.x * units.x, found.u * units.u, found.eta * of_y[:n]
+    x, u, eta, band = (part.swapaxes(0, 1) for part in (*signals, found.band * units.cost / units.u))
+    rho = band * (bin_weights(T) / T)[:, None]
+    return x, u, eta, forces[..., :n], forces[:, :-1, n:], rho
