@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.condensed.tables import DEPENDENT, TOLERANCE, Tables
 
 NONE = 1e30  # LFO_NONE of kernel.h: no bound, or no limit of a multiplier
 FAMILIES, STATES = 64, 64  # LFO_FAMILIES, LFO_STATES of kernel.h
-FLAGS = ("-std=c99", "-O3", "-march=native", "-fPIC", "-shared")
+FLAGS = ("-std=c99", "-O3", "-march=native", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
 SECONDS_TO_COMPILE = 60.0
 
 INTEGERS = ("T", "n", "m", "p", "r", "families", "most_active", "most_changes")
