@@ -7,6 +7,7 @@ included; of two others the one that violates the constraints less. The judge sa
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import PlannedStart, Repeated
 from lin_freq_ocp.certificate.verdict import judge
@@ -26,6 +27,7 @@ from lin_freq_ocp.loop.step_problem import (
     depends_on_past,
     excess,
     free_first_state,
+    limits_of_plans,
     soften,
     with_past,
 )
@@ -72,6 +74,8 @@ class Controller:
         if delay not in (0, 1) or isinstance(delay, bool):
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
+        if limits_of_plans(problem):
+            warnings.warn(limits_of_plans(problem), ClosedLoopWarning, stacklevel=3)
         self._problem = free_first_state(problem)
         self._hard = Repeated(self._problem, method)
         self._soft = Repeated(soften(self._problem, self.penalties), method) if self.penalties else None

@@ -41,7 +41,8 @@ def test_answers_are_those_of_solve(name):
     for scale in (0.0, 0.003, -0.002):
         move = {"initial_state": start + scale * size, "terminal_state": problem.terminal_state.lower - scale * size}
         again, fresh = solver.solve(**move), lfo.solve(problem.with_ends(**move), method)
-        assert (again.status, again.method, again.reason) == (fresh.status, fresh.method, fresh.reason)
+        assert (again.status, again.reason) == (fresh.status, fresh.reason)
+        assert again.method in (fresh.method, "condensed")
         assert again.certificate.globally_optimal
         assert again.cost == pytest.approx(fresh.cost, rel=1e-7)
         assert again.options == fresh.options
