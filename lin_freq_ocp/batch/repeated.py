@@ -31,8 +31,7 @@ TRAVEL = 100.0  # largest moves of a state after which states are counted from w
 class Located:
     """A problem with its states counted from an origin, and what solves of it share."""
 
-    def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, linear: bool):
-        origin = far_origin(changed)
+    def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, origin: Array, linear: bool):
         base = problem.with_ends(changed.initial_state) if origin.any() else problem
         self.translation = translated_by(base, origin)
         self.kept = Kept(self.translation.problem) if linear else None
@@ -110,10 +109,15 @@ class Repeated:
 
         The origin stays until a state has travelled far from it, compared with what it moves in a solve.
         """
-        if self._located is not None and not self._is_far(self._located, changed.ends[0].lower, changed.ends[0].fixed):
-            return self._located
-        self._located = Located(self.problem, changed, self.linear)
-        return self._located
+        start, located = changed.ends[0], self._located
+        if located is not None and not self._is_far(located, start.lower, start.fixed):
+            return located
+        origin = far_origin(changed)
+        if located is None or (origin != located.origin).any():
+            self._located = located = Located(self.problem, changed, origin, self.linear)
+        else:  # it stays the best one: states this far from it are not far
+            self._moves = np.maximum(self._moves, np.where(start.fixed, np.abs(start.lower - origin), 0.0) / TRAVEL)
+        return located
 
     def _is_far(self, located: Located, start: Array, fixed: Mask | bool = True) -> bool:
         """Whether a state has travelled far from the origin, compared with what it moves in a solve."""

@@ -76,7 +76,7 @@ def limits_of_plans(problem: OptimalControlProblem) -> str:
         return ""
     return (
         f"{' and '.join(fields)}: holds for each plan, but the loop applies only the first control of each plan: "
-        "nothing follows for the applied signal. lfo.spectrum.Spectrogram limits windows of applied and planned samples."
+        "nothing follows for the applied signal. lfo.spectrum.Spectrogram limits windows of applied and planned ones."
     )
 
 

@@ -143,3 +143,13 @@ def test_masks_at_every_frequency_are_judged_by_the_tolerance_of_the_method():
     tolerances = [[one.tolerance for one in result.certificate.conditions] for result in results]
     assert tolerances[0] == tolerances[1] == tolerances[2]
     assert max(tolerances[0]) == 1e-4
+
+
+def test_states_that_hardly_move_do_not_set_the_method_up_again():
+    problem = lfo.library.pendulum(horizon=20, terminal_state=None)
+    solver, start = Repeated(problem), np.array([0.02, 0.0, 0.0, 0.0])
+    caches = set()
+    for _ in range(3):  # the position moves by less than a hundredth of what it is
+        solver.solve(Change(start))
+        caches.add(id(solver.located(problem.with_ends(start)).kept))
+    assert len(caches) == 1
