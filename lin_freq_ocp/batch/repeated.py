@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.certificate.rays import Exclusion, exclusion
-from lin_freq_ocp.methods.condensed.solver import Plan
+from lin_freq_ocp.methods.condensed.solver import Plan, batch_of
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
@@ -78,6 +80,21 @@ class PlannedStart:
         base = self.translation.given.with_ends(self.plan.start + self.translation.origin)
         outcome = judged(problem, self.plan.candidate(problem), "condensed", None, tolerance)
         return restored_outcome(Translation(base, problem, self.translation.origin), outcome, tolerance)
+
+
+def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, tuple[float, float]]:
+    """Return the cost and the relative gap of plans of one problem, by number, that the batch judge proves optimal."""
+    translation = next(iter(planned.values())).translation
+    if not judged_together(translation.problem):
+        return {}
+    batch = batch_of({number: one.plan for number, one in planned.items()})
+    extremals = Extremals(batch.x, batch.u, batch.eta, batch.mu, batch.nu, batch.rho_u)
+    judged_batch = verdicts(translation.problem, np.array([one.plan.start for one in planned.values()]), extremals)
+    return {
+        number: (float(judged_batch.costs[k]) + translation.cost, float(judged_batch.gaps[k]))
+        for k, number in enumerate(planned)
+        if judged_batch.proven[k]
+    }
 
 
 class Repeated:

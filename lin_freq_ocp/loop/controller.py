@@ -18,7 +18,7 @@ from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.repeated import PlannedStart, Repeated
+from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.step_problem import (
@@ -161,11 +161,21 @@ class Controller:
     def certify(self) -> None:
         """Judge the plans of all steps that were not judged yet; after Ctrl-C, the rest is left to the next call."""
         tolerance: float | None = getattr(self._hard.method, "tolerance", None)
+        groups = dict[int, dict[int, PlannedStart]]()
         for k, step in enumerate(self._steps):
             if step.pending is not None:
-                started = now()
-                outcome = step.pending.certified(tolerance)
-                self._steps[k] = step.certified(outcome, now() - started)
+                groups.setdefault(id(step.pending.translation), {})[k] = step.pending
+        for planned in groups.values():
+            started = now()
+            proven = proven_in_batch(planned)
+            each = (now() - started) / len(planned)
+            for k, one in planned.items():
+                step = self._steps[k]
+                if k in proven and step.source is Source.PLAN:
+                    self._steps[k] = step.proven(*proven[k], each)
+                else:
+                    self._steps[k] = step.certified(one.certified(tolerance), now() - started)
+                    started = now()
 
     def _plan(self, outcome: Outcome) -> Trajectory | None:
         """Return the plan of a step: the point of its answer, or, without an answer, the last plan if it is better."""

@@ -85,6 +85,11 @@ class Step:
         """Return the plan, judged or not."""
         return self.plan if self.pending is None else self.pending.trajectory
 
+    def proven(self, cost: float, gap: float, seconds: float) -> Step:
+        """Return the step of a plan that the batch judge has proven optimal."""
+        judged = {"status": Status.OPTIMAL, "cost": cost, "gap": gap, "satisfied": True}
+        return replace(self, **judged, certify_seconds=seconds, pending=None)
+
     def certified(self, outcome: Outcome, seconds: float) -> Step:
         """Return the step with the judged outcome of its plan.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -140,32 +140,33 @@ class CondensedSolver:
 
         Ctrl-C ends it early.
         """
-        units, plans = self.units, dict[int, tuple[Array, Array]]()
+        plans, units = dict[int, Plan](), self.units
         with self._turn, interrupts_noted() as interrupt:
             kernel = self.kernel
             if not self._take(lti):
                 return None
-            for i, start in enumerate(starts / units.x):
-                if kernel.step(start) == SOLVED:
-                    plans[i] = kernel.plan, kernel.multipliers
+            for i, start in enumerate(starts):
+                if kernel.step(start / units.x) == SOLVED:
+                    control = kernel.control * units.u
+                    plans[i] = Plan(kernel.tables, units, start, control, kernel.plan, kernel.multipliers)
                 if interrupt.is_set():
                     break
-            tables = kernel.tables
-        if not plans:
-            return None
-        solved = np.array(list(plans), dtype=np.intp)
-        blocks = [solved[first : first + BLOCK] for first in range(0, len(solved), BLOCK)]
-        parts = [_extremals(tables, units, starts[block], [plans[i] for i in block]) for block in blocks]
-        return PlanBatch(solved, *(np.concatenate(part) for part in zip(*parts, strict=True)), interrupt.is_set())
+        return batch_of(plans, interrupt.is_set()) if plans else None
 
 
-def _extremals(
-    tables: Tables, units: LtiUnits, starts: Array, plans: Sequence[tuple[Array, Array]]
-) -> tuple[Array, ...]:
-    """Return x, u, eta, mu, nu and rho_u of plans (v, multipliers of the rows), in the user's units."""
+def batch_of(plans: Mapping[int, Plan], interrupted: bool = False) -> PlanBatch:
+    """Return plans of one solver by their numbers as arrays with their multipliers, in the user's units."""
+    numbers, each = np.array(list(plans), dtype=np.intp), list(plans.values())
+    parts = [_extremals(each[first : first + BLOCK]) for first in range(0, len(each), BLOCK)]
+    return PlanBatch(numbers, *(np.concatenate(part) for part in zip(*parts, strict=True)), interrupted)
+
+
+def _extremals(plans: Sequence[Plan]) -> tuple[Array, ...]:
+    """Return x, u, eta, mu, nu and rho_u of plans."""
+    tables, units = plans[0].tables, plans[0].units
     (T, n, m), of_y = tables.loop.shape, units.multipliers
-    v, weights = (np.stack(part, axis=-1) for part in zip(*plans, strict=True))
-    found = tables.recover(starts / units.x, v, weights)
+    starts, v = np.array([plan.start for plan in plans]), np.stack([plan.v for plan in plans], axis=-1)
+    found = tables.recover(starts / units.x, v, np.stack([plan.weights for plan in plans], axis=-1))
     forces = np.moveaxis(found.on_rows[: n + m], 2, 0).swapaxes(1, 2) * of_y
     signals = found.x * units.x, found.u * units.u, found.eta * of_y[:n]
     x, u, eta, band = (part.swapaxes(0, 1) for part in (*signals, found.band * units.cost / units.u))
