@@ -12,7 +12,7 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.certificate.rays import Exclusion, exclusion
-from lin_freq_ocp.methods.condensed.solver import Plan, batch_of
+from lin_freq_ocp.methods.condensed.plans import Plan, batch_of
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set

@@ -102,7 +102,7 @@ class Controller:
         if applied is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
         started = now()
-        quick = self._uncertified(x) if self._later and preview == Preview() else None
+        quick = self._plan_uncertified(x) if self._later and preview == Preview() else None
         if quick is not None:
             plan, source = quick
             step = Step(x, plan.control, None, source, "condensed", solve_seconds=now() - started, pending=plan)
@@ -146,7 +146,7 @@ class Controller:
         self._steps.append(step)
         self._applied.append(step.control)
 
-    def _uncertified(self, x: Array) -> tuple[PlannedStart, Source] | None:
+    def _plan_uncertified(self, x: Array) -> tuple[PlannedStart, Source] | None:
         """Return a plan from a measured state that is judged later, and its source; None if only a solve helps."""
         if self._remembers:
             return None

@@ -13,7 +13,7 @@ from lin_freq_ocp.base.arrays import Array, known_entries
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
-from lin_freq_ocp.methods.condensed.solver import CondensedSolver, Plan, PlanBatch
+from lin_freq_ocp.methods.condensed.plans import CondensedSolver, Plan, PlanBatch
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

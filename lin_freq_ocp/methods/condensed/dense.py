@@ -7,7 +7,15 @@ from numpy.typing import NDArray
 from scipy.linalg import qr_delete, solve_triangular
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.methods.condensed.tables import DEPENDENT, INFEASIBLE, LIMIT, ROUNDING, SOLVED, TOLERANCE, Tables
+from lin_freq_ocp.methods.condensed.tables import (
+    DEPENDENT,
+    INFEASIBLE,
+    LIMIT,
+    ROUNDING,
+    SOLVED,
+    TOLERANCE,
+    CondensedTables,
+)
 
 CORRECTIONS = 3  # of rounding in active rows, before another row enters
 
@@ -21,7 +29,7 @@ class DenseKernel:
     rows limit it. The multipliers of a step are the start of the next.
     """
 
-    def __init__(self, tables: Tables):
+    def __init__(self, tables: CondensedTables):
         self.tables = tables
         (T, n, m), r = tables.loop.shape, tables.unknowns
         self.gradients = tables.row_values(tables.V, np.zeros((r, n)), np.zeros(r))
@@ -31,7 +39,7 @@ class DenseKernel:
         self._plan, self._x, self.changes = np.zeros(T * m), np.zeros(n), 0
         self._forget()
 
-    def take(self, tables: Tables) -> None:
+    def take(self, tables: CondensedTables) -> None:
         """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
         self.tables, (T, n, _) = tables, tables.loop.shape
         constant = tables.row_values(tables.W[:, n:], np.zeros((1, n)), np.ones(1))
@@ -179,13 +187,13 @@ class DenseKernel:
             else:
                 self._flag[row] = 2 * side
                 self._active.append(row)
-                self._Q, self._R = np.column_stack([self._Q, z / rho]), _bordered(self._R, along, rho)
+                self._Q, self._R = np.column_stack([self._Q, z / rho]), _append_column(self._R, along, rho)
             self.changes += 1
             break
         return xi
 
 
-def _bordered(R: NDArray[np.floating], column: Array, corner: float) -> Array:
+def _append_column(R: NDArray[np.floating], column: Array, corner: float) -> Array:
     """Return [[R, column], [0, corner]]."""
     larger = np.zeros((len(R) + 1, len(R) + 1))
     larger[:-1, :-1], larger[:-1, -1], larger[-1, -1] = R, column, corner

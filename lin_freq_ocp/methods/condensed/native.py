@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.methods.condensed.tables import DEPENDENT, TOLERANCE, Tables
+from lin_freq_ocp.methods.condensed.tables import DEPENDENT, TOLERANCE, CondensedTables
 
 NONE = 1e30  # LFO_NONE of kernel.h: no bound, or no limit of a multiplier
 FAMILIES, STATES = 64, 64  # LFO_FAMILIES, LFO_STATES of kernel.h
@@ -90,7 +90,7 @@ def _compile(compiler: str, texts: dict[str, str], target: Path) -> None:
 class NativeKernel:
     """The compiled step with the tables of one problem; the multipliers of a step are the start of the next."""
 
-    def __init__(self, tables: Tables, compiled: ctypes.CDLL):
+    def __init__(self, tables: CondensedTables, compiled: ctypes.CDLL):
         self.tables, self._library = tables, compiled
         loop, (T, n, m), count, r = tables.loop, tables.loop.shape, len(tables.families), tables.unknowns
         C = tables.C + tables.D @ loop.K
@@ -118,7 +118,7 @@ class NativeKernel:
         compiled.lfo_begin(model, memory, *pointers[:3])
         self._plan = self._work[0][4 * r + T * m : 4 * r + 2 * T * m]
 
-    def take(self, tables: Tables) -> None:
+    def take(self, tables: CondensedTables) -> None:
         """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
         self.tables, arrays, n = tables, self._arrays, tables.loop.shape[1]
         offset = tables.loop.lti.offset

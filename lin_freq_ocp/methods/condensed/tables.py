@@ -147,7 +147,7 @@ def _recursion(M: Array, values: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Extremal:
+class RecoveredPlans:
     """k points with multipliers in the units of the problem; ``band`` is the spectrum of the stop bands' forces."""
 
     x: Array  # (T+1, k, n)
@@ -159,7 +159,7 @@ class Extremal:
 
 
 @dataclass(frozen=True, eq=False)
-class Tables:
+class CondensedTables:
     """A problem of the condensed method, for every initial state."""
 
     loop: Loop
@@ -199,7 +199,7 @@ class Tables:
         largest = np.max([np.where(np.isfinite(side), np.abs(side), 0.0).max(axis=1) for side in self.bounds], axis=0)
         return np.where(largest > 0, np.minimum(largest, 1.0), 1.0)
 
-    def with_data(self, lti: Lti) -> Tables | None:
+    def with_data(self, lti: Lti) -> CondensedTables | None:
         """Return the tables with other references, offsets, ends and bounds; None if other rows are bounded."""
         families, bounds, limits = _bounds(lti)
         if not np.array_equal(families, self.families):
@@ -223,7 +223,7 @@ class Tables:
         y[:-1] += u @ self.D.T
         return np.moveaxis(y, 2, 0).reshape(len(self.families) * len(y), len(data))
 
-    def recover(self, x_0: Array, v: Array, weights: Array) -> Extremal:
+    def recover(self, x_0: Array, v: Array, weights: Array) -> RecoveredPlans:
         """Return the points of x_0 (k, n) and v (T m, k) with their multipliers, from those of the rows.
 
         ``weights`` are the multipliers of the rows, (families, T+1, k), above zero at upper bounds.
@@ -243,10 +243,10 @@ class Tables:
         on_rows[self.families] = weights
         on_rows[:n, 0] += (eta[0] @ lti.A - in_x[0]).T
         on_rows[loop.fixed_end, T] = on_end.T
-        return Extremal(x, u, eta, on_rows, spectrum - missed, np.abs(missed).max(axis=(0, 2), initial=0.0) / T)
+        return RecoveredPlans(x, u, eta, on_rows, spectrum - missed, np.abs(missed).max(axis=(0, 2), initial=0.0) / T)
 
 
-def condense(lti: Lti) -> Tables:
+def condense(lti: Lti) -> CondensedTables:
     """Return the tables of a problem; UnsupportedError, with the reason, if the method does not take it."""
     reason = refusal(lti)
     if reason is not None:
@@ -266,7 +266,7 @@ def condense(lti: Lti) -> Tables:
     L = np.linalg.cholesky(in_unknowns)
     V = solve_triangular(L, Z.T, lower=True).T
     families, bounds, limits = _bounds(lti)
-    tables = Tables(loop, V, np.zeros((T * m, n + 1)), solve_equations, families, bounds, limits)
+    tables = CondensedTables(loop, V, np.zeros((T * m, n + 1)), solve_equations, families, bounds, limits)
     return replace(tables, W=tables.centers(np.eye(n + 1, n), np.eye(n + 1)[-1]))
 
 

@@ -17,8 +17,8 @@ from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.condensed import native
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import NativeKernel
-from lin_freq_ocp.methods.condensed.solver import CondensedSolver
-from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, Tables, condense
+from lin_freq_ocp.methods.condensed.plans import CondensedSolver
+from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
 
@@ -30,7 +30,7 @@ def solver_of(problem: lfo.OptimalControlProblem) -> tuple[SpectralSolver, Conde
     return spectral, CondensedSolver(spectral.lti, spectral.units)
 
 
-def tables_of(problem: lfo.OptimalControlProblem) -> Tables:
+def tables_of(problem: lfo.OptimalControlProblem) -> CondensedTables:
     return condense(lti_problem(problem, natural_units(problem)))
 
 

@@ -15,7 +15,7 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
-from lin_freq_ocp.methods.condensed.tables import SOLVED, Tables, condense
+from lin_freq_ocp.methods.condensed.tables import SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units
 from lin_freq_ocp.methods.spectral.spaces import bin_weights
@@ -29,7 +29,7 @@ BLOCK = 200  # plans whose multipliers are computed at once: the arrays stay in 
 class Plan:
     """A plan without a certificate: what the kernel found from an initial state."""
 
-    tables: Tables
+    tables: CondensedTables
     units: LtiUnits
     start: Array  # (n,), in the user's units
     control: Array  # u_0, (m,), in the user's units
@@ -91,7 +91,7 @@ class CondensedSolver:
             self._set_up(condense(lti))
         self.setup_seconds = now() - started
 
-    def _set_up(self, tables: Tables) -> None:
+    def _set_up(self, tables: CondensedTables) -> None:
         self._turn = threading.Lock()  # the kernel keeps the multipliers of its last step
         compiled = library() if len(tables.families) <= FAMILIES and tables.loop.shape[1] <= STATES else None
         self.kernel = DenseKernel(tables) if compiled is None else NativeKernel(tables, compiled)
@@ -102,7 +102,7 @@ class CondensedSolver:
 
     def __setstate__(self, state: dict[str, object]) -> None:
         tables = state.pop("tables")
-        assert isinstance(tables, Tables)
+        assert isinstance(tables, CondensedTables)
         self.__dict__.update(state)
         self._set_up(tables)
 
