@@ -55,25 +55,30 @@ def cache_folder() -> Path:
     return Path(base) / "lin_freq_ocp"
 
 
+def compiler() -> str | None:
+    """Return the C compiler of this machine: CC, or the first one found; None without any."""
+    names = filter(None, (os.environ.get("CC"), "cc", "gcc", "clang"))
+    return next((path for path in map(shutil.which, names) if path), None)
+
+
 @cache
 def library() -> ctypes.CDLL | None:
     """Return the compiled kernel; None without a compiler, or, with a warning, if the compilation fails."""
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if not compiler:
+    found = compiler()
+    if found is None:
         return None
     source = resources.files("lin_freq_ocp.methods.condensed")
     texts = {name: source.joinpath(name).read_text() for name in ("kernel.h", "kernel.c")}
-    key = "\n".join([*texts.values(), compiler, *FLAGS, sysconfig.get_platform(), os.uname().nodename])
+    key = "\n".join([*texts.values(), found, *FLAGS, sysconfig.get_platform(), os.uname().nodename])
     target = cache_folder() / f"kernel-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
     try:
         if not target.exists():
-            _compile(compiler, texts, target)
-        found = ctypes.CDLL(str(target))
+            _compile(found, texts, target)
+        return ctypes.CDLL(str(target))
     except (OSError, subprocess.SubprocessError) as error:
         words = f"the control step in C could not be compiled, NumPy computes it: {error}"
         warnings.warn(words, RuntimeWarning, stacklevel=2)
         return None
-    return found
 
 
 def _compile(compiler: str, texts: dict[str, str], target: Path) -> None:

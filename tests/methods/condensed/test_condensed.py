@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import pickle
+import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -191,11 +193,11 @@ def test_a_solver_can_be_copied_and_shared():
     np.testing.assert_allclose(found, expected, atol=1e-8)
 
 
-@pytest.mark.parametrize("compiler", ["", "/bin/false"])
+@pytest.mark.parametrize("compiler", ["", "/bin/false"], ids=["no compiler", "one that fails"])
 def test_without_a_compiler_numpy_computes_the_step(compiler, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("CC", compiler)
-    monkeypatch.setattr(native.shutil, "which", lambda name: None)
+    monkeypatch.setattr(native.shutil, "which", lambda name: compiler if name == compiler else None)
     native.library.cache_clear()
     try:
         if compiler:
@@ -206,3 +208,15 @@ def test_without_a_compiler_numpy_computes_the_step(compiler, monkeypatch, tmp_p
         assert isinstance(solver.kernel, DenseKernel)
     finally:
         native.library.cache_clear()
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_kernel_is_strict_c99(real, tmp_path):
+    compiler = native.compiler()
+    if compiler is None:
+        pytest.skip("no C compiler")
+    source = Path(native.__file__).parent / "kernel.c"
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-DLFO_REAL={real}", "-DLFO_SQRT=sqrt"]
+    command = [compiler, *flags, "-c", str(source), "-o", str(tmp_path / "kernel.o")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
