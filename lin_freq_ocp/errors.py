@@ -1,7 +1,8 @@
-"""The errors that the package raises on purpose, and its one warning."""
+"""The errors that the package raises on purpose, and its warnings."""
 
 from lin_freq_ocp.base.errors import (
     BandWarning,
+    ClosedLoopWarning,
     InfeasibleError,
     LimitError,
     LinFreqOCPError,
@@ -15,6 +16,7 @@ from lin_freq_ocp.base.errors import (
 
 __all__ = [
     "BandWarning",
+    "ClosedLoopWarning",
     "InfeasibleError",
     "LimitError",
     "LinFreqOCPError",

@@ -4,7 +4,7 @@ from lin_freq_ocp.problem.spectrum.bands import LinearConstraint, band_pass, hig
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, MagnitudeBound
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
-from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
+from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram, closed_loop
 
 __all__ = [
     "EnergyBound",
@@ -14,6 +14,7 @@ __all__ = [
     "ResidualVibration",
     "Spectrogram",
     "band_pass",
+    "closed_loop",
     "high_pass",
     "low_pass",
     "notch",

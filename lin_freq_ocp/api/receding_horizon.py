@@ -8,7 +8,7 @@ from dataclasses import replace
 from io import StringIO
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,6 +98,10 @@ class RecedingHorizon:
         Seconds for each solve. A step without an answer in this time applies the better of two: the point that it has
         reached, and the plan of the step before, replayed from the measured state. A feasible one is better than one
         that is not, then the one of lower cost; of two others the one that violates the constraints less.
+    certify : {"each", "later"}
+        "later": a step whose problem differs from the last in its initial state alone returns the control of a plan
+        that is not judged yet, some ten times as fast; ``certify()`` judges all of them. What no plan is found for
+        is solved and judged at once.
 
     Raises
     ------
@@ -125,8 +129,9 @@ class RecedingHorizon:
         soft: Mapping[str, float] | None = None,
         delay: int = 0,
         time_limit: float | None = None,
+        certify: Literal["each", "later"] = "each",
     ):
-        self._controller = Controller(problem, method, soft, delay, time_limit)
+        self._controller = Controller(problem, method, soft, delay, time_limit, certify)
 
     @property
     def problem(self) -> OptimalControlProblem:
@@ -170,9 +175,15 @@ class RecedingHorizon:
         """
         step, outcome = self._controller.advance(state, Preview(references, bounds, disturbance), applied)
         if step is None:
+            assert outcome is not None  # the problem was solved as a whole
             raise_for(shown_as(Result, outcome))
             raise AssertionError("an outcome without a plan is an error")
         return step.control
+
+    def certify(self) -> ClosedLoop:
+        """Judge all plans that were not judged yet (``certify="later"``), and return the steps until now."""
+        self._controller.certify()
+        return self.log
 
     def run(
         self,

@@ -167,6 +167,16 @@ class BandWarning(UserWarning):
     """
 
 
+class ClosedLoopWarning(UserWarning):
+    """A frequency constraint of a control loop that holds for each plan, and says nothing about what is applied.
+
+    Examples
+    --------
+    >>> issubclass(lfo.errors.ClosedLoopWarning, UserWarning)
+    True
+    """
+
+
 def first_line(error: Exception) -> str:
     """Return what kind of an error of others it is, and the beginning of what it says."""
     return f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"

@@ -271,7 +271,7 @@ def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float
 
 
 def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
-    """Return the items that the Fourier-domain method solves and the batch judge proves, and whether Ctrl-C came."""
+    """Return the items that the condensed method solves and the batch judge proves, and whether Ctrl-C came."""
     states = [change.initial_state for change in changes.values() if change.references is None]
     if not again.linear or not again.spectral or len(states) < len(changes) or states[0] is None:
         return {}, False
@@ -282,12 +282,11 @@ def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict
     if located.kept is None:
         return {}, False
     translation, starts = located.translation, np.array(states, dtype=np.float64) - located.origin
-    found = located.kept.together(starts)
-    which = np.zeros(0, dtype=np.intp) if found is None else np.flatnonzero(found.found)
-    if found is None or not len(which):
-        return {}, found is not None and found.interrupted
-    signals = (part[which] for part in (found.x, found.u, found.eta, found.mu, found.nu))
-    judged = verdicts(translation.problem, starts[which], Extremals(*signals, rho_u=found.rho_u[which]))
+    plans = located.kept.plan_batch(starts)
+    if plans is None:
+        return {}, False
+    extremals = Extremals(plans.x, plans.u, plans.eta, plans.mu, plans.nu, plans.rho_u)
+    judged = verdicts(translation.problem, starts[plans.solved], extremals)
     each, keys = (now() - started) / len(changes), list(changes)
     items = {
         keys[i]: Item(
@@ -297,13 +296,13 @@ def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict
             lower_bound=float(judged.bounds[k]) + translation.cost,
             gap=float(judged.gaps[k]),
             seconds=each,
-            x=found.x[i] + located.origin,
-            u=found.u[i],
+            x=plans.x[k] + located.origin,
+            u=plans.u[k],
         )
-        for k, i in enumerate(which)
+        for k, i in enumerate(plans.solved)
         if judged.proven[k]
     }
-    return items, found.interrupted
+    return items, plans.interrupted
 
 
 def _solve_single(again: Repeated, change: Change, time_limit: float | None) -> Item:

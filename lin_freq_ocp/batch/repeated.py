@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.certificate.rays import Exclusion, exclusion
+from lin_freq_ocp.methods.condensed.plans import Plan, batch_of
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import chosen, saved_options
+from lin_freq_ocp.solving.judging import judged
 from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
@@ -29,8 +33,7 @@ TRAVEL = 100.0  # largest moves of a state after which states are counted from w
 class Located:
     """A problem with its states counted from an origin, and what solves of it share."""
 
-    def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, linear: bool):
-        origin = far_origin(changed)
+    def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, origin: Array, linear: bool):
         base = problem.with_ends(changed.initial_state) if origin.any() else problem
         self.translation = translated_by(base, origin)
         self.kept = Kept(self.translation.problem) if linear else None
@@ -52,6 +55,46 @@ class Located:
             bounds = {**bounds, "state_set": translated_set(bounds["state_set"], self.origin)}
         terminal = None if change.terminal_state is None else changed.terminal_state.translated(self.origin)
         return Change(changed.initial_state.translated(self.origin), terminal, references, bounds)
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedStart:
+    """A plan of a translated problem from another initial state, not certified yet."""
+
+    translation: Translation  # of the problem with another initial state
+    plan: Plan
+
+    @property
+    def control(self) -> Array:
+        """Return u_0, (m,)."""
+        return self.plan.control
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Return the plan in the given coordinates."""
+        return self.translation.trajectory(self.plan.trajectory)
+
+    def certified(self, tolerance: float | None) -> Outcome:
+        """Return the judged outcome."""
+        problem = self.translation.problem.with_ends(self.plan.start)
+        base = self.translation.given.with_ends(self.plan.start + self.translation.origin)
+        outcome = judged(problem, self.plan.candidate(problem), "condensed", None, tolerance)
+        return restored_outcome(Translation(base, problem, self.translation.origin), outcome, tolerance)
+
+
+def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, tuple[float, float]]:
+    """Return the cost and the relative gap of plans of one problem, by number, that the batch judge proves optimal."""
+    translation = next(iter(planned.values())).translation
+    if not judged_together(translation.problem):
+        return {}
+    batch = batch_of({number: one.plan for number, one in planned.items()})
+    extremals = Extremals(batch.x, batch.u, batch.eta, batch.mu, batch.nu, batch.rho_u)
+    judged_batch = verdicts(translation.problem, np.array([one.plan.start for one in planned.values()]), extremals)
+    return {
+        number: (float(judged_batch.costs[k]) + translation.cost, float(judged_batch.gaps[k]))
+        for k, number in enumerate(planned)
+        if judged_batch.proven[k]
+    }
 
 
 class Repeated:
@@ -83,13 +126,28 @@ class Repeated:
 
         The origin stays until a state has travelled far from it, compared with what it moves in a solve.
         """
-        if self._located is not None:
-            start = changed.ends[0]
-            travelled = np.where(start.fixed, np.abs(start.lower - self._located.origin), 0.0)
-            if not ((self._moves > 0) & (travelled > TRAVEL * self._moves)).any():
-                return self._located
-        self._located = Located(self.problem, changed, self.linear)
-        return self._located
+        start, located = changed.ends[0], self._located
+        if located is not None and not self._is_far(located, start.lower, start.fixed):
+            return located
+        origin = far_origin(changed)
+        if located is None or (origin != located.origin).any():
+            self._located = located = Located(self.problem, changed, origin, self.linear)
+        else:  # it stays the best one: states this far from it are not far
+            self._moves = np.maximum(self._moves, np.where(start.fixed, np.abs(start.lower - origin), 0.0) / TRAVEL)
+        return located
+
+    def _is_far(self, located: Located, start: Array, fixed: Mask | bool = True) -> bool:
+        """Whether a state has travelled far from the origin, compared with what it moves in a solve."""
+        travelled = np.where(fixed, np.abs(start - located.origin), 0.0)
+        return bool(((self._moves > 0) & (travelled > TRAVEL * self._moves)).any())
+
+    def plan(self, start: Array) -> PlannedStart | None:
+        """Return a plan from another initial state, (n,), without a certificate; None where only ``solve`` helps."""
+        located = self._located
+        if located is None or located.kept is None or self._is_far(located, start):
+            return None
+        plan = located.kept.plan(start - located.origin)
+        return plan and PlannedStart(located.translation, plan)
 
     def excluded(self, change: Change) -> bool:
         """Whether a ray of an infeasible problem before excludes the changed initial state."""

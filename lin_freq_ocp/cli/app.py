@@ -16,7 +16,7 @@ from io import TextIOWrapper
 import click
 
 from lin_freq_ocp import __version__
-from lin_freq_ocp.base.errors import BandWarning, SolveError
+from lin_freq_ocp.base.errors import BandWarning, ClosedLoopWarning, SolveError
 from lin_freq_ocp.base.interrupts import INTERRUPTED, leave_silently, let_commands_decide
 from lin_freq_ocp.cli import console
 
@@ -105,5 +105,5 @@ def _status(arguments: Sequence[str] | None) -> int:
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: object, **more: object) -> None:
-    kind = "" if issubclass(category, BandWarning) else f" ({category.__name__})"
+    kind = "" if issubclass(category, (BandWarning, ClosedLoopWarning)) else f" ({category.__name__})"
     console.err.print(f"warning: {message}{kind}", markup=False, highlight=False, soft_wrap=True)

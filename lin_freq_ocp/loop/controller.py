@@ -7,6 +7,7 @@ included; of two others the one that violates the constraints less. The judge sa
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -15,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.repeated import Repeated
+from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.step_problem import (
@@ -26,6 +27,7 @@ from lin_freq_ocp.loop.step_problem import (
     depends_on_past,
     excess,
     free_first_state,
+    limits_of_plans,
     soften,
     with_past,
 )
@@ -63,16 +65,23 @@ class Controller:
         soft: Mapping[str, float] | None = None,
         delay: int = 0,
         time_limit: float | None = None,
+        certify: str = "each",
     ):
         require_problem(problem)
+        if certify not in ("each", "later"):
+            advice = 'With "later", certify() judges the steps until then.'
+            raise ProblemError("certify", brief(certify), '"each" or "later"', advice)
         if delay not in (0, 1) or isinstance(delay, bool):
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
+        if limits_of_plans(problem):
+            warnings.warn(limits_of_plans(problem), ClosedLoopWarning, stacklevel=3)
         self._problem = free_first_state(problem)
         self._hard = Repeated(self._problem, method)
         self._soft = Repeated(soften(self._problem, self.penalties), method) if self.penalties else None
         self._trees = {one: KeptTree() for one in (self._hard, self._soft) if one is not None}
         self._remembers, self._method, self._limit = depends_on_past(problem), method, time_limit
+        self._later = certify == "later"
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.dynamics.stepper(problem.horizon)
@@ -82,7 +91,9 @@ class Controller:
         """Return the steps until now."""
         return LoopRecord(self.problem, tuple(self._steps))
 
-    def advance(self, state: ArrayLike, preview: Preview, applied: ArrayLike | None) -> tuple[Step | None, Outcome]:
+    def advance(
+        self, state: ArrayLike, preview: Preview, applied: ArrayLike | None
+    ) -> tuple[Step | None, Outcome | None]:
         """Plan from a measured state; return the step, None if there is no control, and the answer of its problem.
 
         ``applied`` is what has acted in place of the last control that can be known.
@@ -91,6 +102,12 @@ class Controller:
         if applied is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
         started = now()
+        quick = self._plan_uncertified(x) if self._later and preview == Preview() else None
+        if quick is not None:
+            plan, source = quick
+            step = Step(x, plan.control, None, source, "condensed", solve_seconds=now() - started, pending=plan)
+            self._record(step)
+            return step, None
         hard, soft = self._answers(x, preview)
         outcome, solved = hard if soft is None else soft, now()
         plan = self._plan(outcome)
@@ -119,11 +136,46 @@ class Controller:
             nodes=sum(self._trees[one].solved for one, answer in parts if one and answer),
             plan=plan,
         )
-        if self._steps:  # of the plans only the last is needed
+        self._record(step)
+        return step, outcome
+
+    def _record(self, step: Step) -> None:
+        """Append a step; of the plans only the last is needed."""
+        if self._steps and self._steps[-1].plan is not None:
             self._steps[-1] = replace(self._steps[-1], plan=None)
         self._steps.append(step)
         self._applied.append(step.control)
-        return step, outcome
+
+    def _plan_uncertified(self, x: Array) -> tuple[PlannedStart, Source] | None:
+        """Return a plan from a measured state that is judged later, and its source; None if only a solve helps."""
+        if self._remembers:
+            return None
+        last = self._applied[-1] if self._applied else np.zeros(self.problem.control_dim)
+        begin = self._step(0, x, last) if self.delay else x
+        plan = self._hard.plan(begin)
+        if plan is not None:
+            return plan, Source.PLAN
+        softened = None if self._soft is None else self._soft.plan(begin)
+        return softened and (softened, Source.SOFTENED)
+
+    def certify(self) -> None:
+        """Judge the plans of all steps that were not judged yet; after Ctrl-C, the rest is left to the next call."""
+        tolerance: float | None = getattr(self._hard.method, "tolerance", None)
+        groups = dict[int, dict[int, PlannedStart]]()
+        for k, step in enumerate(self._steps):
+            if step.pending is not None:
+                groups.setdefault(id(step.pending.translation), {})[k] = step.pending
+        for planned in groups.values():
+            started = now()
+            proven = proven_in_batch(planned)
+            each = (now() - started) / len(planned)
+            for k, one in planned.items():
+                step = self._steps[k]
+                if k in proven and step.source is Source.PLAN:
+                    self._steps[k] = step.proven(*proven[k], each)
+                else:
+                    self._steps[k] = step.certified(one.certified(tolerance), now() - started)
+                    started = now()
 
     def _plan(self, outcome: Outcome) -> Trajectory | None:
         """Return the plan of a step: the point of its answer, or, without an answer, the last plan if it is better."""
@@ -136,7 +188,7 @@ class Controller:
 
     def _last_plan_in(self, problem: OptimalControlProblem) -> Trajectory | None:
         """Return the trajectory of the last plan's controls in the problem of a step; None if there is none."""
-        plan = self._steps[-1].plan if self._steps else None
+        plan = self._steps[-1].planned if self._steps else None
         try:
             return plan and simulate(problem, _shift_controls(plan.u))
         except LinFreqOCPError:  # no mode holds where it leads, or it overflows
@@ -175,7 +227,7 @@ class Controller:
 
     def _later_plan(self) -> Trajectory | None:
         """Return the last plan from its second step on, its last control repeated; None without one."""
-        plan = self._steps[-1].plan if self._steps else None
+        plan = self._steps[-1].planned if self._steps else None
         if plan is None:
             return None
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -12,11 +12,15 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, first_line
 from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.batch.repeated import PlannedStart
+from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.outcome import Outcome
 
+NOT_JUDGED = "not judged"  # in place of a status
 Plant = Callable[[int, Array, Array], Array]  # from k, x (n,) and u (m,) to the next state (n,)
 
 
@@ -39,8 +43,8 @@ class Step:
         Measured.
     control : (m,)
         Returned; with a delay, for the next step.
-    status : Status
-        Of the problem of this step, before anything was softened.
+    status : Status or None
+        Of the problem of this step, before anything was softened; None as long as its plan is not judged.
     source : Source
         Where the control comes from.
     method : str
@@ -57,21 +61,55 @@ class Step:
         Relaxations that a search over modes has solved; 0 without modes.
     plan : Trajectory or None
         From this step on.
+    pending : PlannedStart or None
+        The plan that is not judged yet.
     """
 
     state: Array
     control: Array
-    status: Status
+    status: Status | None
     source: Source
     method: str
-    cost: float
-    gap: float
-    satisfied: bool
-    solve_seconds: float
-    certify_seconds: float
+    cost: float = float("nan")
+    gap: float = float("nan")
+    satisfied: bool = False
+    solve_seconds: float = 0.0
+    certify_seconds: float = 0.0
     excess: dict[str, float] = field(default_factory=dict[str, float])
     nodes: int = 0
     plan: Trajectory | None = None
+    pending: PlannedStart | None = None
+
+    @property
+    def planned(self) -> Trajectory | None:
+        """Return the plan, judged or not."""
+        return self.plan if self.pending is None else self.pending.trajectory
+
+    def proven(self, cost: float, gap: float, seconds: float) -> Step:
+        """Return the step of a plan that the batch judge has proven optimal."""
+        judged = {"status": Status.OPTIMAL, "cost": cost, "gap": gap, "satisfied": True}
+        return replace(self, **judged, certify_seconds=seconds, pending=None)
+
+    def certified(self, outcome: Outcome, seconds: float) -> Step:
+        """Return the step with the judged outcome of its plan.
+
+        Where softened constraints are exceeded, it is claimed that the problem has no solution: multipliers have
+        reached the penalties. Where none is, the plan solves the problem itself.
+        """
+        certificate, plan = outcome.certificate, outcome.trajectory
+        assert certificate is not None  # the plan was judged
+        assert plan is not None
+        exceeded = excess(outcome.problem, plan) if self.source is Source.SOFTENED else {}
+        return replace(
+            self,
+            status=Status.INFEASIBLE_CLAIMED if exceeded else outcome.status,
+            cost=certificate.cost,
+            gap=float("nan") if certificate.gap is None else certificate.gap,
+            satisfied=certificate.pmp == "satisfied",
+            certify_seconds=seconds,
+            excess=exceeded,
+            pending=None,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +179,8 @@ class LoopRecord:
         return tuple(step.source for step in self.steps)
 
     @property
-    def statuses(self) -> tuple[Status, ...]:
-        """Return the status of the problem of each step."""
+    def statuses(self) -> tuple[Status | None, ...]:
+        """Return the status of the problem of each step; None where its plan is not judged."""
         return tuple(step.status for step in self.steps)
 
     @property
@@ -153,7 +191,7 @@ class LoopRecord:
             {
                 "step": k,
                 **dict(zip(names, [*step.state.tolist(), *step.control.tolist()], strict=True)),
-                "status": str(step.status),
+                "status": NOT_JUDGED if step.status is None else str(step.status),
                 "source": str(step.source),
                 "method": step.method,
                 "cost": step.cost,

@@ -69,6 +69,17 @@ def depends_on_past(problem: OptimalControlProblem) -> bool:
     return any(one.remembers for field in SPECTRA for one in entries_of(getattr(problem, field)))
 
 
+def limits_of_plans(problem: OptimalControlProblem) -> str:
+    """Return which frequency constraints hold for each plan only, in a sentence; empty if there is none."""
+    fields = [field for field in SPECTRA if not all(one.remembers for one in entries_of(getattr(problem, field)))]
+    if not fields:
+        return ""
+    return (
+        f"{' and '.join(fields)}: holds for each plan, but the loop applies only the first control of each plan: "
+        "nothing follows for the applied signal. lfo.spectrum.Spectrogram limits windows of applied and planned ones."
+    )
+
+
 def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
     """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
     dynamics, T, n = problem.dynamics, problem.horizon, problem.state_dim

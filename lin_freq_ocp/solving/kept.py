@@ -10,15 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, known_entries
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
+from lin_freq_ocp.methods.condensed.plans import CondensedSolver, Plan, PlanBatch
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
-from lin_freq_ocp.methods.spectral.recovery import Together
 from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Chain, reduce_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
+
+CONDENSED_SOLVES = 3
+"""The solve from which the condensed method is tried: its set-up takes as long as some ten solves of the Fourier-domain
+method, so that a problem that is solved twice does not need it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +73,8 @@ class Kept:
         self._solver: SpectralSolver | None = None
         self._refusal: UnsupportedError | None = None
         self._last: SpectralSolution | None = None
+        self._condensed: CondensedSolver | None = None
+        self._solves, self._refused_condensed = 0, False
         self.prepared = Prepared()
 
     def spectral(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
@@ -88,6 +95,36 @@ class Kept:
             self._last = found
         return reduced.recover(found)
 
+    def condensed(self, problem: OptimalControlProblem, change: Change) -> Candidate | None:
+        """Solve the changed problem in few unknowns, from the multipliers of the last solve.
+
+        None where the method does not take it, ends without an answer, or does not pay yet.
+        """
+        self._solves += 1
+        condensed = (
+            self._condensed_solver() if self._solves >= CONDENSED_SOLVES and self._takes(problem, change) else None
+        )
+        if condensed is None:
+            return None
+        reduced, solver = self._spectral_solver()
+        changes = change.initial_state, change.terminal_state, change.references, change.bounds
+        changed, lti = solver.changed_problem(*changes)
+        started = now()
+        plan = condensed.plan(changed.initial_box.lower, lti)
+        if plan is None:
+            return None
+        seconds = {"setup": condensed.setup_seconds, "solve": now() - started}
+        return reduced.recover(replace(plan.candidate(changed), seconds=seconds))
+
+    def plan(self, start: Array) -> Plan | None:
+        """Return the condensed method's plan from another initial state, (n,), without a certificate.
+
+        None where ``condensed`` has not solved the problem before, or the method ends without an answer.
+        """
+        if self._condensed is None or self._solver is None or (self._reduced and self._reduced.inverses):
+            return None
+        return self._condensed.plan(start, self._solver.lti)
+
     def _takes(self, problem: OptimalControlProblem, change: Change) -> bool:
         """Whether the kept solver takes a changed problem: new sets are boxes, none is rows, equal values are fixed."""
         old = self.problem
@@ -106,13 +143,24 @@ class Kept:
             return True
         return all(len(spectral_problem(one).problem.stage_rows) == len(one.stage_rows) for one in (problem, old))
 
-    def together(self, initial_states: Array) -> Together | None:
-        """Solve from initial states (N, n) at once, where the Fourier-domain method can."""
-        try:
-            reduced, solver = self._spectral_solver()
-        except UnsupportedError:
+    def plan_batch(self, starts: Array) -> PlanBatch | None:
+        """Return the condensed method's plans from initial states (N, n), without certificates; None as ``plan``."""
+        condensed = self._condensed_solver()
+        if condensed is None or self._reduced is None or self._solver is None or self._reduced.inverses:
             return None
-        return None if reduced.inverses else solver.solve_together(initial_states)
+        return condensed.plan_batch(starts, self._solver.lti)
+
+    def _condensed_solver(self) -> CondensedSolver | None:
+        """Return the condensed method in the units of the Fourier-domain method; None if it refuses the problem."""
+        if self._refused_condensed:
+            return None
+        try:
+            _, solver = self._spectral_solver()
+            if self._condensed is None or self._condensed.units is not solver.units:
+                self._condensed = CondensedSolver(solver.lti, solver.units)
+        except UnsupportedError:
+            self._refused_condensed = True
+        return self._condensed
 
     def _spectral_solver(self) -> tuple[Chain, SpectralSolver]:
         if self._refusal is not None:

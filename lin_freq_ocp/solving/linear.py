@@ -215,6 +215,11 @@ class Spectral(_Linear):
         if request.again is None:
             return trial.judge_point(solve_spectral(trial.problem, trial.options))
         kept, change = request.again
+        condensed = kept.condensed(trial.problem, change) if self.tolerance is None else None
+        if condensed is not None:
+            outcome = replace(trial, method="condensed").judge(condensed)
+            if outcome.status == Status.OPTIMAL:  # what is not proven is solved by the method itself
+                return outcome
         return trial.judge_point(kept.spectral(trial.problem, change, trial.options))
 
 

@@ -1,10 +1,12 @@
-"""Time of a step of a control loop, compared with what users would write: CVXPY with a parameter for the state.
+"""Time of a step of a control loop, compared with QP solvers, and with CVXPY with a parameter for the state.
 
-    python scripts/benchmark.py loop [--horizons 60 240] [--problems free "low pass" "soft bounds"] [--steps 30]
+    python scripts/benchmark.py loop [--horizons 60 240] [--problems free "low pass" "soft bounds"] [--steps 100]
                                      [--write]
 
 One thread, all contenders on the same measured states in turns; times are medians. The certificate, which the others do
-not have, is timed apart. "agreement" is the largest difference of a control from ours, relative to its bound.
+not have, is timed apart. "agreement" is the largest difference of a control from the first row, relative to its bound.
+OSQP and PIQP solve the sparse program in states and controls, DAQP the dense program of our condensed method; each is
+set up once and updated at every step.
 
     python scripts/benchmark.py loop --modes
 
@@ -16,15 +18,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from importlib import import_module
 
 import cvxpy as cp
 import numpy as np
+import osqp
+import scipy.sparse as sp
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
 from benchmark.loop_cases import cart_pole, pendulum, soft_pendulum
 from benchmark.record import Record, build_parser
+from lin_freq_ocp.methods.condensed.dense import DenseKernel
+from lin_freq_ocp.methods.condensed.tables import condense
+from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
+from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.program import Block
 
 NOISE = 1e-3
 """Standard deviation of the disturbance of every state."""
@@ -33,6 +43,10 @@ CART_POLE_NOISE = 3e-3
 """The same, of the cart-pole (Marcucci and Tedrake 2021)."""
 
 CASES = {"free": pendulum, "low pass": partial(pendulum, low_pass=True), "soft bounds": soft_pendulum}
+
+SET_UP = 4  # first steps, in which methods set themselves up
+
+RESTART = 25  # steps after which the loop begins again at its initial state
 
 Step = Callable[[np.ndarray], np.ndarray]
 
@@ -67,12 +81,71 @@ def parametric(problem: lfo.OptimalControlProblem, solver: str) -> Step:
     return step
 
 
+def sparse(problem: lfo.OptimalControlProblem, solver: str) -> Step:
+    """Return a step of PIQP or OSQP on the sparse program, whose rows of the initial state are updated."""
+    linear = LinearProgram(problem)
+    program, n, m = linear.sparse, problem.state_dim, problem.control_dim
+    lower, upper, first = program.lower.copy(), program.upper.copy(), program.rows[Block.STATE_SET].start
+    equal = lower == upper
+    if solver == "PIQP":
+        piqp = import_module("piqp")
+        solve = piqp.SparseSolver()
+        solve.settings.eps_abs, solve.settings.eps_rel = 1e-8, 1e-9
+        A, G = sp.csc_matrix(program.A[equal]), sp.csc_matrix(program.A[~equal])
+        solve.setup(sp.csc_matrix(program.P), program.q, A, upper[equal], G, lower[~equal], upper[~equal])
+    else:
+        solve = osqp.OSQP()
+        options = {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20000}
+        solve.setup(sp.csc_matrix(sp.triu(program.P)), program.q, sp.csc_matrix(program.A), lower, upper, **options)
+
+    def step(state: np.ndarray) -> np.ndarray:
+        lower[first : first + n] = upper[first : first + n] = state - linear.origin.x[0]
+        if solver == "PIQP":
+            solve.update(b=upper[equal])
+            solve.solve()
+            z = solve.result.x
+        else:
+            solve.update(l=lower, u=upper)
+            z = solve.solve().x
+        return z[linear.states : linear.states + m] + linear.origin.u[0]
+
+    return step
+
+
+def dense(problem: lfo.OptimalControlProblem) -> Step:
+    """Return a step of DAQP on the dense program of the condensed method; of soft rows it has none."""
+    units = natural_units(problem)
+    tables = condense(lti_problem(problem, units))
+    rows = DenseKernel(tables)
+    bounded = np.isfinite(rows.lower) | np.isfinite(rows.upper)
+    M, of_start = np.ascontiguousarray(rows.gradients[bounded]), rows.of_start[bounded]
+    lower, upper = (np.clip(side[bounded], -1e30, 1e30) for side in (rows.lower, rows.upper))
+    model, r = import_module("daqp").Model(), tables.unknowns
+    model.setup(np.eye(r), np.zeros(r), M, upper, lower, np.zeros(len(M), dtype=np.int32))
+    (_, n, m), K = tables.loop.shape, tables.loop.K
+
+    def step(state: np.ndarray) -> np.ndarray:
+        start = np.append(state / units.x, 1.0)
+        shift = of_start @ start
+        model.update(bupper=upper - shift, blower=lower - shift)
+        xi = model.solve()[0]
+        return (tables.W[:m] @ start + tables.V[:m] @ xi + K @ start[:n]) * units.u
+
+    return step
+
+
 def contenders(problem: lfo.OptimalControlProblem) -> dict[str, Step]:
     """Return a step of each contender, by its name."""
-    ours = {name: lfo.RecedingHorizon(problem, name) for name in ("spectral", "structured", "convex")}
-    return {name: controller.step for name, controller in ours.items()} | {
-        f"CVXPY, {solver}": parametric(problem, solver) for solver in ("CLARABEL", "OSQP")
+    ours = {
+        "auto": lfo.RecedingHorizon(problem),
+        "auto, certified later": lfo.RecedingHorizon(problem, certify="later"),
     }
+    ours |= {name: lfo.RecedingHorizon(problem, name) for name in ("structured", "convex")}
+    steps: dict[str, Step] = {name: controller.step for name, controller in ours.items()}
+    steps |= {f"{name}, sparse": sparse(problem, name) for name in ("PIQP", "OSQP")}
+    if not isinstance(problem.state_set, lfo.sets.Soft):
+        steps["DAQP, condensed"] = dense(problem)
+    return steps | {f"CVXPY, {solver}": parametric(problem, solver) for solver in ("CLARABEL", "OSQP")}
 
 
 def measured(problem: lfo.OptimalControlProblem, steps: int, seed: int) -> list[list[str]]:
@@ -81,20 +154,34 @@ def measured(problem: lfo.OptimalControlProblem, steps: int, seed: int) -> list[
     x, step = problem.initial_box.lower, problem.dynamics.stepper(1)
     times = {name: list[float]() for name in found}
     controls = {name: list[np.ndarray]() for name in found}
-    for _ in range(steps):
+    for k in range(steps):
+        if k % RESTART == 0:
+            x = problem.initial_box.lower
         for name, one in found.items():
             began = time.perf_counter()
             controls[name].append(one(x))
             times[name].append(1e3 * (time.perf_counter() - began))
-        x = step(0, x, controls["spectral"][-1]) + NOISE * rng.standard_normal(len(x))
+        x = step(0, x, controls["auto"][-1]) + NOISE * rng.standard_normal(len(x))
     rows: list[list[str]] = []
     for name, one in found.items():
         controller = getattr(one, "__self__", None)
+        later = controller is not None and any(step.pending is not None for step in controller.log.steps)
+        if controller is not None:
+            controller.certify()
         certify = 0.0 if controller is None else 1e3 * float(np.median(controller.log.certify_seconds[1:]))
-        own = float(np.median(times[name][1:])) - certify
-        apart = np.abs(np.array(controls[name]) - controls["spectral"]).max() / problem.control_tube.upper.max()
+        own = np.array(times[name][SET_UP:]) - (0.0 if later else certify)
+        apart = np.abs(np.array(controls[name]) - controls["auto"]).max() / problem.control_tube.upper.max()
         gap = "" if controller is None else f"{controller.log.gaps.max():.0e}"
-        rows.append([name, f"{own:.2f}", f"{certify:.2f}" if controller else "", gap, f"{apart:.0e}"])
+        rows.append(
+            [
+                name,
+                f"{np.median(own):.3f}",
+                f"{own.max():.2f}",
+                f"{certify:.2f}" if controller else "",
+                gap,
+                f"{apart:.0e}",
+            ]
+        )
     return rows
 
 
@@ -127,7 +214,7 @@ def with_modes(steps: int, seed: int) -> Table:
 def linear(horizons: Sequence[int], problems: Sequence[str], steps: int, seed: int) -> Table:
     """Return a table of the times of all contenders."""
     table = Table("problem", "contender", title="a step of a control loop, warm")
-    for column in ("ms", "certificate, ms", "gap", "agreement"):
+    for column in ("ms, median", "worst", "certificate, ms", "gap", "agreement"):
         table.add_column(column, justify="right")
     for horizon in horizons:
         for name in problems:
@@ -143,7 +230,7 @@ def main(arguments: Sequence[str]) -> None:
     parser = build_parser(__name__, __doc__)
     parser.add_argument("--horizons", type=int, nargs="+", default=[60, 240])
     parser.add_argument("--problems", nargs="+", choices=CASES, default=list(CASES))
-    parser.add_argument("--steps", type=int, default=30)
+    parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--modes", action="store_true")
     options = parser.parse_args(arguments)

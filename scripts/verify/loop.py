@@ -7,7 +7,7 @@ step was softened.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from benchmark.loop_cases import pendulum, random_plant, windowed
@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.loop.step_problem import free_first_state
 from verify.seeded import check_all
 
 STEPS = 100
@@ -25,6 +26,10 @@ NOISE = 5e-3
 
 TOLERANCE = 1e-6
 """Excess over a bound that is allowed, relative to the sizes of the states, or to the bounds of the controls."""
+
+GAP = 1e-8  # relative, of every plan that is not softened
+APART = 1e-5  # of a control from that of the sparse program, relative to its bound
+COMPARED = 25  # every so many steps
 
 SOFT = {"state_set": 1e3, "control_spectrum": 1e2}
 
@@ -48,13 +53,15 @@ class Findings:
     control_excess: float
     state_excess: float
     window_excess: float
+    gap: float
+    apart: float
     stopped: str
 
     @property
     def passed(self) -> bool:
         """Whether it ran to its end within all bounds."""
         worst = max(self.control_excess, self.state_excess, self.window_excess)
-        return not self.stopped and worst <= TOLERANCE
+        return not self.stopped and worst <= TOLERANCE and self.gap <= GAP and self.apart <= APART
 
 
 def case_of(seed: int) -> Case:
@@ -74,7 +81,9 @@ def run(case: Case, seed: int) -> Findings:
     rng, problem = np.random.default_rng(seed), case.problem
     noise = NOISE * case.sizes * rng.uniform(-1, 1, (STEPS, problem.state_dim))
     start = problem.initial_box.lower * rng.uniform(0.3, 1.0)
-    loop = lfo.RecedingHorizon(problem, soft=SOFT).run(start, STEPS, disturbance=noise)
+    controller = lfo.RecedingHorizon(problem, soft=SOFT, certify="later")
+    stopped = controller.run(start, STEPS, disturbance=noise)
+    loop = replace(controller.certify(), final_state=stopped.final_state, stopped=stopped.stopped)
     planned = loop.states[1:] - noise[: len(loop.steps)]
     hard = np.array([source == "plan" for source in loop.sources], dtype=bool)
     controls, states = problem.control_tube, problem.state_boxes
@@ -87,8 +96,20 @@ def run(case: Case, seed: int) -> Findings:
         float(of_u.max(initial=0.0)),
         float(of_x.max(initial=0.0)),
         0.0 if case.kind != "windows" else window_excess(problem, loop.controls, hard),
+        float(np.nan_to_num(loop.gaps, nan=np.inf)[hard].max(initial=0.0)),
+        0.0 if case.kind == "windows" else difference(problem, loop, hard),
         loop.stopped,
     )
+
+
+def difference(problem: lfo.OptimalControlProblem, loop: lfo.results.ClosedLoop, hard: np.ndarray) -> float:
+    """Return the largest difference of some controls from those of the sparse program, relative to their bounds."""
+    worst, free = 0.0, free_first_state(problem)
+    for step in [step for step, own in zip(loop.steps, hard, strict=True) if own][::COMPARED]:
+        control = lfo.solve(free.with_ends(step.state), "convex", throw=False).control
+        if control is not None:
+            worst = max(worst, float((np.abs(step.control - control[0]) / problem.control_tube.upper[0]).max()))
+    return worst
 
 
 def window_excess(problem: lfo.OptimalControlProblem, controls: np.ndarray, hard: np.ndarray) -> float:
@@ -115,11 +136,12 @@ def verify(console: Console, steps: range, processes: int) -> bool:
     loops = -(-len(steps) // STEPS)
     found = check_all(check, range(steps.start, steps.start + loops), processes, "closed loops")
     table = Table("loop", "loops", "steps", "softened", title="closed loops with disturbances")
-    for column in ("control excess", "state excess", "window excess", "failed"):
+    for column in ("control excess", "state excess", "window excess", "gap", "apart", "failed"):
         table.add_column(column, justify="right")
     for kind in [*dict.fromkeys(one.kind for one in found), "all"]:
         some = [one for one in found if kind in (one.kind, "all")]
         worst = [max(getattr(one, f"{what}_excess") for one in some) for what in ("control", "state", "window")]
+        worst += [max(one.gap for one in some), max(one.apart for one in some)]
         counts = len(some), sum(one.steps for one in some), sum(one.softened for one in some)
         failed = sum(not one.passed for one in some)
         table.add_row(kind, *map(str, counts), *(f"{value:.1e}" for value in worst), str(failed))

@@ -22,7 +22,7 @@ from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import SoftBounds, priced_bounds
 from lin_freq_ocp.methods.spectral.rows import Rows
-from lin_freq_ocp.methods.spectral.spaces import times_columns
+from lin_freq_ocp.methods.spectral.spaces import bin_weights, times_columns
 from lin_freq_ocp.methods.spectral.structure import Data, EndsModel, Structure, forces
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
@@ -215,13 +215,13 @@ def _largest(values: Array | ComplexArray | float) -> float:
     return float(np.abs(values).max(initial=0.0))
 
 
-def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUnits, found: Recovered) -> Multipliers:
+def in_units(problem: OptimalControlProblem, lti: Lti, units: LtiUnits, found: Recovered) -> Multipliers:
     """Return the theorem's multipliers in the user's units."""
     n, m = problem.state_dim, problem.control_dim
     x, u = np.split(units.multipliers, [n])
     forces = found.on_rows[: n + m].T * units.multipliers
     on_ends: dict[str, Array] = {}
-    if structure.kkt.lti.periodic:  # the multiplier of x_T - x_0 = 0; mu_0 moves to mu_T where x_T has the bound
+    if lti.periodic:  # the multiplier of x_T - x_0 = 0; mu_0 moves to mu_T where x_T has the bound
         tube, mu = problem.state_tube, forces[:, :n]
         at_end = np.where(mu[0] > 0, tube.upper[-1] < tube.upper[0], tube.lower[-1] > tube.lower[0])
         mu[-1] = np.where(at_end, mu[0], 0.0)
@@ -235,7 +235,7 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUni
         sealed(found.eta.T * x),
         sealed(forces[:, :n]),
         sealed(forces[:-1, n:]),
-        (found.band * (structure.spaces.weight / problem.horizon)).T * u,
+        (found.band * (bin_weights(problem.horizon) / problem.horizon)).T * u,
         found.rho_x * x,
         {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_ends,
     )

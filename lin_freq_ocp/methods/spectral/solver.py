@@ -196,7 +196,7 @@ class SpectralSolver:
                 positive_number(field, value)
         with self._turn:
             started = now()
-            problem, lti = self._changed_problem(initial_state, terminal_state, references, bounds)
+            problem, lti = self.changed_problem(initial_state, terminal_state, references, bounds)
             ray = contradiction_at_ends(problem)
             if ray is not None:
                 message, both = ("an end lies outside the state set", {"setup": 0.0, "solve": now() - started})
@@ -218,14 +218,14 @@ class SpectralSolver:
                         answer = second
                 return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
 
-    def _changed_problem(
+    def changed_problem(
         self,
         initial_state: ArrayLike | ConvexSet | None,
         terminal_state: ArrayLike | ConvexSet | None,
         references: Mapping[str, ArrayLike] | None,
         bounds: Mapping[str, object] | None,
     ) -> tuple[OptimalControlProblem, Lti]:
-        """Return the problem and its Lti form with new data, whose structure must be the same."""
+        """Return the problem with new data, whose structure must be the same, and its form in ``units``."""
         changes = known_entries("bounds", bounds, ("state_set", "control_set"))
         problem = replace(self.problem, **changes) if changes else self.problem
         if references is not None:
@@ -315,7 +315,7 @@ class SpectralSolver:
         outcome, measured = answer.outcome, answer.measured
         status, message = outcome.status, outcome.message
         finite = all(np.isfinite(part).all() for part in (answer.found.eta, answer.found.band, answer.found.rho_x))
-        multipliers = in_units(problem, self._structure, self._units, answer.found) if finite else None
+        multipliers = in_units(problem, self._lti, self._units, answer.found) if finite else None
         if multipliers is None:
             status, message = "numerical_error", f"{message}, with numbers that are not finite"
         infeasible = status == "infeasible"
@@ -333,6 +333,16 @@ class SpectralSolver:
             active=None if infeasible else outcome.working.rows().active(),
             rounds=outcome.rounds,
         )
+
+    @property
+    def units(self) -> LtiUnits:
+        """Return the units of the method: revised ones after a solve that showed others to be wrong."""
+        return self._units
+
+    @property
+    def lti(self) -> Lti:
+        """Return the problem in these units."""
+        return self._lti
 
     def solve_together(self, initial_states: Array) -> Together | None:
         """Solve from many initial states, each from the working rows of the one before, and all signals at once.

@@ -141,7 +141,7 @@ class BinSpaces:
         self.lti = lti
         bins = np.arange(lti.horizon // 2 + 1)
         self.z: ComplexArray = np.exp(2j * np.pi * bins / lti.horizon)
-        self.weight = np.where((bins == 0) | (2 * bins == lti.horizon), 1.0, 2.0)
+        self.weight = bin_weights(lti.horizon)
         self.resolvent = Resolvent(lti.A)
         distance = np.full(len(self.z), np.inf)  # to the nearest eigenvalue
         for eigenvalue in self.resolvent.eigenvalues:
@@ -243,6 +243,12 @@ def _flat_cost() -> UnsupportedError:
         "method 'spectral': the cost does not see some direction that the bands allow (R singular); "
         "give every control a cost, or use method 'convex'."
     )
+
+
+def bin_weights(horizon: int) -> Array:
+    """Return how often each bin of the DFT counts in sums over the full circle, 1 or 2, (T//2 + 1,)."""
+    bins = np.arange(horizon // 2 + 1)
+    return np.where((bins == 0) | (2 * bins == horizon), 1.0, 2.0)
 
 
 class CirculantKernels:

@@ -25,7 +25,8 @@ from lin_freq_ocp.base.phrases import number, plural
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
-from lin_freq_ocp.loop.record import LoopRecord
+from lin_freq_ocp.loop.record import NOT_JUDGED, LoopRecord
+from lin_freq_ocp.loop.step_problem import limits_of_plans
 from lin_freq_ocp.pages.figures import figures
 from lin_freq_ocp.pages.figures.continua import held_figure, moves_figure, vibrations_figure
 from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS
@@ -193,7 +194,8 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
             ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
             ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
         ]
-    counts = Counter((str(step.status), str(step.source), step.method) for step in loop.steps)
+    statuses = [NOT_JUDGED if status is None else str(status) for status in loop.statuses]
+    counts = Counter((status, str(step.source), step.method) for status, step in zip(statuses, loop.steps, strict=True))
     # The largest excess of each softened constraint, and at how many steps there was one
     violations = list[tuple[str, str, int]]()
     for name in dict.fromkeys(name for step in loop.steps for name in step.excess):
@@ -204,6 +206,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         "loop.html.jinja",
         title=loop.problem.name or "Control loop",
         finding=sentence,
+        caution=limits_of_plans(loop.problem),
         tiles=headline,
         drawing=drawing,
         counts=[(*key, count) for key, count in counts.most_common()],

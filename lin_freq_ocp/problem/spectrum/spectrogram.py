@@ -13,11 +13,12 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer, real_array, with_columns
+from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer, positive_number, real_array, with_columns
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.problem.spectrum.bands import Band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_indices
-from lin_freq_ocp.problem.spectrum.bounds import SpectrumBound
+from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound, SpectrumBound
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrogramMap
 from lin_freq_ocp.problem.terms.term import Term
 
@@ -159,3 +160,77 @@ class Spectrogram(FrequencyConstraint):
             windows = SpectrogramMap(spectrum, first, past[:, i])
             of = f"{'windows' if self.length else 'past and future'} of {name}"
             yield self.bound.term(of, signal.kind, windows, np.tile(limits, len(first)), source)
+
+
+LOBE = 4.0  # width of the main lobe of a Hann window, in bins of its length
+LENGTH_ROUNDING = 1e-9  # of a length that is a whole number
+LEAST_WINDOW = 8  # samples; shorter windows have no lobe
+
+
+def closed_loop(
+    band: Band,
+    amplitude: float,
+    sampling_time: float | None = None,
+    length: int | None = None,
+    hop: int | None = None,
+    past: ArrayLike | None = None,
+    oversampling: int = 4,
+) -> Spectrogram:
+    """Limit the applied signal of a control loop in a band: windows with a Hann taper over applied and planned samples.
+
+    On every window of ``length`` samples that begins at a multiple of ``hop``, the amplitude 2 |V(w)| / sum(taper) of
+    the tapered samples v is at most ``amplitude`` at the points of a grid with steps of 2 pi / (oversampling length).
+    At every frequency between two of these points it is at most amplitude + 0.33 U / oversampling^2, where U is the
+    largest |v_t|: a function exceeds its values at the ends of an interval of width d by at most d^2/8 times its
+    largest second derivative, here U sum taper_t (t - centre)^2.
+
+    Parameters
+    ----------
+    band : Band
+        The frequencies to limit, as of ``notch`` or ``low_pass``: those which the band would remove; not given by bins.
+    amplitude : float
+        Of a sinusoid, in the unit of the signal, above zero.
+    sampling_time : float, optional
+        Seconds; required for a band in Hz.
+    length : int, optional
+        Samples of a window. Default: so many that the main lobe of the taper, 4 / length cycles per sample wide, fits
+        into the band, and half of it between zero and the band.
+    hop : int, optional
+        Default a quarter of the length.
+    past : (P, components), or (P,), optional
+        The samples before the loop begins; zeros for a plant at rest.
+    oversampling : int
+        Points of the grid per bin of the window.
+
+    Raises
+    ------
+    ProblemError
+        If a value is not of this kind.
+
+    References
+    ----------
+    Harris, "On the use of windows for harmonic analysis with the discrete Fourier transform", Proceedings of the IEEE
+    66, 1978. Hours, Zeilinger, Gondhalekar and Jones, IEEE Transactions on Automatic Control 60, 2015.
+
+    Examples
+    --------
+    >>> limit = lfo.spectrum.closed_loop(lfo.spectrum.notch(centre_hz=8, width_hz=4), 0.1, sampling_time=0.02)
+    >>> limit.length, limit.hop
+    (50, 12)
+    """
+    if not isinstance(band, Band) or band.unit == "bins":
+        expected = "a band of frequencies"
+        raise ProblemError("closed_loop.band", brief(band), expected, "Such as notch(centre_hz=8, width_hz=2).")
+    level = positive_number("closed_loop.amplitude", amplitude)
+    if length is None:
+        if band.unit == "Hz" and sampling_time is None:
+            raise ProblemError("closed_loop.sampling_time", "None", "seconds, for a band in Hz")
+        per_sample = 1 / (2 * np.pi) if band.unit == "rad/sample" else float(sampling_time or 0.0)
+        low, high = (min(edge * per_sample, 0.5) for edge in band.limits)
+        parts = [(low, high)] if band.kind == "notch" else [(0.0, low), (high, 0.5)]
+        sizes = [min(end - begin, 2 * begin or np.inf) for begin, end in parts if end > begin]
+        length = max(int(np.ceil(LOBE / min(sizes) - LENGTH_ROUNDING)), LEAST_WINDOW)
+    samples = positive_integer("closed_loop.length", length)
+    taper = np.hanning(samples).sum()
+    bound = MagnitudeBound(level * taper / 2, band=band, window="hann", oversampling=oversampling)
+    return Spectrogram(bound, samples, max(samples // 4, 1) if hop is None else hop, past)

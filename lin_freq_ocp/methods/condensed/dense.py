@@ -1,0 +1,200 @@
+"""The step of the condensed method by NumPy, where no compiler is found: the gradients of all rows are a matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr_delete, solve_triangular
+
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.methods.condensed.tables import (
+    DEPENDENT,
+    INFEASIBLE,
+    LIMIT,
+    ROUNDING,
+    SOLVED,
+    TOLERANCE,
+    CondensedTables,
+)
+
+CORRECTIONS = 3  # of rounding in active rows, before another row enters
+
+
+class DenseKernel:
+    """Goldfarb and Idnani's dual method with limits, one row after the other; kernel.c says the same without a matrix.
+
+    minimise 1/2 |xi|^2 + prices   over   lower <= y = y_0 + M xi <= upper.
+
+    xi = -M'lambda at all times. lambda_i > 0 belongs to the upper bound, lambda_i < 0 to the lower one; prices of soft
+    rows limit it. The multipliers of a step are the start of the next.
+    """
+
+    def __init__(self, tables: CondensedTables):
+        self.tables = tables
+        (T, n, m), r = tables.loop.shape, tables.unknowns
+        self.gradients = tables.row_values(tables.V, np.zeros((r, n)), np.zeros(r))
+        self._of_states = tables.row_values(tables.W[:, :n], np.eye(n), np.zeros(n))
+        self._lengths = np.linalg.norm(self.gradients, axis=1)
+        self.take(tables)
+        self._plan, self._x, self.changes = np.zeros(T * m), np.zeros(n), 0
+        self._forget()
+
+    def take(self, tables: CondensedTables) -> None:
+        """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
+        self.tables, (T, n, _) = tables, tables.loop.shape
+        constant = tables.row_values(tables.W[:, n:], np.zeros((1, n)), np.ones(1))
+        self.of_start = np.hstack([self._of_states, constant])
+        self._size = np.repeat(tables.sizes, T + 1)
+        self.lower, self.upper = (side.ravel() for side in tables.bounds)
+        self._low, self._up = (side.ravel() for side in tables.limits)
+
+    def _forget(self) -> None:
+        """Begin without multipliers."""
+        rows, r = self.gradients.shape
+        self._flag = np.zeros(rows, dtype=int)  # 0 inactive, +-2 active at its upper, lower bound, +-1 beyond it
+        self._lambda, self._active = np.zeros(rows), list[int]()
+        self._Q, self._R = np.zeros((r, 0)), np.zeros((0, 0))
+
+    @property
+    def control(self) -> Array:
+        """Return u_0 of the last step, (m,)."""
+        m = self.tables.loop.shape[2]
+        return self._plan[:m] + self.tables.loop.K @ self._x
+
+    @property
+    def plan(self) -> Array:
+        """Return v of the last step, (T m,)."""
+        return self._plan
+
+    @property
+    def multipliers(self) -> Array:
+        """Return the multipliers of the rows, (families, T+1)."""
+        return self._lambda.reshape(len(self.tables.families), -1).copy()
+
+    def step(self, x: Array) -> int:
+        """Solve from an initial state, (n,); return SOLVED, LIMIT or INFEASIBLE, also for one that is not finite."""
+        if not np.isfinite(x).all():
+            return INFEASIBLE
+        self._x, start, self.changes, corrections = x, np.append(x, 1.0), 0, 0
+        y_0, xi = self.of_start @ start, -self.gradients.T @ self._lambda
+        if not 0.5 * xi @ xi + self._lambda @ self._distance(y_0 + self.gradients @ xi) >= 0:  # worse than none
+            self._forget()
+            xi[:] = 0.0
+        status, rounded = LIMIT, np.zeros(len(y_0), dtype=bool)
+        while status == LIMIT and self.changes <= self.tables.most_changes:
+            y = y_0 + self.gradients @ xi
+            missed = self._distance(y)[self._active]
+            if corrections < CORRECTIONS and (np.abs(missed) > TOLERANCE / 4 * self._size[self._active]).any():
+                corrections += 1
+                xi = self._correct(xi, missed)
+                continue
+            violation = np.where(rounded, 0.0, self._violations(y) / self._size)
+            row = int(np.argmax(violation)) if len(violation) else -1
+            if row < 0 or violation[row] <= TOLERANCE:
+                status = SOLVED
+                break
+            corrections, before = 0, self.changes
+            found = self._enter(row, float(y[row]), xi)
+            if found is not None:
+                xi = found
+            elif violation[row] > ROUNDING * TOLERANCE:
+                status = INFEASIBLE
+            rounded[row] = found is None
+            if found is not None and self.changes > before:
+                rounded[:] = False
+        if status == SOLVED:
+            self._plan = self.tables.W @ start + self.tables.V @ xi
+        return status
+
+    def _distance(self, y: Array) -> Array:
+        """Return y less the bounds that the flags of the rows name; 0 for inactive rows."""
+        bound = np.where(self._flag > 0, self.upper, self.lower)
+        return np.where(self._flag == 0, 0.0, y - bound)
+
+    def _violations(self, y: Array) -> Array:
+        """Return by how much rows violate what their flags say: their bounds, or that they are beyond one."""
+        outside = np.maximum(y - self.upper, self.lower - y)
+        beyond = np.where(self._flag > 0, self.upper - y, y - self.lower)
+        return np.where(self._flag == 0, outside, np.where(np.abs(self._flag) == 1, beyond, 0.0))
+
+    def _limit(self, row: int, side: int) -> float:
+        return float((self._up if side > 0 else self._low)[row])
+
+    def _first_block(self, rate: Array, step: float) -> tuple[int | None, float, int]:
+        """Return the first active multiplier that ends on the way rate * step, the step to there, and its new flag."""
+        blocking, rest = None, 0
+        for j, row in enumerate(self._active):
+            side = int(np.sign(self._flag[row]))
+            value, speed = side * self._lambda[row], side * rate[j]
+            way = value / -speed if speed < 0 else (self._limit(row, side) - value) / speed if speed > 0 else np.inf
+            if max(way, 0.0) < step:
+                blocking, step, rest = j, max(way, 0.0), 0 if speed < 0 else side
+        return blocking, step, rest
+
+    def _drop(self, j: int, rest: int) -> None:
+        """Remove an active row; its multiplier stays at the limit that ``rest`` names, or is zero."""
+        row = self._active.pop(j)
+        self._flag[row], self._lambda[row] = rest, rest * self._limit(row, rest) if rest else 0.0
+        Q, R = qr_delete(self._Q, self._R, j, which="col")
+        count = len(self._active)
+        self._Q, self._R = Q[:, :count], R[:count]
+        self.changes += 1
+
+    def _correct(self, xi: Array, missed: Array) -> Array:
+        """Move the multipliers until the active rows are at their bounds; rows whose multiplier ends leave."""
+        while len(missed):
+            along = -solve_triangular(self._R, missed, trans="T")
+            rate = -solve_triangular(self._R, along)
+            blocking, step, rest = self._first_block(rate, 1.0)
+            xi = xi + step * self._Q @ along
+            self._lambda[self._active] += step * rate
+            if blocking is None:
+                return xi
+            missed = np.delete((1 - step) * missed, blocking)
+            self._drop(blocking, rest)
+        return xi
+
+    def _enter(self, row: int, y: float, xi: Array) -> Array | None:
+        """Bring a violated row to its bound and return xi, or None if the active rows prevent that."""
+        flag = int(self._flag[row])
+        side = flag or (1 if y > self.upper[row] else -1)
+        bound, limit = (self.upper if side > 0 else self.lower)[row], self._limit(row, side)
+        sigma, moved, gradient = -flag or side, 0.0, self.gradients[row]
+        while self.changes <= self.tables.most_changes:
+            along = self._Q.T @ gradient
+            z = gradient - self._Q @ along
+            again = self._Q.T @ z
+            z, along = z - self._Q @ again, along + again
+            rho = float(np.linalg.norm(z))
+            independent = rho > DEPENDENT * self._lengths[row] and len(self._active) < len(xi)
+            rate = -sigma * solve_triangular(self._R, along) if len(along) else along
+            full = abs(y - bound) / rho**2 if independent else np.inf
+            blocking, step, rest = self._first_block(rate, min(full, limit - moved))
+            if not np.isfinite(step):
+                return None
+            self._lambda[self._active] += step * rate
+            self._lambda[row] += sigma * step
+            moved += step
+            if independent:
+                xi = xi - sigma * step * z
+                y -= sigma * step * rho**2
+            if blocking is not None:
+                self._drop(blocking, rest)
+                continue
+            if step < full:  # its multiplier has reached its other end
+                self._flag[row] = 0 if flag else side
+                self._lambda[row] = 0.0 if flag else side * limit
+            else:
+                self._flag[row] = 2 * side
+                self._active.append(row)
+                self._Q, self._R = np.column_stack([self._Q, z / rho]), _append_column(self._R, along, rho)
+            self.changes += 1
+            break
+        return xi
+
+
+def _append_column(R: NDArray[np.floating], column: Array, corner: float) -> Array:
+    """Return [[R, column], [0, corner]]."""
+    larger = np.zeros((len(R) + 1, len(R) + 1))
+    larger[:-1, :-1], larger[:-1, -1], larger[-1, -1] = R, column, corner
+    return larger

@@ -1,0 +1,52 @@
+/* One step of a receding-horizon controller: C99, no heap, no recursion, of the library sqrt alone.
+
+   minimise 1/2 |xi|^2 + penalties   over   lower <= y <= upper,   y = C x_t + D v_t at every time t = 0 .. T
+
+   of the stable loop x_{t+1} = A x_t + B v_t + d_t, v = W (x_0, 1, xi). A bound of LFO_NONE in size is none, a limit of
+   LFO_NONE makes a row hard. docs/condensed.md derives the method. */
+#ifndef LFO_KERNEL_H
+#define LFO_KERNEL_H
+
+#ifndef LFO_REAL
+#define LFO_REAL double
+#define LFO_SQRT sqrt
+#endif
+#define LFO_QUEUE 4     /* violated rows that one sweep collects */
+#define LFO_RUN 8       /* longer runs of violated soft rows are relaxed in one step */
+#define LFO_FAMILIES 64 /* most families: rows of one (C, D) at all times */
+#define LFO_STATES 64   /* most states */
+#define LFO_NONE 1e30
+
+typedef LFO_REAL lfo_real;
+
+typedef struct {
+  int T, n, m, p, r, families, most_active, most_changes;
+  lfo_real tolerance, dependent;          /* of a row, relative to its size; of a gradient, relative to its length */
+  const lfo_real *A, *B, *K, *d;          /* A + B K, B, K, offsets (T, n); by rows */
+  const lfo_real *W;                      /* v of (x_0, 1, xi): p + r columns of T m */
+  const lfo_real *E;                      /* response of a family to v of T, T-1 .. 0 times before, (families, T+1, m) */
+  const lfo_real *C, *D, *size;           /* rows of the families, C with the feedback; units of their values */
+  const lfo_real *lower, *upper;          /* (families, T+1) */
+  const lfo_real *limit_low, *limit_up;   /* of multipliers: the price of a unit of violation, (families, T+1) */
+} lfo_model;
+
+typedef struct { /* all that lasts from step to step; the arrays are the caller's, their sizes from lfo_reals and lfo_rows */
+  lfo_real *xi, *row, *z, *seen;          /* (r) */
+  lfo_real *base, *plan, *before, *g;     /* (T m) */
+  lfo_real *d, *w, *e, *lambda;           /* (most_active) */
+  lfo_real *Q, *R;                        /* gradients of the active rows as R'Q: Q orthonormal, R upper triangular */
+  int *member;                            /* (most_active): rows, family (T+1) + time */
+  signed char *flag;                      /* a row: 0 inactive, +-2 active at its upper, lower bound, +-1 beyond it */
+  int active, plans, changes, sweeps, exceeded;
+  lfo_real worth;                         /* dual value of the multipliers at the last sweep */
+} lfo_memory;
+
+enum { LFO_SOLVED = 0, LFO_LIMIT = 1, LFO_INFEASIBLE = 2 };
+
+int lfo_reals(const lfo_model *p);
+int lfo_rows(const lfo_model *p);
+void lfo_begin(const lfo_model *p, lfo_memory *s, lfo_real *reals, int *members, signed char *flags);
+int lfo_step(const lfo_model *p, lfo_memory *s, const lfo_real *x, lfo_real *u, lfo_real *states);
+void lfo_multipliers(const lfo_model *p, const lfo_memory *s, lfo_real *out);
+
+#endif

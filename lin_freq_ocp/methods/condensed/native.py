@@ -1,0 +1,168 @@
+"""The condensed method's step in C, compiled once per user and called by ctypes (kernel.c beside this file)."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import shutil
+import subprocess
+import sysconfig
+import tempfile
+import warnings
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.methods.condensed.tables import DEPENDENT, TOLERANCE, CondensedTables
+
+NONE = 1e30  # LFO_NONE of kernel.h: no bound, or no limit of a multiplier
+FAMILIES, STATES = 64, 64  # LFO_FAMILIES, LFO_STATES of kernel.h
+FLAGS = ("-std=c99", "-O3", "-march=native", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
+SECONDS_TO_COMPILE = 60.0
+
+INTEGERS = ("T", "n", "m", "p", "r", "families", "most_active", "most_changes")
+REALS = ("tolerance", "dependent")
+ARRAYS = ("A", "B", "K", "d", "W", "E", "C", "D", "size", "lower", "upper", "limit_low", "limit_up")
+
+
+class Model(ctypes.Structure):
+    """lfo_model of kernel.h."""
+
+    _fields_ = (
+        [(name, ctypes.c_int) for name in INTEGERS]
+        + [(name, ctypes.c_double) for name in REALS]
+        + [(name, ctypes.c_void_p) for name in ARRAYS]
+    )
+
+
+class Memory(ctypes.Structure):
+    """lfo_memory of kernel.h."""
+
+    _fields_ = (
+        [(f"part_{i}", ctypes.c_void_p) for i in range(16)]
+        + [(name, ctypes.c_int) for name in ("active", "plans", "changes", "sweeps", "exceeded")]
+        + [("worth", ctypes.c_double)]
+    )
+
+
+def cache_folder() -> Path:
+    """Return the folder of this user's compiled kernels."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "lin_freq_ocp"
+
+
+def compiler() -> str | None:
+    """Return the C compiler of this machine: CC, or the first one found; None without any."""
+    names = filter(None, (os.environ.get("CC"), "cc", "gcc", "clang"))
+    return next((path for path in map(shutil.which, names) if path), None)
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Return the compiled kernel; None without a compiler, or, with a warning, if the compilation fails."""
+    found = compiler()
+    if found is None:
+        return None
+    source = resources.files("lin_freq_ocp.methods.condensed")
+    texts = {name: source.joinpath(name).read_text() for name in ("kernel.h", "kernel.c")}
+    key = "\n".join([*texts.values(), found, *FLAGS, sysconfig.get_platform(), os.uname().nodename])
+    target = cache_folder() / f"kernel-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
+    try:
+        if not target.exists():
+            _compile(found, texts, target)
+        return ctypes.CDLL(str(target))
+    except (OSError, subprocess.SubprocessError) as error:
+        words = f"the control step in C could not be compiled, NumPy computes it: {error}"
+        warnings.warn(words, RuntimeWarning, stacklevel=2)
+        return None
+
+
+def _compile(compiler: str, texts: dict[str, str], target: Path) -> None:
+    """Write the library; a file that another process writes meanwhile is replaced as a whole."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+        for name, text in texts.items():
+            (Path(folder) / name).write_text(text)
+        command = [compiler, *FLAGS, "kernel.c", "-o", "kernel.so", "-lm"]
+        subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=SECONDS_TO_COMPILE)
+        os.replace(Path(folder) / "kernel.so", target)
+
+
+class NativeKernel:
+    """The compiled step with the tables of one problem; the multipliers of a step are the start of the next."""
+
+    def __init__(self, tables: CondensedTables, compiled: ctypes.CDLL):
+        self.tables, self._library = tables, compiled
+        loop, (T, n, m), count, r = tables.loop, tables.loop.shape, len(tables.families), tables.unknowns
+        C = tables.C + tables.D @ loop.K
+        constant = {
+            "A": loop.A, "B": loop.lti.B, "K": loop.K, "W": np.vstack([tables.W.T, tables.V.T]),
+            "E": self._responses(C), "C": C, "D": tables.D,
+        }  # fmt: skip
+        shapes = {"d": (T, n), "size": (count,)} | dict.fromkeys(ARRAYS[-4:], (count, T + 1))
+        self._arrays = {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in constant.items()}
+        self._arrays |= {name: np.zeros(shape) for name, shape in shapes.items()}
+        self.take(tables)
+        rows = count * (T + 1)
+        most = min(r, rows)
+        integers = dict(zip(INTEGERS, (T, n, m, n + 1, r, count, most, tables.most_changes), strict=True))
+        self._model = Model(**integers, tolerance=TOLERANCE, dependent=DEPENDENT)
+        for name, array in self._arrays.items():
+            setattr(self._model, name, array.ctypes.data)
+        self._memory, model = Memory(), ctypes.byref(self._model)
+        self._work = np.zeros(compiled.lfo_reals(model)), np.zeros(most, np.int32), np.zeros(rows, np.int8)
+        self._x, self._u, self._weights = np.zeros(n), np.zeros(m), np.zeros((count, T + 1))
+        pointers = [ctypes.c_void_p(part.ctypes.data) for part in (*self._work, self._x, self._u, self._weights)]
+        memory = ctypes.byref(self._memory)
+        # pointers are made once: a call then takes a microsecond
+        self._step, self._read = (model, memory, *pointers[3:5], None), (model, memory, pointers[5])
+        compiled.lfo_begin(model, memory, *pointers[:3])
+        self._plan = self._work[0][4 * r + T * m : 4 * r + 2 * T * m]
+
+    def take(self, tables: CondensedTables) -> None:
+        """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
+        self.tables, arrays, n = tables, self._arrays, tables.loop.shape[1]
+        offset = tables.loop.lti.offset
+        arrays["d"][:] = 0.0 if offset is None else offset.T
+        arrays["W"][n], arrays["size"][:] = tables.W[:, n], tables.sizes
+        for name, side in zip(ARRAYS[-4:], (*tables.bounds, *tables.limits), strict=True):
+            np.clip(side, -NONE, NONE, out=arrays[name])
+
+    def _responses(self, C: Array) -> Array:
+        loop, (T, _, m) = self.tables.loop, self.tables.loop.shape
+        E = np.empty((len(C), T + 1, m))
+        E[:, T] = self.tables.D
+        for back in range(T):
+            E[:, T - 1 - back] = C @ loop.lti.B
+            C = C @ loop.A
+        return E
+
+    @property
+    def changes(self) -> int:
+        """Return how many changes of the working set the last step made."""
+        return self._memory.changes
+
+    def step(self, x: Array) -> int:
+        """Solve from an initial state, (n,); return SOLVED, LIMIT or INFEASIBLE."""
+        self._x[:] = x
+        return self._library.lfo_step(*self._step)
+
+    @property
+    def control(self) -> Array:
+        """Return u_0 of the last step, (m,)."""
+        return self._u.copy()
+
+    @property
+    def plan(self) -> Array:
+        """Return v of the last step, (T m,)."""
+        return self._plan.copy()
+
+    @property
+    def multipliers(self) -> Array:
+        """Return the multipliers of the rows, (families, T+1)."""
+        self._library.lfo_multipliers(*self._read)
+        return self._weights.copy()

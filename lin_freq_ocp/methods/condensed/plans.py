@@ -1,0 +1,174 @@
+"""CondensedSolver: the problem of the Fourier-domain method solved again and again in few unknowns."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, sealed
+from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.interrupts import interrupts_noted
+from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.condensed.dense import DenseKernel
+from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
+from lin_freq_ocp.methods.condensed.tables import SOLVED, CondensedTables, condense
+from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
+from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units
+from lin_freq_ocp.methods.spectral.spaces import bin_weights
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+BLOCK = 200  # plans whose multipliers are computed at once: the arrays stay in the cache of a processor
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A plan without a certificate: what the kernel found from an initial state."""
+
+    tables: CondensedTables
+    units: LtiUnits
+    start: Array  # (n,), in the user's units
+    control: Array  # u_0, (m,), in the user's units
+    v: Array  # (T m,)
+    weights: Array  # multipliers of the rows, (families, T+1)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Return the states and controls of the plan, in the user's units."""
+        loop, units = self.tables.loop, self.units
+        x, u = loop.simulate((self.start / units.x)[None], loop.plans(self.v[:, None]), np.ones(1))
+        return Trajectory(sealed(x[:, 0] * units.x), sealed(u[:, 0] * units.u))
+
+    def candidate(self, problem: OptimalControlProblem) -> Candidate:
+        """Return the plan with its multipliers, for the judge of the problem that it solves."""
+        tables, units, lti = self.tables, self.units, self.tables.loop.lti
+        found = tables.recover((self.start / units.x)[None], self.v[:, None], self.weights[..., None])
+        none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
+        stationarity = float(found.stationarity[0])
+        duals = Recovered(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
+        trajectory = Trajectory(sealed(found.x[:, 0] * units.x), sealed(found.u[:, 0] * units.u))
+        return Candidate("optimal", trajectory, in_units(problem, lti, units, duals))
+
+
+@dataclass(frozen=True, eq=False)
+class PlanBatch:
+    """Trajectories x (N, T+1, n), u (N, T, m) with eta (N, T, n), mu, nu as x and u, and rho_u (N, bins, m).
+
+    They belong to the initial states number ``solved``, (N,). Nothing of them is judged.
+    """
+
+    solved: Indices
+    x: Array
+    u: Array
+    eta: Array
+    mu: Array
+    nu: Array
+    rho_u: ComplexArray
+    interrupted: bool = False
+
+
+class CondensedSolver:
+    """The tables and the kernel of a problem, with the multipliers of the last step.
+
+    Parameters
+    ----------
+    lti, units
+        The problem of the Fourier-domain method, whose initial state is fixed.
+
+    Raises
+    ------
+    UnsupportedError
+        With the reason, if the condensed method does not take the problem.
+    """
+
+    def __init__(self, lti: Lti, units: LtiUnits):
+        self.units, started = units, now()
+        with one_blas_thread():
+            self._set_up(condense(lti))
+        self.setup_seconds = now() - started
+
+    def _set_up(self, tables: CondensedTables) -> None:
+        self._turn = threading.Lock()  # the kernel keeps the multipliers of its last step
+        compiled = library() if len(tables.families) <= FAMILIES and tables.loop.shape[1] <= STATES else None
+        self.kernel = DenseKernel(tables) if compiled is None else NativeKernel(tables, compiled)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return what another process needs; the kernel is made anew."""
+        return {"units": self.units, "setup_seconds": self.setup_seconds, "tables": self.kernel.tables}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        tables = state.pop("tables")
+        assert isinstance(tables, CondensedTables)
+        self.__dict__.update(state)
+        self._set_up(tables)
+
+    def _take(self, lti: Lti) -> bool:
+        """Take the ends, references, offsets and bounds of a problem; whether it differs in nothing else."""
+        tables = self.kernel.tables
+        old = tables.loop.lti
+        same = all(getattr(lti, name) is getattr(old, name) for name in ("linear", "p", "offset", "prices"))
+        same &= lti.bounds.lower is old.bounds.lower and lti.bounds.upper is old.bounds.upper
+        ends = [(one.end, one.bounds.last_lower, one.bounds.last_upper) for one in (lti, old)]
+        if same and all(np.array_equal(*pair, equal_nan=True) for pair in zip(*ends, strict=True)):
+            return True
+        if not np.array_equal(np.isnan(lti.end), np.isnan(old.end)):
+            return False
+        changed = tables.with_data(lti)
+        if changed is not None:
+            self.kernel.take(changed)
+        return changed is not None
+
+    def plan(self, start: Array, lti: Lti) -> Plan | None:
+        """Return the plan from an initial state, (n,), with the other data of lti in the same units.
+
+        None if these differ in more than ends, references, offsets and bounds, or if the working set does not settle: a
+        claim of contradictory rows proves nothing.
+        """
+        units = self.units
+        with self._turn:
+            kernel = self.kernel
+            if not self._take(lti) or kernel.step(start / units.x) != SOLVED:
+                return None
+            return Plan(kernel.tables, units, start, kernel.control * units.u, kernel.plan, kernel.multipliers)
+
+    def plan_batch(self, starts: Array, lti: Lti) -> PlanBatch | None:
+        """Return the plans from initial states, (N, n), each from the multipliers of the one before; None as ``plan``.
+
+        Ctrl-C ends it early.
+        """
+        plans, units = dict[int, Plan](), self.units
+        with self._turn, interrupts_noted() as interrupt:
+            kernel = self.kernel
+            if not self._take(lti):
+                return None
+            for i, start in enumerate(starts):
+                if kernel.step(start / units.x) == SOLVED:
+                    control = kernel.control * units.u
+                    plans[i] = Plan(kernel.tables, units, start, control, kernel.plan, kernel.multipliers)
+                if interrupt.is_set():
+                    break
+        return batch_of(plans, interrupt.is_set()) if plans else None
+
+
+def batch_of(plans: Mapping[int, Plan], interrupted: bool = False) -> PlanBatch:
+    """Return plans of one solver by their numbers as arrays with their multipliers, in the user's units."""
+    numbers, each = np.array(list(plans), dtype=np.intp), list(plans.values())
+    parts = [_extremals(each[first : first + BLOCK]) for first in range(0, len(each), BLOCK)]
+    return PlanBatch(numbers, *(np.concatenate(part) for part in zip(*parts, strict=True)), interrupted)
+
+
+def _extremals(plans: Sequence[Plan]) -> tuple[Array, ...]:
+    """Return x, u, eta, mu, nu and rho_u of plans."""
+    tables, units = plans[0].tables, plans[0].units
+    (T, n, m), of_y = tables.loop.shape, units.multipliers
+    starts, v = np.array([plan.start for plan in plans]), np.stack([plan.v for plan in plans], axis=-1)
+    found = tables.recover(starts / units.x, v, np.stack([plan.weights for plan in plans], axis=-1))
+    forces = np.moveaxis(found.on_rows[: n + m], 2, 0).swapaxes(1, 2) * of_y
+    signals = found.x * units.x, found.u * units.u, found.eta * of_y[:n]
+    x, u, eta, band = (part.swapaxes(0, 1) for part in (*signals, found.band * units.cost / units.u))
+    rho = band * (bin_weights(T) / T)[:, None]
+    return x, u, eta, forces[..., :n], forces[:, :-1, n:], rho

@@ -1,0 +1,79 @@
+"""A loop whose plans are judged afterwards applies the same controls, and claims nothing before."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.loops import LOOPS, pendulum, states
+
+SET_UP = 3  # solves before the condensed method is tried
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_the_same_controls_and_every_plan_proven(name):
+    problem = LOOPS[name]()
+    each, later = (lfo.RecedingHorizon(problem, certify=when, soft=None) for when in ("each", "later"))
+    compared = 0
+    for start in 0.5 * states(problem, 10):
+        try:
+            expected = each.step(start)
+        except lfo.errors.InfeasibleError:
+            continue
+        np.testing.assert_allclose(later.step(start), expected, atol=1e-7 * max(1.0, float(np.abs(expected).max())))
+        compared += 1
+    assert compared >= 8
+    before = later.log
+    assert all(status is None for status in before.statuses[SET_UP:])
+    assert not before.satisfied[SET_UP:].any()
+    assert np.isnan(before.gaps[SET_UP:]).all()
+    assert before.table[-1]["status"] == "not judged"
+    after = later.certify()
+    assert set(after.statuses) == {"optimal"}
+    assert after.satisfied.all()
+    np.testing.assert_allclose(after.costs, each.log.costs, rtol=1e-7)
+    assert (after.certify_seconds > 0).all()
+
+
+def test_a_step_without_a_solution_applies_the_softened_plan():
+    problem = pendulum(30)
+    loop = lfo.RecedingHorizon(problem, certify="later", soft={"state_set": 1e3})
+    outside = np.array([0.9, 0.3, 1.5, 1.5])
+    for start in (*0.5 * states(problem, 5), *[outside] * 5):
+        loop.step(start)
+    assert loop.log.sources[-1] == "softened problem"
+    log = loop.certify()
+    assert log.statuses[-1] == "infeasible_claimed"
+    assert log.steps[-1].excess
+    exact = lfo.RecedingHorizon(problem, soft={"state_set": 1e3})
+    np.testing.assert_allclose(exact.step(outside), log.controls[-1], atol=1e-6)
+
+
+def test_a_preview_is_solved_and_judged_at_once():
+    problem = pendulum(20)
+    loop = lfo.RecedingHorizon(problem, certify="later")
+    for start in states(problem, 6):
+        loop.step(start)
+    loop.step(states(problem, 1)[0], references={"x_ref": np.zeros(4)})
+    assert loop.log.statuses[-1] == "optimal"
+    assert loop.log.statuses[-2] is None
+
+
+def test_states_far_from_zero_are_counted_from_where_they_are():
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
+    far = np.array([5.4e6, 0.0])
+    cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.1]), R=0.1, P=np.diag([10.0, 5.0]), x_ref=far)
+    problem = lfo.OptimalControlProblem(dynamics, 20, cost, lfo.Box(-1, 1), initial_state=far)
+    loop = lfo.RecedingHorizon(problem, certify="later")
+    near = lfo.RecedingHorizon(problem.with_references({"x_ref": np.zeros(2)}), certify="later")
+    for k in range(8):
+        start = np.array([0.5 - 0.05 * k, 0.0])
+        np.testing.assert_allclose(loop.step(far + start), near.step(start), atol=1e-7)
+    assert set(loop.certify().statuses) == {"optimal"}
+    assert {step.method for step in loop.log.steps[SET_UP:]} == {"condensed"}
+
+
+def test_a_word_that_is_no_time_is_refused():
+    with pytest.raises(lfo.errors.ProblemError, match="certify"):
+        lfo.RecedingHorizon(pendulum(10), certify="never")

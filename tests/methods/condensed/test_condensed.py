@@ -1,0 +1,222 @@
+"""The condensed method: proven plans, the same from C and from NumPy, and refusals."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.loops import LOOPS, pendulum, states
+from helpers.random.linear import random_linear
+from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.methods.condensed import native
+from lin_freq_ocp.methods.condensed.dense import DenseKernel
+from lin_freq_ocp.methods.condensed.native import NativeKernel
+from lin_freq_ocp.methods.condensed.plans import CondensedSolver
+from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, CondensedTables, condense
+from lin_freq_ocp.methods.spectral import SpectralSolver
+from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
+
+GAP, APART = 1e-8, 1e-8  # relative gap of a plan; difference of two kernels in units of order 1
+
+
+def solver_of(problem: lfo.OptimalControlProblem) -> tuple[SpectralSolver, CondensedSolver]:
+    spectral = SpectralSolver(problem)
+    return spectral, CondensedSolver(spectral.lti, spectral.units)
+
+
+def tables_of(problem: lfo.OptimalControlProblem) -> CondensedTables:
+    return condense(lti_problem(problem, natural_units(problem)))
+
+
+@cache
+def compiled():
+    found = native.library()
+    if found is None:
+        pytest.skip("no C compiler")
+    return found
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_plans_are_proven_and_cost_what_the_sparse_program_costs(name):
+    problem = LOOPS[name]()
+    spectral, solver = solver_of(problem)
+    proven = 0
+    for k, start in enumerate(states(problem, 12)):
+        plan = solver.plan(start, spectral.lti)
+        stated = problem.with_ends(start)
+        if plan is None:
+            assert lfo.solve(stated, "convex", throw=False).status == "infeasible"
+            continue
+        candidate = plan.candidate(stated)
+        certificate = judge(stated, candidate.trajectory, candidate.multipliers)
+        assert certificate.pmp == "satisfied"
+        assert certificate.gap <= GAP
+        np.testing.assert_allclose(candidate.trajectory.u[0], plan.control, atol=1e-12 * np.abs(plan.control).max())
+        proven += 1
+        if k == 0:
+            assert certificate.cost == pytest.approx(lfo.solve(stated, "convex").cost, rel=1e-8)
+    assert proven >= 8
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_both_kernels_agree(name):
+    problem = LOOPS[name]()
+    units, tables = natural_units(problem), tables_of(problem)
+    kernels = NativeKernel(tables, compiled()), DenseKernel(tables)
+    for start in states(problem, 20, seed=1) * 1.5:
+        statuses = [kernel.step(start / units.x) for kernel in kernels]
+        assert statuses[0] == statuses[1]
+        if statuses[0] == SOLVED:
+            np.testing.assert_allclose(kernels[0].plan, kernels[1].plan, atol=APART)
+            np.testing.assert_allclose(kernels[0].control, kernels[1].control, atol=APART)
+            plans = [
+                tables.recover((start / units.x)[None], k.plan[:, None], k.multipliers[..., None]) for k in kernels
+            ]
+            np.testing.assert_allclose(plans[0].x, plans[1].x, atol=APART)
+
+
+@pytest.mark.parametrize("kind", ["native", "dense"])
+def test_a_warm_step_is_that_of_a_cold_one(kind):
+    problem = LOOPS["soft bounds"]()
+    units, tables = natural_units(problem), tables_of(problem)
+
+    def kernel():
+        return NativeKernel(tables, compiled()) if kind == "native" else DenseKernel(tables)
+
+    warm = kernel()
+    for start in states(problem, 15, seed=2) / units.x:
+        cold = kernel()
+        assert (warm.step(start), cold.step(start)) == (SOLVED, SOLVED)
+        np.testing.assert_allclose(warm.plan, cold.plan, atol=APART)
+
+
+@pytest.mark.parametrize("kind", ["native", "dense"])
+def test_contradictory_rows_leave_the_next_step_as_it_is(kind):
+    problem = LOOPS["low pass"]()
+    units, tables = natural_units(problem), tables_of(problem)
+    kernel = NativeKernel(tables, compiled()) if kind == "native" else DenseKernel(tables)
+    start = states(problem, 1)[0] / units.x
+    assert kernel.step(start) == SOLVED
+    plan = kernel.plan.copy()
+    assert kernel.step(np.array([0.0, 50.0, 0.0, 0.0]) / units.x) == INFEASIBLE
+    assert kernel.step(start) == SOLVED
+    np.testing.assert_allclose(kernel.plan, plan, atol=APART)
+
+
+def test_a_state_that_is_not_finite_changes_nothing():
+    tables = tables_of(LOOPS["low pass"]())
+    for kernel in (NativeKernel(tables, compiled()), DenseKernel(tables)):
+        assert kernel.step(np.full(4, 0.01)) == SOLVED
+        plan = kernel.plan.copy()
+        assert kernel.step(np.full(4, np.nan)) == INFEASIBLE
+        assert kernel.step(np.full(4, 0.01)) == SOLVED
+        np.testing.assert_allclose(kernel.plan, plan, atol=APART)
+
+
+def test_other_references_offsets_bounds_and_ends():
+    problem = LOOPS["fixed end"]()
+    spectral, solver = solver_of(problem)
+    start = 0.3 * states(problem, 1)[0]
+    changes = {
+        "x_ref": dict(references={"x_ref": np.linspace(0, 0.02, 121)[:, None] * [1, 0, 0, 0]}),
+        "end": dict(terminal_state=[0.01, 0.0, 0.0, 0.0]),
+        "bounds": dict(bounds={"control_set": lfo.Box(-1.5, 2.0)}),
+        "nothing": {},
+    }
+    for name, change in changes.items():
+        arguments = [change.get(key) for key in ("terminal_state", "references", "bounds")]
+        stated, lti = spectral.changed_problem(start, *arguments)
+        plan = solver.plan(start, lti)
+        assert plan is not None, name
+        candidate = plan.candidate(stated)
+        assert judge(stated, candidate.trajectory, candidate.multipliers).gap <= GAP, name
+
+
+def test_bounds_that_stand_for_none_loosen_nothing():
+    problem = pendulum(20, control_set=lfo.Box(-0.8, 1e9))
+    spectral, solver = solver_of(problem)
+    start = np.array([0.04, 0.0, 0.1, 0.0])
+    plan = solver.plan(start, spectral.lti)
+    candidate = plan.candidate(problem.with_ends(start))
+    assert candidate.trajectory.u.min() >= -0.8 - 1e-8
+    assert judge(problem.with_ends(start), candidate.trajectory, candidate.multipliers).gap <= GAP
+
+
+@pytest.mark.parametrize("seed", [5, 11, 27, 58, 149, 168, 203, 230, 240, 516, 547])
+def test_random_problems_in_any_units(seed):
+    sample = random_linear(seed)
+    for problem in (sample.good, sample.problem):
+        try:
+            spectral, solver = solver_of(problem)
+        except lfo.errors.UnsupportedError:
+            continue
+        plan = solver.plan(spectral.problem.initial_box.lower, spectral.lti)
+        if plan is not None:
+            candidate = plan.candidate(spectral.problem)
+            certificate = judge(spectral.problem, candidate.trajectory, candidate.multipliers)
+            assert certificate.feasible
+            assert certificate.gap <= 1e-6
+
+
+@pytest.mark.parametrize(
+    ("problem", "words"),
+    [
+        (lambda: replace(pendulum(20), initial_state=None), "initial state is not fixed"),
+        (lambda: pendulum(1200, None), "it takes 600"),
+        (lambda: pendulum(30, 0.05 * np.pi, terminal_state=np.zeros(4)), "contradict each other"),
+    ],
+)
+def test_refusals_say_why(problem, words):
+    stated = problem()
+    with pytest.raises(lfo.errors.UnsupportedError, match=words):
+        condense(lti_problem(stated, natural_units(stated)))
+
+
+def test_a_solver_can_be_copied_and_shared():
+    problem = LOOPS["low pass"]()
+    spectral, solver = solver_of(problem)
+    starts = states(problem, 16, seed=3)
+    expected = [solver.plan(start, spectral.lti).control for start in starts]
+    again, copy = pickle.loads(pickle.dumps((spectral, solver)))
+    for start, control in zip(starts, expected, strict=True):
+        np.testing.assert_allclose(copy.plan(start, again.lti).control, control, atol=1e-8)
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda start: solver.plan(start, spectral.lti).control, starts))
+    np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("compiler", ["", "/bin/false"], ids=["no compiler", "one that fails"])
+def test_without_a_compiler_numpy_computes_the_step(compiler, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("CC", compiler)
+    monkeypatch.setattr(native.shutil, "which", lambda name: compiler if name == compiler else None)
+    native.library.cache_clear()
+    try:
+        if compiler:
+            with pytest.warns(RuntimeWarning, match="could not be compiled"):
+                _, solver = solver_of(LOOPS["low pass"]())
+        else:
+            _, solver = solver_of(LOOPS["low pass"]())
+        assert isinstance(solver.kernel, DenseKernel)
+    finally:
+        native.library.cache_clear()
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_kernel_is_strict_c99(real, tmp_path):
+    compiler = native.compiler()
+    if compiler is None:
+        pytest.skip("no C compiler")
+    source = Path(native.__file__).parent / "kernel.c"
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-DLFO_REAL={real}", "-DLFO_SQRT=sqrt"]
+    command = [compiler, *flags, "-c", str(source), "-o", str(tmp_path / "kernel.o")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
