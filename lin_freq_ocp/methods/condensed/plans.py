@@ -158,17 +158,17 @@ def batch_of(plans: Mapping[int, Plan], interrupted: bool = False) -> PlanBatch:
     """Return plans of one solver by their numbers as arrays with their multipliers, in the user's units."""
     numbers, each = np.array(list(plans), dtype=np.intp), list(plans.values())
     parts = [_extremals(each[first : first + BLOCK]) for first in range(0, len(each), BLOCK)]
-    return PlanBatch(numbers, *(np.concatenate(part) for part in zip(*parts, strict=True)), interrupted)
+    x, u, eta, mu, nu = (np.concatenate([signals[k] for signals, _ in parts]) for k in range(5))
+    return PlanBatch(numbers, x, u, eta, mu, nu, np.concatenate([rho for _, rho in parts]), interrupted)
 
 
-def _extremals(plans: Sequence[Plan]) -> tuple[Array, ...]:
-    """Return x, u, eta, mu, nu and rho_u of plans."""
+def _extremals(plans: Sequence[Plan]) -> tuple[tuple[Array, ...], ComplexArray]:
+    """Return x, u, eta, mu and nu of plans, and rho_u."""
     tables, units = plans[0].tables, plans[0].units
     (T, n, m), of_y = tables.loop.shape, units.multipliers
     starts, v = np.array([plan.start for plan in plans]), np.stack([plan.v for plan in plans], axis=-1)
     found = tables.recover(starts / units.x, v, np.stack([plan.weights for plan in plans], axis=-1))
     forces = np.moveaxis(found.on_rows[: n + m], 2, 0).swapaxes(1, 2) * of_y
-    signals = found.x * units.x, found.u * units.u, found.eta * of_y[:n]
-    x, u, eta, band = (part.swapaxes(0, 1) for part in (*signals, found.band * units.cost / units.u))
-    rho = band * (bin_weights(T) / T)[:, None]
-    return x, u, eta, forces[..., :n], forces[:, :-1, n:], rho
+    x, u, eta = (part.swapaxes(0, 1) for part in (found.x * units.x, found.u * units.u, found.eta * of_y[:n]))
+    band = (found.band * of_y[n:]).swapaxes(0, 1)
+    return (x, u, eta, forces[..., :n], forces[:, :-1, n:]), band * (bin_weights(T) / T)[:, None]
