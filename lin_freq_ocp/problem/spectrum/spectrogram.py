@@ -218,10 +218,11 @@ def closed_loop(
     >>> limit.length, limit.hop
     (50, 12)
     """
-    if not isinstance(band, Band) or band.unit == "bins":
+    level = positive_number("closed_loop.amplitude", amplitude)
+    MagnitudeBound(level, band=band)  # raises for what is no band
+    if band.unit == "bins":
         expected = "a band of frequencies"
         raise ProblemError("closed_loop.band", brief(band), expected, "Such as notch(centre_hz=8, width_hz=2).")
-    level = positive_number("closed_loop.amplitude", amplitude)
     if length is None:
         if band.unit == "Hz" and sampling_time is None:
             raise ProblemError("closed_loop.sampling_time", "None", "seconds, for a band in Hz")
