@@ -1,7 +1,7 @@
 """The commands lin-freq-ocp sweep, a problem at every point of a grid, and minimum-time, its least feasible horizon.
 
-Exit status of a sweep: 0 every point has an answer with its proof, be it optimal, infeasible or unbounded; 2 bad input;
-3 some point has none; 130 interrupted, and what is finished is kept.
+Exit status of a sweep: 0 every point is proven optimal, infeasible or unbounded; 2 bad input; 3 some point is not
+proven; 130 interrupted, with the finished points saved.
 """
 
 from __future__ import annotations
@@ -41,14 +41,8 @@ from lin_freq_ocp.cli.console import (
     solve_options,
     write_files,
 )
-from lin_freq_ocp.cli.problems import (
-    ProblemFile,
-    builder,
-    is_file,
-    parsed_settings,
-    require_folder,
-    require_keys_of_file,
-)
+from lin_freq_ocp.cli.problems import ProblemFile, read_source, require_folder, require_keys_of_file
+from lin_freq_ocp.cli.solve import check_outputs, output_options, write_outputs
 from lin_freq_ocp.files.batch_files import sweep_summary
 from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.files.summary import SCHEMA, result_summary
@@ -58,10 +52,10 @@ GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"
 
 
 def batch_options(files: str) -> Callable[[Command], Command]:
-    """Return what adds the options of runs of many solves, which write these files, to a command."""
+    """Return a decorator that adds the options of runs of many solves, which write these files, to a command."""
     count = click.IntRange(min=1)
-    workers = click.option("--workers", type=count, default=1, show_default=True, help="Processes to solve on.")
-    text = f"Write {files} here; resume from it."
+    workers = click.option("--workers", type=count, default=1, show_default=True, help="Number of processes.")
+    text = f"Write {files} into this folder; resume from it."
     folder = click.option("--out", "folder", type=click.Path(path_type=Path), help=text)
     return lambda command: workers(folder(command))
 
@@ -84,39 +78,38 @@ def sweep_command(
     folder: Path | None,
     as_json: bool,
 ) -> int:
-    """Solve a problem at every point of a grid of parameters, to see what bandwidth, time or a bound costs."""
-    given = parsed_settings(settings)
-    source = ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
-    grid, path = parsed_grid(grids, source), _file_in(folder, "sweep.jsonl")
+    """Solve a problem at every point of a grid, to see the cost of bandwidth, time or a bound."""
+    source = read_source(problem, settings)
+    grid, path = parse_grid(grids, source), _file_in(folder, "sweep.jsonl")
     options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    with _worker_pool(workers) as executor, _progress_bar() as tell:
-        found = sweep(source, grid, executor, path, **options, progress=tell)
-        if found.interrupted and executor is not None:
+    with _worker_pool(workers) as executor, _progress_bar() as report:
+        points = sweep(source, grid, executor, path, **options, progress=report)
+        if points.interrupted and executor is not None:
             executor.abandon()
     if as_json:
-        print_json(sweep_summary(found))
+        print_json(sweep_summary(points))
     else:
         from lin_freq_ocp.pages.report.tables import sweep_table
 
-        print_table(sweep_table(found), ("seconds", "method", "gap"))
-    status = INTERRUPTED if found.interrupted else PROVEN if found.proven else NOT_PROVEN
+        print_table(sweep_table(points), ("seconds", "method", "gap"))
+    status = INTERRUPTED if points.interrupted else PROVEN if points.proven else NOT_PROVEN
     if folder is None:
         return status
 
     def draw_sweep() -> None:
         try:
-            figure = found.plot()
+            figure = points.plot()
         except ProblemError as error:
             complain(f"no figure: {error}")
             return
         with replacing(folder / "sweep.png") as stream:
             figure.savefig(stream, format="png", dpi=150)
 
-    return write_files(status, lambda: found.to_csv(folder / "sweep.csv"), draw_sweep)
+    return write_files(status, lambda: points.to_csv(folder / "sweep.csv"), draw_sweep)
 
 
 def _file_in(folder: Path | None, name: str) -> Path | None:
-    """Return the file of a run in a folder, which is made if it is missing; None without a folder."""
+    """Return the file of a run in a folder, which is created if it is missing; None without a folder."""
     if folder is None:
         return None
     require_folder(folder)
@@ -142,7 +135,7 @@ def _worker_pool(workers: int) -> Generator[WorkerPool | None]:
 
 @contextmanager
 def _progress_bar() -> Generator[Callable[[int, int], None] | None]:
-    """Show on a terminal how many points are finished."""
+    """Show the number of finished points on a terminal."""
     if not err.is_terminal:
         yield None
         return
@@ -159,7 +152,7 @@ def _progress_bar() -> Generator[Callable[[int, int], None] | None]:
 @click.option("--horizons", nargs=2, type=int, required=True, metavar="LO HI", help="The range, both ends included.")
 @solve_options
 @batch_options("minimum_time.jsonl")
-@json_option
+@output_options
 def minimum_time_command(
     problem: str,
     horizons: tuple[int, int],
@@ -171,67 +164,72 @@ def minimum_time_command(
     workers: int,
     folder: Path | None,
     as_json: bool,
+    with_trajectory: bool,
+    **files: Path | None,
 ) -> int:
-    """Find the least horizon at which a problem is feasible, and prove that one step less is not."""
-    given = parsed_settings(settings)
-    source = ProblemFile.read(problem, given) if is_file(problem) else builder(problem, given)
+    """Find the least horizon at which a problem is feasible, and prove that one step less is not.
+
+    The files of --save, --csv, --plot, --proof and --dump hold the answer at that horizon.
+    """
+    source = read_source(problem, settings)
+    outputs = check_outputs(files, problem, as_json, with_trajectory)
     options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     path = _file_in(folder, "minimum_time.jsonl")
     with _worker_pool(workers) as executor, search_progress("looking for the least horizon") as report:
         tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
-        found = minimum_time(source, horizons, **options, throw=False, progress=tell, executor=executor, path=path)
-        if found.interrupted and executor is not None:
+        shortest = minimum_time(source, horizons, **options, throw=False, progress=tell, executor=executor, path=path)
+        if shortest.interrupted and executor is not None:
             executor.abandon()
+    result = shortest.result
     if as_json:
         print_json(
             {
                 "schema": SCHEMA,
                 "version": __version__,
-                "horizon": found.horizon,
-                "horizons": list(found.horizons),
-                "monotone": found.monotone,
-                "reason": found.reason,
-                "proven": found.proven,
-                "proof": found.proof,
-                "verdicts": {str(T): verdict for T, verdict in found.verdicts.items()},
-                "interrupted": found.interrupted,
-                # That of lin-freq-ocp solve --json
-                "result": None if found.result is None else result_summary(found.result),
+                "horizon": shortest.horizon,
+                "horizons": list(shortest.horizons),
+                "monotone": shortest.monotone,
+                "reason": shortest.reason,
+                "proven": shortest.proven,
+                "proof": shortest.proof,
+                "verdicts": {str(T): verdict for T, verdict in shortest.verdicts.items()},
+                "interrupted": shortest.interrupted,
+                # The object of lin-freq-ocp solve --json
+                "result": None if result is None else result_summary(result, with_trajectory),
             }
         )
     else:
-        print_lines(str(found))
-        if found.result is not None:
-            print_certificate(found.result.problem, found.result.certificate)
-    if found.interrupted:
-        return INTERRUPTED
-    return NOT_PROVEN if not found.proven else NO_SOLUTION if found.horizon is None else PROVEN
+        print_lines(str(shortest))
+        if result is not None:
+            print_certificate(result.problem, result.certificate)
+    status = NOT_PROVEN if not shortest.proven else NO_SOLUTION if shortest.horizon is None else PROVEN
+    return write_outputs(outputs, result, INTERRUPTED if shortest.interrupted else status)
 
 
-def parsed_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValue]]:
+def parse_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValue]]:
     """Return the values of each parameter, a list or a range; "none" is None, as in --set."""
     result: dict[str, list[FileValue]] = {}
-    for given in grids:
-        key, equals, text = (part.strip() for part in given.partition("="))
+    for setting in grids:
+        key, equals, text = (part.strip() for part in setting.partition("="))
         if not key or not equals:
-            raise ProblemError("--grid", repr(given), GRID_FORM)
+            raise ProblemError("--grid", repr(setting), GRID_FORM)
         if key in result:
             raise ProblemError(f"--grid {key}", "this key twice", "one list for each key")
         match = RANGE.fullmatch(text)
         try:
-            values = _range(*match.groups()) if match else tomllib.loads(f"values = {text}")["values"]
+            values = _range_values(*match.groups()) if match else tomllib.loads(f"values = {text}")["values"]
         except (ValueError, OverflowError, RecursionError) as error:
             raise ProblemError(f"--grid {key}", brief(text), GRID_FORM, f"({error})") from None
         if not isinstance(values, list):
             raise ProblemError(f"--grid {key}", repr(text), GRID_FORM, f"For a single one: {key}=[{text}].")
         result[key] = [None if value == "none" else value for value in values]
-    if isinstance(source, ProblemFile):  # the sweep itself checks the parameters of functions
+    if isinstance(source, ProblemFile):  # sweep() checks the parameters of functions
         require_keys_of_file(result, "--grid ")
     return result
 
 
-def _range(first: str, last: str, count: str) -> list[float] | list[int]:
-    """Return ``count`` numbers from the first to the last; integers, if all are and both ends are written so."""
+def _range_values(first: str, last: str, count: str) -> list[float] | list[int]:
+    """Return ``count`` numbers from the first to the last: integers, if all are and both ends are written as such."""
     if int(count) > LARGEST_GRID:
         raise ValueError(f"{brief(count)} values; at most {LARGEST_GRID}")
     values: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
