@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.pages.figures.continua import held_figure, vibrations_figure
 from lin_freq_ocp.pages.figures.figures import comparison_data
-from lin_freq_ocp.pages.report.page import draw, render
+from lin_freq_ocp.pages.report.page import draw_figures, render_page
 
 FREE = lfo.library.double_integrator(horizon=60, sampling_time=0.04, cutoff_hz=None, speed_bound=None)
 HELD = lfo.MagnitudeBound([[3, 1.0], [20, 0.5]], band=lfo.low_pass(cutoff_hz=3.0), every_frequency=True, hold=True)
@@ -40,10 +40,10 @@ def test_a_held_spectrum_is_drawn_beyond_nyquist_below_its_limit(held):
 
 
 def test_the_page_shows_it_and_says_that_filters_do_not_apply(held):
-    drawings = draw(held)
+    drawings = draw_figures(held)
     (drawing,) = (one for one in drawings if one.name == "held_spectra")
-    assert 'aria-label="Spectra of held signals below their limits"' in drawing.inline
-    page = render(held, drawings)
+    assert 'aria-label="Spectra after the zero-order hold, with their limits"' in drawing.inline
+    page = render_page(held, drawings)
     assert "is not about bins" in page
     assert "held_spectra-" in page
 
@@ -59,9 +59,9 @@ def test_a_box_without_shapers_is_drawn_all_the_same():
     assert values[(f >= 0.9) & (f <= 1.1)].max() <= 0.02 * (1 + 1e-6)
     (limit,) = (one for one in ax.collections if one.get_label() == "limit")
     assert limit.get_segments()[0] == pytest.approx(np.array([[0.9, 0.02], [1.1, 0.02]]))
-    drawings = draw(comparison)
+    drawings = draw_figures(comparison)
     assert "vibration" in {one.name for one in drawings}
-    assert "Residual vibration over the natural frequency" in render(comparison, drawings)
+    assert "Residual vibration over the natural frequency" in render_page(comparison, drawings)
 
 
 @pytest.mark.parametrize(("constraint", "words"), [(CALM, "; its limit is not about bins"), (None, "")])

@@ -98,7 +98,7 @@ def test_without_a_brick_wall_the_first_filter_is_shown():
     assert (trace.label, trace.detail) == ("filtered", "moving average")
     assert trace.trajectory is comparison.filtered[3].replay.trajectory
     nothing = replace(comparison, filtered=())
-    assert findings.finding(nothing).filtering == ""
+    assert findings.finding_of(nothing).filtering == ""
     assert [trace.label for trace in comparison_data(nothing).traces] == ["classical", "constrained"]
 
 

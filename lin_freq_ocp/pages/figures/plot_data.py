@@ -17,19 +17,19 @@ from lin_freq_ocp.pages.units import Scale, frequency_scale, quantity, rough, ti
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-OVERLAY_REACH = 0.6  # an overlay may widen an axis by this fraction of what the others span; beyond, it is cut off
-BOUND_REACH = 0.6  # likewise for a bound far from all trajectories
+OVERLAY_REACH = 0.6  # an overlay may extend an axis by this fraction of the others' span, and is cut off there
+BOUND_REACH = 0.6  # the same for a bound far from all trajectories
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One trajectory as a figure shows it."""
+    """A trajectory in a figure."""
 
     label: str
     measured: MeasuredTrajectory
     style: Style
-    detail: str = ""  # beside the label in the legend
-    overlay: bool = False  # whether the axes may cut it off, so that a filtered trajectory leaves room for the others
+    detail: str = ""  # in the legend, after the label
+    overlay: bool = False  # whether the axes may cut it off: a filtered trajectory may run away
 
     @property
     def trajectory(self) -> Trajectory:
@@ -43,7 +43,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Span:
-    """A mode that holds over the steps start .. end - 1, from time ``start`` to time ``end``."""
+    """A mode over the steps start .. end - 1, from time ``start`` to time ``end``."""
 
     start: int
     end: int
@@ -67,7 +67,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class PlotData:
-    """A problem and the trajectories to show, at least one of them not an overlay."""
+    """A problem and its trajectories; at least one of them is no overlay."""
 
     problem: OptimalControlProblem
     traces: tuple[Trace, ...]
@@ -89,7 +89,7 @@ class PlotData:
 
     @cached_property
     def modes(self) -> tuple[Span, ...]:
-        """Return the modes of the main trajectory; nothing with fewer than two modes."""
+        """Return the modes of the main trajectory; none with fewer than two modes."""
         return () if self.main.measured.modes is None else spans(self.main.measured.modes)
 
     @cached_property
@@ -122,7 +122,7 @@ class PlotData:
         )
 
     def notes(self, signals: Sequence[ProblemSignal]) -> list[Note]:
-        """Return which trajectories are missing from a panel of these states, and which leave it."""
+        """Return notes on the trajectories that are missing from a panel of these states, or leave it."""
         outside = any(self.view(signal).outside for signal in signals)
         notes = list[Note]()
         for trace in self.traces:
@@ -139,16 +139,16 @@ class PlotData:
 
 
 def _end_text(trace: Trace, signals: Sequence[ProblemSignal]) -> str:
-    """Return how far from the terminal set a trajectory ends, or how far it goes where the end is free."""
+    """Return the distance of the end from the terminal set, or the largest values if the end is free."""
     end = trace.measured.end
-    bounded = [] if end is None else [one for one in signals if end.bounded[one.index]]
+    bounded = [] if end is None else [signal for signal in signals if end.bounded[signal.index]]
     if end is not None and bounded:
-        return f"ends {listed([quantity(float(end.values[one.index]), one.name) for one in bounded])} away"
-    return f"goes as far as {listed([quantity(trace.measured.largest(one), one.name) for one in signals])}"
+        return f"ends {listed([quantity(float(end.values[state.index]), state.name) for state in bounded])} away"
+    return f"goes as far as {listed([quantity(trace.measured.largest(signal), signal.name) for signal in signals])}"
 
 
 def view(mains: Sequence[Array], overlays: Sequence[Array], bounds: Array, references: Sequence[Array] = ()) -> View:
-    """Return a range that shows all mains and references, and overlays and bounds as far as they are near."""
+    """Return a range with all mains and references, and with the overlays and bounds that are near."""
     mains = [*mains, *references]
     low, high = min(float(main.min()) for main in mains), max(float(main.max()) for main in mains)
     span = high - low or max(abs(high), 1.0)

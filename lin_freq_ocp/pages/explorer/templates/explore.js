@@ -10,7 +10,7 @@ const PAGE = String(Math.random()).slice(2);
 const byId = (id) => document.getElementById(id);
 const sliders = new Map(DATA.sliders.map((slider) => [slider.key, { ...slider, own: slider.value }]));
 const live = DATA.points === null;
-let order = 0, answer = null, beside = null, solved = null, waiting = false;
+let order = 0, answer = null, compared = null, solved = null, waiting = false;
 
 /* Sliders. */
 
@@ -96,9 +96,9 @@ async function solve() {
 async function afterwards(asked) {
   try {
     if (answer.frame) {
-      const found = await ask("beside");
+      const found = await ask("compare");
       if (order !== asked || found === null) return;
-      showBeside(found);
+      showCompared(found);
     }
     if (answer.status !== "infeasible") return;
     byId("curing").textContent = "Looking for the least change that helps …";
@@ -138,8 +138,8 @@ function showAnswer(found, asked = order, given = values()) {
   byId("controls").dataset.order = asked;
 }
 
-function showBeside(found) {
-  beside = found;
+function showCompared(found) {
+  compared = found;
   const names = new Map(found.trajectories.map((one) => [one.name, one]));
   for (const kind of ["classical", "filtered"]) {
     byId(`show-${kind}`).parentElement.hidden = !names.has(kind);
@@ -192,7 +192,7 @@ function show(point) {
   }
   showAnswer(point.answer);
   if (point.answer.trajectory) solved = point.values;
-  showBeside(point.beside);
+  showCompared(point.compared);
   if (point.answer.status !== "infeasible") return;
   for (const slider of sliders.values()) {
     const alone = DATA.points.filter((other) => other.answer.trajectory
@@ -209,7 +209,7 @@ function show(point) {
 
 function trajectories() {
   const T = answer.frame.horizon, fits = (one) => one.signals[0].length === T;
-  const all = [...(beside ? beside.trajectories : []).filter(fits)];
+  const all = [...(compared ? compared.trajectories : []).filter(fits)];
   if (answer.trajectory) all.push({ name: "constrained", meaningful: true, ...answer.trajectory });
   return KINDS.flatMap((kind) => all.filter((one) => one.name === kind && byId(`show-${kind}`).checked));
 }
