@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from lin_freq_ocp.base.atomic import write_text
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.cli.console import PROVEN, problem_argument, progress, say, search_progress, settings_option
 from lin_freq_ocp.cli.problems import build, read_source, require_writable
 from lin_freq_ocp.pages.explorer.session import Session
@@ -30,13 +31,13 @@ def explore_command(
     source = read_source(problem, settings)
     with progress(f"preparing {description.name or problem}"):
         session = Session(description, lambda horizon: source(horizon=horizon))
-    from lin_freq_ocp.pages.explorer.server import ExploreServer, static_page
+    from lin_freq_ocp.pages.explorer.server import ExploreServer, points, static_page
 
     if file is not None:
         with search_progress(f"solving {session.problem.name}") as tell:
             page = static_page(session, lambda done, count: tell and tell(f"{done} of {count} points"))
         write_text(file, page)
-        say(f"wrote {file}")
+        say(f"wrote {file} with {plural(len(points(session.sliders)), 'solved point')}")
         return PROVEN
     with ExploreServer(session, port or 0) as server:
         say(f"{server.url}\nCtrl-C ends it.")
