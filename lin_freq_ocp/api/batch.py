@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import count_text, report_progress, result_of
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, html_table, number, plural, settings
 from lin_freq_ocp.batch.grid import Source
 from lin_freq_ocp.batch.many import ManyOutcome, References, run_many
 from lin_freq_ocp.batch.repeated import Repeated
@@ -212,6 +213,29 @@ class Sweep(SweepOutcome):
     >>> costs.complete, len(costs.table())
     (True, 2)
     """
+
+    @property
+    def points(self) -> list[tuple[str, str]]:
+        """Return the parameters of every finished point, and its status, cost and gap, in words."""
+        points = list[tuple[str, str]]()
+        for row in self.rows:
+            status = str(row["status"]).replace("_", " ") + ("" if row["proven"] else ", not proven")
+            cost = [] if row["cost"] is None else [f"cost {number(row['cost'], 6)}", f"gap {number(row['gap'], 2)}"]
+            points.append((settings(row["parameters"]), ", ".join([status, *cost, *filter(None, [row["message"]])])))
+        return points
+
+    def __str__(self) -> str:
+        shown, hidden = self.points[:MOST_TABLE_ROWS], len(self.rows) - MOST_TABLE_ROWS
+        width = max((len(parameters) for parameters, _ in shown), default=0)
+        lines = [f"{parameters:{width}}  {text}" for parameters, text in shown]
+        return "\n".join([self._title, *lines, *([f"... {hidden} more"] if hidden > 0 else [])])
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title, self.points)
+
+    @property
+    def _title(self) -> str:
+        return f"{self.problem}: {len(self.rows)} of {plural(self.size, 'point')}"
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write the table, one line per row; a missing value is an empty cell."""

@@ -14,7 +14,7 @@ import numpy as np
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import raise_for, report_progress
 from lin_freq_ocp.base.errors import InfeasibleError
-from lin_freq_ocp.base.phrases import plural, runs_of
+from lin_freq_ocp.base.phrases import html_table, plural, runs_of, term_rows
 from lin_freq_ocp.batch.grid import Source, require_executor
 from lin_freq_ocp.batch.minimum_time import (
     Search,
@@ -85,16 +85,28 @@ class MinimumTime:
     rays: Mapping[int, Multipliers] = field(repr=False)
     interrupted: bool = False
 
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the facts of the search: a term and its text each."""
         known = "none is known to be feasible" if self.horizon is None else f"{self.horizon} steps"
         kind = "monotone" if self.monotone else "not known to be monotone"
-        lines = [
-            f"least horizon  {known}{' (interrupted)' if self.interrupted else ''}",
-            f"proof          {self.proof}",
-            f"feasibility    {kind}: {self.reason}",
-            f"solved         {plural(len(self.verdicts), 'horizon')} of {self.horizons[0]} to {self.horizons[1]}",
+        return [
+            ("least horizon", known + (" (interrupted)" if self.interrupted else "")),
+            ("proof", self.proof),
+            ("feasibility", f"{kind}: {self.reason}"),
+            ("solved", f"{plural(len(self.verdicts), 'horizon')} of {self.horizons[0]} to {self.horizons[1]}"),
         ]
+
+    def __str__(self) -> str:
+        lines = [f"{term:13}  {text}" for term, text in self.rows]
         return "\n".join([*lines, *([] if self.result is None else [str(self.result)])])
+
+    def __repr__(self) -> str:
+        return f"MinimumTime(horizon={self.horizon}, horizons={self.horizons}, proof={self.proof!r})"
+
+    def _repr_html_(self) -> str:
+        head, *lines = [] if self.result is None else str(self.result).splitlines()
+        return html_table("Minimum time", [*self.rows, *([("problem", head)] if head else []), *term_rows(lines)])
 
 
 def minimum_time(

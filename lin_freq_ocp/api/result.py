@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar, final
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.atomic import replacing
 from lin_freq_ocp.base.errors import SolveError
-from lin_freq_ocp.base.phrases import html_table
+from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound
 from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.files.conversions import to_frame, to_time_response
@@ -99,8 +99,7 @@ class Result(Outcome):
 
     def _repr_html_(self) -> str:
         head, *lines = str(self).splitlines()
-        rows = [(term, text.strip()) for term, text in (line.partition(" ")[::2] for line in lines)]
-        return html_table(head, rows)
+        return html_table(head, term_rows(lines))
 
     @property
     def times(self) -> Array:
@@ -108,7 +107,10 @@ class Result(Outcome):
         return self.problem.times
 
     def plot(self) -> Figure:
-        """Return a figure of controls, their spectra, phase portraits and all states over time.
+        """Return a figure of controls, their spectra, phase portraits and states, and of all that is constrained.
+
+        Joint rows such as rates, spectra of states and outputs, residual vibrations and spectra after a zero-order hold
+        have panels of their own, with their limits; levels of a control are dotted lines.
 
         A notebook shows the figure if it is the last expression of a cell. In a script, call ``.savefig(path)``, or
         ``.show()`` for a window.

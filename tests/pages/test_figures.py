@@ -105,7 +105,7 @@ def test_without_a_brick_wall_the_first_filter_is_shown():
 def test_result_figure_shows_one_solution():
     result = case("state band").constrained
     figure = result.plot()
-    assert len(figure.axes) == 5
+    assert len(figure.axes) == 6  # control, spectrum, phase portrait, two states, spectrum of the speed
     assert result_figure(replace(result, status="limit")).legends[0].get_texts()[0].get_text() == "best point"
     with pytest.raises(SolveError, match="without a trajectory"):
         result_figure(case("infeasible").constrained)

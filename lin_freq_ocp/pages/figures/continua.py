@@ -6,8 +6,9 @@ above the Nyquist frequency.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,6 +29,8 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 PANEL_HEIGHT = 1.15 * look.ROW_HEIGHT
 LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers
 
+Panel = Callable[[Axes], None]  # draws into the axes
+
 PER_BIN = 8  # points for each bin
 SHOWN_DECADES = 4  # below the largest value
 
@@ -41,30 +44,35 @@ def moves_figure(moves: Moves) -> Figure:
     return figure
 
 
-def vibrations_figure(data: PlotData) -> Figure | None:
-    """Return the residual vibrations of the trajectories in each box of modes; None without a box."""
-    terms = everywhere_of(data.problem, PlantBox)
-    if not terms:
+def panels_figure(panels: Sequence[Panel]) -> Figure | None:
+    """Return a figure with these panels in rows; None without any."""
+    if not panels:
         return None
-    figure, panels = look.panel_grid(len(terms), PANEL_HEIGHT)
-    for ax, (term, box) in zip(panels, terms, strict=True):
-        shown = [Ringing(trace.label, box, trace.trajectory, trace.style) for trace in data.traces]
-        vibration_panel(ax, term.name.removeprefix("residual vibration of "), shown)
+    figure, axes = look.panel_grid(len(panels), PANEL_HEIGHT)
+    for ax, panel in zip(axes, panels, strict=True):
+        panel(ax)
     return figure
 
 
-def held_figure(data: PlotData) -> Figure | None:
-    """Return the limited spectra of signals with a zero-order hold, images included; None without any."""
+def vibration_panels(data: PlotData) -> list[Panel]:
+    """Return a panel for each box of modes, with the residual vibrations of the trajectories."""
+    return [
+        partial(
+            vibration_panel,
+            name=term.name.removeprefix("residual vibration of "),
+            shown=[Ringing(trace.label, box, trace.trajectory, trace.style) for trace in data.traces],
+        )
+        for term, box in everywhere_of(data.problem, PlantBox)
+    ]
+
+
+def held_panels(data: PlotData) -> list[Panel]:
+    """Return a panel for each limited spectrum of a signal with a zero-order hold, images included."""
     terms = everywhere_of(data.problem, HeldFrequencies)
-    if not terms:
-        return None
-    figure, panels = look.panel_grid(len(terms), PANEL_HEIGHT)
-    for ax, (term, everywhere) in zip(panels, terms, strict=True):
-        held_spectrum_panel(ax, data, term, everywhere)
-    return figure
+    return [partial(held_spectrum_panel, data=data, term=term, everywhere=everywhere) for term, everywhere in terms]
 
 
-def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFrequencies) -> None:
+def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFrequencies, letter: str = "") -> None:
     """Draw |sinc V| of a signal with a zero-order hold, and its limit, up to the highest limited frequency."""
     limits, factor = everywhere.limits, data.frequency.factor
     end = max(float(limits.high.max()), 2 * np.pi)
@@ -90,7 +98,10 @@ def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: HeldFr
     legend_right(ax)
     short, unit = split_unit(term.name)
     look.style_axes(
-        ax, f"{short[0].upper()}{short[1:]}", data.frequency.label, "|sinc V|" + (f" [{unit}]" if unit else "")
+        ax,
+        f"{letter} {short[0].upper()}{short[1:]}".lstrip(),
+        data.frequency.label,
+        "|sinc V|" + (f" [{unit}]" if unit else ""),
     )
 
 
@@ -121,7 +132,7 @@ def ringing_of(moves: Moves, k: int) -> list[Ringing]:
     return lines
 
 
-def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing]) -> None:
+def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing], letter: str = "") -> None:
     """Draw the vibration over the natural frequency, and the limit within the box of modes."""
     box = shown[-1].box
     low, high = float(box.low[0]), float(box.high[0])
@@ -140,7 +151,8 @@ def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing]) -> None:
     legend_right(ax)
     short, unit = split_unit(name)
     y_label = "vibration" + (f" [{unit}]" if unit else "")
-    look.style_axes(ax, f"Residual vibration of {short}", "natural frequency [Hz]", y_label, notes)
+    title = f"{letter} Residual vibration of {short}".lstrip()
+    look.style_axes(ax, title, "natural frequency [Hz]", y_label, notes)
 
 
 def legend_right(ax: Axes) -> None:

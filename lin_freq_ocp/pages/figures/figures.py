@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import product
-from math import ceil
 from string import ascii_lowercase
 
 import numpy as np
@@ -27,10 +27,12 @@ from lin_freq_ocp.comparison.trajectories import (
     solution_label,
 )
 from lin_freq_ocp.pages.figures import look
+from lin_freq_ocp.pages.figures.continua import PANEL_HEIGHT, Panel, held_panels, vibration_panels
 from lin_freq_ocp.pages.figures.modes import mode_legend
 from lin_freq_ocp.pages.figures.panels import (
     frequency_axis,
     phase_panel,
+    rows_panel,
     shade_stop_band,
     spectrum_panel,
     states_panel,
@@ -48,8 +50,8 @@ ROUNDING = 1e-12  # the largest stage gap is at least this fraction of the allow
 
 
 def result_figure(result: Outcome) -> Figure:
-    """Return the figure of a solution: controls, their spectra, two phase portraits, all states over time."""
-    return four_panels(result_data(result), with_states=True)
+    """Return the figure of a solution, with panels of everything that it constrains."""
+    return four_panels(result_data(result), alone=True)
 
 
 def comparison_figure(comparison: ComparisonOutcome) -> Figure:
@@ -77,32 +79,45 @@ def comparison_data(comparison: ComparisonOutcome) -> PlotData:
     return PlotData(comparison.problem, tuple(traces))
 
 
-def four_panels(data: PlotData, with_states: bool = False) -> Figure:
-    """Return each control over time next to its spectrum, two views of the states below, and all states on request."""
+def four_panels(data: PlotData, alone: bool = False) -> Figure:
+    """Return each control over time next to its spectrum, and two views of the states below.
+
+    A solution that is shown alone also has panels of all states, the spectra of states and outputs with a limit, joint
+    rows such as rates, residual vibrations, and spectra after a zero-order hold.
+    """
     problem, states = data.problem, data.states
-    controls, groups = problem.control_dim, _groups_of_states(data) if with_states else []
-    # Two phase portraits; without two pairs, the first state over time, unless all states follow
-    views = [[states[i] for i in pair] for pair in phase_pairs(problem.state_dim)]
-    views += [] if with_states or len(views) == 2 else [states[:1]]
-    view_rows = 1 if views else 0
-    heights = [look.ROW_HEIGHT] * (controls + view_rows) + [STATE_ROW_HEIGHT] * ceil(len(groups) / 2)
-    legend = _legend_handles(data, problem.state_dim > 1, bool(problem.control_band.any()), with_bounds=True)
-    figure = look.new_figure(sum(heights) + LEGEND_HEIGHT * look.legend_rows(legend) + mode_legend(data).height)
-    grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
+    limited = [*(state for state in states if state.stop.any()), *data.outputs] if alone else []
     letters = (f"({''.join(pair)})" for size in (1, 2) for pair in product(ascii_lowercase, repeat=size))
-    for j, control in enumerate(data.controls):
-        time_panel(figure.add_subplot(grid[j, 0]), data, control, next(letters))
-        spectrum_panel(figure.add_subplot(grid[j, 1]), data, control, next(letters))
-    for column, shown in enumerate(views):
-        ax = figure.add_subplot(grid[controls, column] if len(views) == 2 else grid[controls, :])
-        if len(shown) == 2:
-            phase_panel(ax, data, shown[0], shown[1], next(letters))
-        else:
-            time_panel(ax, data, shown[0], next(letters))
-    for k, group in enumerate(groups):
-        row, alone = controls + view_rows + k // 2, k == len(groups) - 1 and not k % 2
-        ax = figure.add_subplot(grid[row, :] if alone else grid[row, k % 2])
-        states_panel(ax, data, group, next(letters))
+    rows = list[tuple[float, list[Panel]]]()  # height and panels of each row
+
+    def add_panels(height: float, panels: Sequence[Callable[..., None]], columns: int = 2) -> None:
+        for start in range(0, len(panels), columns):
+            row = panels[start : start + columns]
+            rows.append((height, [partial(panel, letter=next(letters)) for panel in row]))
+
+    for control in data.controls:
+        panels = [partial(panel, data=data, component=control) for panel in (time_panel, spectrum_panel)]
+        add_panels(look.ROW_HEIGHT, panels)
+    # Two phase portraits; without two pairs, the first state over time, unless all states follow
+    pairs = [[states[i] for i in pair] for pair in phase_pairs(problem.state_dim)]
+    views: list[Callable[..., None]] = [partial(phase_panel, data=data, pair=pair) for pair in pairs]
+    views += [] if alone or len(views) == 2 else [partial(time_panel, data=data, component=states[0])]
+    add_panels(look.ROW_HEIGHT, views)
+    if alone:
+        add_panels(
+            STATE_ROW_HEIGHT, [partial(states_panel, data=data, states=group) for group in _groups_of_states(data)]
+        )
+        add_panels(STATE_ROW_HEIGHT, [partial(rows_panel, data=data, row=row) for row in data.joint_rows])
+        add_panels(look.ROW_HEIGHT, [partial(spectrum_panel, data=data, component=signal) for signal in limited])
+        add_panels(PANEL_HEIGHT, [*vibration_panels(data), *held_panels(data)], columns=1)
+    with_band = bool(problem.control_band.any() or limited)
+    legend = _legend_handles(data, problem.state_dim > 1, with_band, with_bounds=True)
+    height = sum(height for height, _ in rows)
+    figure = look.new_figure(height + LEGEND_HEIGHT * look.legend_rows(legend) + mode_legend(data).height)
+    grid = figure.add_gridspec(len(rows), 2, height_ratios=[height for height, _ in rows])
+    for i, (_, panels) in enumerate(rows):
+        for j, panel in enumerate(panels):
+            panel(figure.add_subplot(grid[i, j] if len(panels) == 2 else grid[i, :]))
     look.legend_above(figure, legend, handlelength=2.6)
     mode_legend(data).draw(figure)
     return figure
@@ -230,6 +245,8 @@ def _legend_handles(
         handles.append(entry("bound", color=look.BOUND))
     if any(line.soft for line in [*rows, *levels]):
         handles.append(entry("soft bound", color=look.BOUND, linestyle=look.SOFT))
+    if with_bounds and any(len(data.control_levels(signal)) for signal in data.controls):
+        handles.append(entry("level", color=look.BOUND, linestyle=look.LEVEL_LINE, linewidth=0.9))
     if with_bounds and any(signal.references for signal in signals):
         handles.append(entry("reference", color=look.REFERENCE, linestyle=look.REFERENCE_LINE))
     if with_band:

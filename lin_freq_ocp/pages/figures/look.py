@@ -45,6 +45,7 @@ COMPONENTS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
 SOFT: LineStyleType = (0, (4, 2.5))
 REFERENCE_LINE: LineStyleType = (0, (6, 1.5, 1.2, 1.5))
+LEVEL_LINE: LineStyleType = (0, (1, 2))
 
 WITHOUT_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}  # backends that only write files
 NOTEBOOK_DPI = 80

@@ -15,7 +15,7 @@ from lin_freq_ocp.base.phrases import number, short_name, split_unit
 from lin_freq_ocp.comparison.trajectories import ProblemSignal
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import shade_modes
-from lin_freq_ocp.pages.figures.plot_data import PlotData
+from lin_freq_ocp.pages.figures.plot_data import JointRow, PlotData, view
 from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 
 LABEL_CHARACTERS = 30  # a longer name is cut off in a legend of several
@@ -25,10 +25,10 @@ HIDDEN_LIMIT = 30  # a limit of more than so many times the largest value of the
 FEW_BINS = 48
 
 
-def time_panel(ax: Axes, data: PlotData, signal: ProblemSignal, letter: str = "") -> None:
+def time_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:
     """Draw a control or state of all traces over time, with its bounds, on the tints of the main trajectory's modes."""
     shade_modes(ax, data)
-    zero_order_hold = not signal.is_state  # each control acts until the end of its step
+    zero_order_hold = not component.is_state  # each control acts until the end of its step
     drawing = "steps-post" if zero_order_hold else "default"
 
     def draw(at: Array, values: Array, **properties: object) -> None:
@@ -37,30 +37,35 @@ def time_panel(ax: Axes, data: PlotData, signal: ProblemSignal, letter: str = ""
             at, values = np.append(at, at[-1] + 1), np.append(values, values[-1])
         look.draw_line(ax, data.time.factor * at, values, drawstyle=drawing, **properties)
 
-    for bound in signal.bounds:
+    for bound in component.bounds:
         if np.isfinite(bound).any():
             values = np.where(np.isfinite(bound), bound, np.nan)
             draw(np.arange(float(len(values))), values, color=look.BOUND, linewidth=1.2, zorder=2)
-    limits = [(line, look.BOUND, look.SOFT if line.soft else "-") for line in signal.row_bounds]
-    for line, color, style in [*limits, *((line, look.REFERENCE, look.REFERENCE_LINE) for line in signal.references)]:
+    for level in data.control_levels(component):
+        ax.axhline(float(level), color=look.BOUND, linestyle=look.LEVEL_LINE, linewidth=0.9, zorder=1)
+    limits = [(line, look.BOUND, look.SOFT if line.soft else "-") for line in component.row_bounds]
+    for line, color, style in [
+        *limits,
+        *((line, look.REFERENCE, look.REFERENCE_LINE) for line in component.references),
+    ]:
         marker = "D" if np.isfinite(line.values).sum() <= 1 else ""  # of a single time
         shape: dict[str, object] = {"linestyle": style, "linewidth": 1.2, "marker": marker, "markersize": 4.5}
         draw(line.at, line.values, color=color, zorder=2, **shape)
-    for trace in data.showing(signal):
-        values = trace.of(signal)
+    for trace in data.showing(component):
+        values = trace.of(component)
         draw(np.arange(float(len(values))), values, **trace.style.of_line())
-    seen = data.view(signal)
+    seen = data.view(component)
     ax.set_ylim(seen.low, seen.high)
     ax.margins(x=0.015)
-    notes = data.notes([signal])
+    notes = data.notes([component])
     if zero_order_hold:
-        unit = split_unit(signal.name)[1]
-        largest = [f"{number(trace.measured.largest(signal), 3)} {trace.label}" for trace in data.traces]
+        unit = split_unit(component.name)[1]
+        largest = [f"{number(trace.measured.largest(component), 3)} {trace.label}" for trace in data.traces]
         notes = [look.Note(f"largest{f' [{unit}]' if unit else ''}: {', '.join(largest)}")]
-    look.style_axes(ax, f"{letter} {short_name(signal.name)}".lstrip(), data.time.label, signal.name, notes)
+    look.style_axes(ax, f"{letter} {short_name(component.name)}".lstrip(), data.time.label, component.name, notes)
 
 
-def states_panel(ax: Axes, data: PlotData, states: Sequence[ProblemSignal], letter: str) -> None:
+def states_panel(ax: Axes, data: PlotData, states: Sequence[ProblemSignal], letter: str = "") -> None:
     """Draw states of the main trajectory over time: a single one as ``time_panel`` does, several in a colour each."""
     if len(states) == 1:
         time_panel(ax, data, states[0], letter)
@@ -79,9 +84,32 @@ def states_panel(ax: Axes, data: PlotData, states: Sequence[ProblemSignal], lett
     look.style_axes(ax, title, data.time.label, f"[{unit}]" if unit else "state", data.notes(states))
 
 
-def phase_panel(ax: Axes, data: PlotData, first: ProblemSignal, second: ProblemSignal, letter: str) -> None:
+def rows_panel(ax: Axes, data: PlotData, row: JointRow, letter: str = "") -> None:
+    """Draw a joint row of all traces over time, with its bounds."""
+    shade_modes(ax, data)
+    times = data.time.factor * np.arange(data.problem.horizon + 1.0)
+
+    def draw(values: Array, **properties: object) -> None:
+        look.draw_line(ax, times, np.append(values, values[-1]), drawstyle="steps-post", **properties)
+
+    for bound in (row.lower, row.upper):
+        if np.isfinite(bound).any():
+            style = "-" if row.family.penalty is None else look.SOFT
+            draw(
+                np.where(np.isfinite(bound), bound, np.nan), color=look.BOUND, linewidth=1.2, linestyle=style, zorder=2
+            )
+    traces = [trace for trace in data.traces if trace.measured.meaningful]
+    for trace in traces:
+        draw(row.values(trace.trajectory), **trace.style.of_line())
+    seen = view([row.values(trace.trajectory) for trace in traces], [], np.concatenate([row.lower, row.upper]))
+    ax.set_ylim(seen.low, seen.high)
+    ax.margins(x=0.015)
+    name, unit = row.family.name, f" [{row.unit}]" if row.unit else ""
+    look.style_axes(ax, f"{letter} {name}".lstrip(), data.time.label, f"{name}{unit}", [look.Note(row.words)])
+
+
+def phase_panel(ax: Axes, data: PlotData, pair: Sequence[ProblemSignal], letter: str = "") -> None:
     """Draw the second state over the first: their bounds as a box, the common start, and the end of each trace."""
-    pair = first, second
     views = [data.view(state) for state in pair]
     bounds = [state.bounds for state in pair]
     if not any((bound != bound[0]).any() for both in bounds for bound in both):  # a box, whose open sides lie outside
@@ -102,7 +130,7 @@ def phase_panel(ax: Axes, data: PlotData, first: ProblemSignal, second: ProblemS
     ax.set_xlim(views[0].low, views[0].high)
     ax.set_ylim(views[1].low, views[1].high)
     title = f"{letter} {' and '.join(short_name(state.name) for state in pair)}"
-    look.style_axes(ax, title, first.name, second.name, data.notes(pair))
+    look.style_axes(ax, title, pair[0].name, pair[1].name, data.notes(pair))
 
 
 def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:

@@ -10,14 +10,17 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.base.phrases import listed
+from lin_freq_ocp.base.phrases import combination, listed, short_name, split_unit
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, ProblemSignal, controls_of, outputs_of, states_of
 from lin_freq_ocp.pages.figures.look import AXIS_MARGIN, Note, Style
 from lin_freq_ocp.pages.units import Scale, frequency_scale, quantity, rough, time_scale
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 OVERLAY_REACH = 0.6  # an overlay may extend an axis by this fraction of the others' span, and is cut off there
+MOST_JOINT_ROWS, MOST_LEVELS = 6, 16  # in one figure; in one panel
 BOUND_REACH = 0.6  # the same for a bound far from all trajectories
 
 
@@ -82,6 +85,19 @@ class PlotData:
         """Return the scale of the frequency axes."""
         return frequency_scale(self.problem)
 
+    @cached_property
+    def joint_rows(self) -> list[JointRow]:
+        """Return the joint rows of the problem that the main trajectory brings nearest to their limits."""
+        return sorted(joint_rows(self.problem), key=lambda row: row.margin(self.main.trajectory))[:MOST_JOINT_ROWS]
+
+    def control_levels(self, signal: ProblemSignal) -> Array:
+        """Return the levels of a control, (levels,); none if it has no or too many levels, and none of a state."""
+        if signal.is_state:
+            return np.zeros(0)
+        levels = [entry.levels_of(self.problem.control_dim) for entry in entries_of(self.problem.control_set)]
+        values = np.unique(np.concatenate([np.zeros(0), *(entry[signal.index] for entry in levels if len(entry))]))
+        return values if len(values) <= MOST_LEVELS else np.zeros(0)
+
     @property
     def main(self) -> Trace:
         """Return the trajectory that the figure is about: the last that is not an overlay."""
@@ -136,6 +152,49 @@ class PlotData:
             if text:
                 notes.append(Note(f"{trace.label}: {text}", trace.style.color))
         return notes
+
+
+@dataclass(frozen=True, eq=False)
+class JointRow:
+    """A stage row on several components, such as the rate of a control, with its values and bounds over time, (T,)."""
+
+    words: str  # its combination of components
+    unit: str
+    family: StageRows
+    index: int
+    lower: Array
+    upper: Array
+
+    def values(self, trajectory: Trajectory) -> Array:
+        """Return its values along a trajectory, (T,)."""
+        return self.family.values(trajectory.x, trajectory.u)[:, self.index]
+
+    def margin(self, trajectory: Trajectory) -> float:
+        """Return the least distance of its values from its bounds, relative to the largest value."""
+        values = self.values(trajectory)
+        distance = min(float((values - self.lower).min()), float((self.upper - values).min()))
+        return distance / (float(np.abs(values).max()) or 1.0)
+
+
+def joint_rows(problem: OptimalControlProblem) -> list[JointRow]:
+    """Return the stage rows on several components; a row and its negative are one row with two bounds."""
+    rows, T, names = list[JointRow](), problem.horizon, [*problem.control_names, *problem.state_names]
+    for family in problem.stage_rows:
+        matrices = [np.broadcast_to(part, (T, *part.shape[-2:])) for part in (family.D, family.C)]
+        weights, upper = np.concatenate(matrices, axis=2), np.broadcast_to(family.e, (T, family.rows))
+        pending = [i for i in range(family.rows) if (np.count_nonzero(weights[:, i], axis=1) > 1).any()]
+        while pending:
+            i = pending.pop(0)
+            opposite = [k for k in pending if np.array_equal(weights[:, k], -weights[:, i])]
+            pending = [k for k in pending if k not in opposite]
+            lower = np.max([np.full(T, -np.inf), *(-upper[:, k] for k in opposite)], axis=0)
+            components = [names[k] for k in np.flatnonzero(weights[:, i].any(axis=0))]
+            units = {split_unit(name)[1] for name in components}
+            words = combination(weights[0, i], names)
+            if (weights[:, i] != weights[0, i]).any():
+                words = f"row {i + 1}, of {', '.join(map(short_name, components))}"
+            rows.append(JointRow(words, units.pop() if len(units) == 1 else "", family, i, lower, upper[:, i]))
+    return rows
 
 
 def _end_text(trace: Trace, signals: Sequence[ProblemSignal]) -> str:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import number
+from lin_freq_ocp.base.phrases import settings
 from lin_freq_ocp.batch.sweep import Row, SweepOutcome
 from lin_freq_ocp.pages.figures import look
 
@@ -97,8 +97,7 @@ def _are_numbers(values: Sequence[object]) -> bool:
 def _lines_along(sweep: SweepOutcome, name: str) -> list[CostLine]:
     references, groups = dict[str, float | None](), dict[str, list[tuple[float, Row]]]()
     for row in sweep.rows:
-        texts = {key: "none" if value is None else value for key, value in row["parameters"].items() if key != name}
-        label = ", ".join(f"{key} = {number(one) if isinstance(one, float) else one}" for key, one in texts.items())
+        label = settings({key: value for key, value in row["parameters"].items() if key != name})
         points, value = groups.setdefault(label, []), row["parameters"][name]
         if isinstance(value, (int, float)):
             points.append((value, row))

@@ -27,7 +27,7 @@ from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
 from lin_freq_ocp.loop.record import LoopRecord
 from lin_freq_ocp.pages.figures import figures
-from lin_freq_ocp.pages.figures.continua import held_figure, moves_figure, vibrations_figure
+from lin_freq_ocp.pages.figures.continua import held_panels, moves_figure, panels_figure, vibration_panels
 from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS
 from lin_freq_ocp.pages.figures.loop import loop_figure
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
@@ -76,7 +76,8 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
     if comparison.moves is not None:
         title, caption = tables.moves_title(comparison.moves), tables.moves_caption(comparison.moves)
         yield "vibration", title, caption, moves_figure(comparison.moves)
-    held, vibrations = held_figure(data), vibrations_figure(data) if comparison.moves is None else None
+    held = panels_figure(held_panels(data))
+    vibrations = panels_figure(vibration_panels(data)) if comparison.moves is None else None
     if held is not None:
         caption = (
             "The spectrum of a signal after its zero-order hold, as the plant receives it: |sinc(f h) V(2 pi f h)|, "
