@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -37,6 +38,9 @@ from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.proof.enclosure import require_checker
 from lin_freq_ocp.solving.certify import certify
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 HELP = {
     "save": "Write the trajectory to this .npz (with its multipliers), .csv or .mat file.",
@@ -84,16 +88,17 @@ def check_outputs(
     return outputs
 
 
+def save_figure(figure: Figure, file: Path) -> None:
+    """Write a figure to a file, in the format of its suffix."""
+    with replacing(file) as stream:
+        figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
+
+
 def write_outputs(outputs: Mapping[str, Path], result: Result | None, status: int) -> int:
     """Write the files of an answer, report those without content, and return the exit status."""
-
-    def draw_figure(answer: Result, file: Path) -> None:
-        figure = answer.plot()
-        with replacing(file) as stream:
-            figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
-
-    writers = {"save": Result.save, "csv": Result.to_csv, "plot": draw_figure, "dump": Result.dump}
-    writers["proof"] = Result.write_proof
+    writers: dict[str, Callable[[Result, Path], None]] = {"save": Result.save, "csv": Result.to_csv}
+    writers |= {"dump": Result.dump, "proof": Result.write_proof}
+    writers["plot"] = lambda answer, file: save_figure(answer.plot(), file)
     writes: list[Callable[[], None]] = []
     for name, file in outputs.items():
         if result is not None and (name in ("dump", "proof") or result.trajectory is not None):

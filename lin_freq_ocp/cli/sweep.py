@@ -19,7 +19,7 @@ from lin_freq_ocp import __version__
 from lin_freq_ocp.api.batch import sweep
 from lin_freq_ocp.api.minimum_time import minimum_time
 from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.base.atomic import replacing, writing
+from lin_freq_ocp.base.atomic import writing
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.interrupts import INTERRUPTED
 from lin_freq_ocp.batch.grid import LARGEST_GRID, Source
@@ -42,12 +42,13 @@ from lin_freq_ocp.cli.console import (
     write_files,
 )
 from lin_freq_ocp.cli.problems import ProblemFile, read_source, require_folder, require_keys_of_file
-from lin_freq_ocp.cli.solve import check_outputs, output_options, write_outputs
+from lin_freq_ocp.cli.solve import check_outputs, output_options, save_figure, write_outputs
 from lin_freq_ocp.files.batch_files import sweep_summary
 from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.files.summary import SCHEMA, result_summary
 
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")  # from:to:count, linear, both ends included
+PRINTED = ("horizon", "horizons", "monotone", "reason", "proven", "proof", "interrupted")  # by minimum-time --json
 GRID_FORM = "KEY=[VALUE, ...] in TOML, or KEY=from:to:count"
 
 
@@ -102,8 +103,7 @@ def sweep_command(
         except ProblemError as error:
             complain(f"no figure: {error}")
             return
-        with replacing(folder / "sweep.png") as stream:
-            figure.savefig(stream, format="png", dpi=150)
+        save_figure(figure, folder / "sweep.png")
 
     return write_files(status, lambda: points.to_csv(folder / "sweep.csv"), draw_sweep)
 
@@ -182,22 +182,10 @@ def minimum_time_command(
             executor.abandon()
     result = shortest.result
     if as_json:
-        print_json(
-            {
-                "schema": SCHEMA,
-                "version": __version__,
-                "horizon": shortest.horizon,
-                "horizons": list(shortest.horizons),
-                "monotone": shortest.monotone,
-                "reason": shortest.reason,
-                "proven": shortest.proven,
-                "proof": shortest.proof,
-                "verdicts": {str(T): verdict for T, verdict in shortest.verdicts.items()},
-                "interrupted": shortest.interrupted,
-                # The object of lin-freq-ocp solve --json
-                "result": None if result is None else result_summary(result, with_trajectory),
-            }
-        )
+        summary = {"schema": SCHEMA, "version": __version__} | {name: getattr(shortest, name) for name in PRINTED}
+        summary["verdicts"] = {str(T): verdict for T, verdict in shortest.verdicts.items()}
+        summary["result"] = None if result is None else result_summary(result, with_trajectory)  # as of solve --json
+        print_json(summary)
     else:
         print_lines(str(shortest))
         if result is not None:
@@ -217,7 +205,15 @@ def parse_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValue
             raise ProblemError(f"--grid {key}", "this key twice", "one list for each key")
         match = RANGE.fullmatch(text)
         try:
-            values = _range_values(*match.groups()) if match else tomllib.loads(f"values = {text}")["values"]
+            if match is None:
+                values = tomllib.loads(f"values = {text}")["values"]
+            else:
+                first, last, count = match.groups()
+                if int(count) > LARGEST_GRID:
+                    raise ValueError(f"{brief(count)} values; at most {LARGEST_GRID}")
+                values = np.linspace(float(first), float(last), int(count)).tolist()
+                whole = [round(value) for value in values]  # integers, if all are and both ends are written as such
+                values = whole if whole == values and not any(mark in first + last for mark in ".eE") else values
         except (ValueError, OverflowError, RecursionError) as error:
             raise ProblemError(f"--grid {key}", brief(text), GRID_FORM, f"({error})") from None
         if not isinstance(values, list):
@@ -226,13 +222,3 @@ def parse_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValue
     if isinstance(source, ProblemFile):  # sweep() checks the parameters of functions
         require_keys_of_file(result, "--grid ")
     return result
-
-
-def _range_values(first: str, last: str, count: str) -> list[float] | list[int]:
-    """Return ``count`` numbers from the first to the last: integers, if all are and both ends are written as such."""
-    if int(count) > LARGEST_GRID:
-        raise ValueError(f"{brief(count)} values; at most {LARGEST_GRID}")
-    values: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
-    whole = [round(value) for value in values]
-    as_integers = not any(mark in first + last for mark in ".eE")
-    return whole if as_integers and whole == values else values

@@ -59,7 +59,7 @@ def test_words_table_and_page(comparison):
     (group,) = rows.groups
     assert [cell.text for cell in group.rows[0].cells] == ["18", "45", "28", "28", "22"]
     assert [cell.passed for cell in group.rows[3].cells] == [False, True, True, True, True]
-    drawings = draw_figures(comparison)
+    drawings = tuple(draw_figures(comparison))
     (drawing,) = (one for one in drawings if one.name == "vibration")
     assert 'aria-label="Residual vibration over the natural frequency: ZV, ZVD, EI and optimal' in drawing.inline
     page = render_page(comparison, drawings)

@@ -40,7 +40,7 @@ def case(name: str) -> Comparison:
 
 @cache
 def drawings(name: str):
-    return draw_figures(case(name))
+    return tuple(draw_figures(case(name)))
 
 
 @cache

@@ -43,7 +43,7 @@ def test_a_held_spectrum_is_drawn_beyond_nyquist_below_its_limit(held):
 
 
 def test_the_page_shows_it_and_says_that_filters_do_not_apply(held):
-    drawings = draw_figures(held)
+    drawings = tuple(draw_figures(held))
     (drawing,) = (one for one in drawings if one.name == "held_spectra")
     assert 'aria-label="Spectra after the zero-order hold, with their limits"' in drawing.inline
     page = render_page(held, drawings)
@@ -62,7 +62,7 @@ def test_a_box_without_shapers_is_drawn_all_the_same():
     assert values[(f >= 0.9) & (f <= 1.1)].max() <= 0.02 * (1 + 1e-6)
     (limit,) = (one for one in ax.collections if one.get_label() == "limit")
     assert limit.get_segments()[0] == pytest.approx(np.array([[0.9, 0.02], [1.1, 0.02]]))
-    drawings = draw_figures(comparison)
+    drawings = tuple(draw_figures(comparison))
     assert "vibration" in {one.name for one in drawings}
     assert "Residual vibration over the natural frequency" in render_page(comparison, drawings)
 

@@ -70,7 +70,7 @@ def test_names_are_escaped_and_dollars_are_no_formulas():
 
 def test_page_and_figures_do_not_change_from_run_to_run():
     comparison = case("infeasible")
-    first, second = drawings("infeasible"), draw_figures(comparison)
+    first, second = drawings("infeasible"), tuple(draw_figures(comparison))
     assert [one.svg for one in first] == [one.svg for one in second]
     assert [one.png for one in first] == [one.png for one in second]
     assert render_page(comparison, first) == render_page(comparison, second)

@@ -41,7 +41,7 @@ def test_violations_are_measured_and_shown():
     assert ("rows: traction [N]", "2 rows C x + D u ≤ e, which depend on time") in problem_facts(problem)
     conditions = [one for one in comparison.constrained.certificate.conditions if one.label == "S-z"]
     assert conditions[0].name == "rows hold: traction [N]"
-    drawings = draw_figures(comparison)
+    drawings = tuple(draw_figures(comparison))
     page = render_page(comparison, drawings)
     assert "rows hold: traction" in page
     assert "S-z and N-z: joint rows" in page

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
@@ -108,13 +108,17 @@ def checked_values(sliders: tuple[Slider, ...], values: object) -> dict[str, flo
     return {key: float(values.get(key, slider.value)) for key, slider in known.items()}
 
 
-def problem_at(problem: OptimalControlProblem, rebuild: Rebuild | None, moved: Values) -> OptimalControlProblem:
-    """Return the problem with these values."""
+def problem_at(
+    problem: OptimalControlProblem, rebuild: Rebuild | None, moved: Values, classical: bool = False
+) -> OptimalControlProblem:
+    """Return the problem with these values, with or without its frequency constraints."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BandWarning)  # the page shows which bins are stopped
         if HORIZON in moved and rebuild is not None:
             problem = rebuild(int(moved[HORIZON]))
         fields = changed_fields(problem, {key: value for key, value in moved.items() if key != HORIZON})
+        if classical:
+            fields |= dict.fromkeys(SPECTRA)
         return replace(problem, **fields) if fields else problem
 
 
@@ -197,12 +201,11 @@ class Session:
         for slider in moved:
             (cached if slider.group in CACHED else structure)[slider.key] = values[slider.key]
 
-        def build_solver() -> Repeated:
-            problem = problem_at(self.problem, self.rebuild, structure)
-            return Repeated(replace(problem, **dict.fromkeys(SPECTRA)) if classical else problem)
-
         def solve() -> Outcome:
-            repeated = self._repeated.get((classical, *structure.items()), build_solver)
+            repeated = self._repeated.get(
+                (classical, *structure.items()),
+                lambda: Repeated(problem_at(self.problem, self.rebuild, structure, classical)),
+            )
             fields: dict[str, Any] = changed_fields(repeated.problem, cached)
             ends = (fields.pop(field, None) for field in ("initial_state", "terminal_state"))
             return repeated.solve(Change(*ends, bounds=fields or None), SOLVE_SECONDS)
@@ -258,16 +261,26 @@ def answer_data(outcome: Outcome) -> Data:
 def frame_data(problem: OptimalControlProblem) -> Data:
     """Return the parts of the picture that do not depend on a trajectory: axes, names, bounds, stopped bins, limits."""
     time, frequency = time_scale(problem), frequency_scale(problem)
+    signals, spectra = list[Data](), list[Data]()
+    for signal in _time_signals(problem):
+        # A constant bound is a single value.
+        bounds = [bound[:1] if (bound == bound[0]).all() else bound for bound in signal.bounds]
+        sides = {side: round_values(bound) for side, bound in zip(("lower", "upper"), bounds, strict=True)}
+        signals.append({"name": signal.name, "state": signal.is_state, **sides})
+    for signal in _frequency_signals(problem):
+        step, last = 2 * np.pi / signal.samples * frequency.factor, signal.samples / 2
+        stopped = [[step * max(a - 0.5, 0.0), step * min(b + 0.5, last)] for a, b in stopped_runs(signal.stop)]
+        limits = [
+            {"at": round_values(frequency.factor * line.at), "values": round_values(line.values)}
+            for line in signal.levels
+        ]
+        spectra.append({"name": signal.name, "step": step, "stopped": stopped, "limits": limits})
     return {
         "horizon": problem.horizon,
         "time": {"step": time.factor, "label": time.label},
         "frequency": {"label": frequency.label},
-        "signals": [
-            {"name": signal.name, "state": signal.is_state}
-            | {side: _bound_data(bound) for side, bound in zip(("lower", "upper"), signal.bounds, strict=True)}
-            for signal in _time_signals(problem)
-        ],
-        "spectra": [_spectrum_data(signal, frequency.factor) for signal in _frequency_signals(problem)],
+        "signals": signals,
+        "spectra": spectra,
         "vibrations": [  # the axis of each, its box of natural frequencies, and its limit
             {
                 "name": term.name,
@@ -281,28 +294,8 @@ def frame_data(problem: OptimalControlProblem) -> Data:
     }
 
 
-def _bound_data(values: Array) -> list[float | None]:
-    """Return a bound over time; a single value if it is constant."""
-    return round_values(values[:1] if (values == values[0]).all() else values)
-
-
 def _time_signals(problem: OptimalControlProblem) -> list[ProblemSignal]:
     return [*controls_of(problem), *states_of(problem)][:MOST_SIGNALS]
-
-
-def _spectrum_data(signal: ProblemSignal, factor: float) -> Data:
-    per_bin = 2 * np.pi / signal.samples * factor
-    runs = stopped_runs(signal.stop)
-    last = signal.samples / 2
-    edges: Iterable[tuple[float, float]] = ((max(a - 0.5, 0.0), min(b + 0.5, last)) for a, b in runs)
-    return {
-        "name": signal.name,
-        "step": per_bin,
-        "stopped": [[per_bin * low, per_bin * high] for low, high in edges],
-        "limits": [
-            {"at": round_values(factor * line.at), "values": round_values(line.values)} for line in signal.levels
-        ],
-    }
 
 
 def _frequency_signals(problem: OptimalControlProblem) -> list[ProblemSignal]:

@@ -148,7 +148,14 @@ class PlotData:
             elif not measured.meaningful:
                 text = f"not replayed; rounding errors would grow {rough(measured.measures.amplification)}-fold"
             elif trace.overlay and outside:
-                text = f"leaves the picture; {_end_text(trace, signals)}"
+                end = measured.end  # its distance from the terminal set; with a free end, the largest values
+                missed = [] if end is None else [signal for signal in signals if end.bounded[signal.index]]
+                if end is not None and missed:
+                    sizes = [quantity(float(end.values[signal.index]), signal.name) for signal in missed]
+                    text = f"leaves the picture; ends {listed(sizes)} away"
+                else:
+                    sizes = [quantity(measured.largest(signal), signal.name) for signal in signals]
+                    text = f"leaves the picture; goes as far as {listed(sizes)}"
             if text:
                 notes.append(Note(f"{trace.label}: {text}", trace.style.color))
         return notes
@@ -195,15 +202,6 @@ def joint_rows(problem: OptimalControlProblem) -> list[JointRow]:
                 words = f"row {i + 1}, of {', '.join(map(short_name, components))}"
             rows.append(JointRow(words, units.pop() if len(units) == 1 else "", family, i, lower, upper[:, i]))
     return rows
-
-
-def _end_text(trace: Trace, signals: Sequence[ProblemSignal]) -> str:
-    """Return the distance of the end from the terminal set, or the largest values if the end is free."""
-    end = trace.measured.end
-    bounded = [] if end is None else [signal for signal in signals if end.bounded[signal.index]]
-    if end is not None and bounded:
-        return f"ends {listed([quantity(float(end.values[state.index]), state.name) for state in bounded])} away"
-    return f"goes as far as {listed([quantity(trace.measured.largest(signal), signal.name) for signal in signals])}"
 
 
 def view(mains: Sequence[Array], overlays: Sequence[Array], bounds: Array, references: Sequence[Array] = ()) -> View:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -49,33 +49,28 @@ CAPTION = (
 
 def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
     """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
-    drawings = draw_figures(comparison)
+    drawings = tuple(draw_figures(comparison))
     return save_page(Path(folder), render_page(comparison, drawings), drawings)
 
 
-def draw_figures(comparison: ComparisonOutcome) -> tuple[Drawing, ...]:
-    """Return all figures that apply to the comparison."""
-    return tuple(drawing_of(*parts) for parts in _figures(comparison))
-
-
-def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Figure]]:
-    """Yield name, title, caption and figure."""
+def draw_figures(comparison: ComparisonOutcome) -> Iterator[Drawing]:
+    """Yield all figures that apply to the comparison."""
     data, result = figures.comparison_data(comparison), comparison.constrained
     shown = comparison.shown_filter
     caption = (
         "Spectra: points are the bins of the DFT; hollow triangles at the lower edge are bins too small for the axis. "
         "Lines are the zero-padded spectrum between the bins (for many bins, its largest value between neighbours)."
     )
-    filtered = "" if shown is None else f" Filtered: {shown.description}."
-    yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(data)
+    caption += "" if shown is None else f" Filtered: {shown.description}."
+    yield drawing_of("comparison", "Controls, their spectra, and the states", caption, figures.four_panels(data))
     stopped = [state for state in data.states if state.stop.any()]
-    if stopped:
-        yield "state_spectra", "Spectra of the states with a stop band", "", figures.spectra_figure(data, stopped)
-    if data.outputs:
-        yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
+    for kind, title, signals in (("state", "states with a stop band", stopped), ("output", "outputs", data.outputs)):
+        if signals:
+            figure = figures.spectra_figure(data, signals)
+            yield drawing_of(f"{kind}_spectra", f"Spectra of the {title}", "", figure)
     if comparison.moves is not None:
         title, caption = tables.moves_title(comparison.moves), tables.moves_caption(comparison.moves)
-        yield "vibration", title, caption, moves_figure(comparison.moves)
+        yield drawing_of("vibration", title, caption, moves_figure(comparison.moves))
     held = panels_figure(held_panels(data))
     vibrations = panels_figure(vibration_panels(data)) if comparison.moves is None else None
     if held is not None:
@@ -83,14 +78,16 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
             "The spectrum of a signal after its zero-order hold, as the plant receives it: |sinc(f h) V(2 pi f h)|, "
             "images above the Nyquist frequency included (for many bins, its largest value between neighbours)."
         )
-        yield "held_spectra", "Spectra after the zero-order hold, with their limits", caption, held
+        yield drawing_of("held_spectra", "Spectra after the zero-order hold, with their limits", caption, held)
     if vibrations is not None:
         caption = "Residual amplitude of a mode with this natural frequency, the largest over the damping ratios."
-        yield "vibration", "Residual vibration over the natural frequency, with its limit", caption, vibrations
+        yield drawing_of(
+            "vibration", "Residual vibration over the natural frequency, with its limit", caption, vibrations
+        )
     if data.modes:
         rows = strip_rows(comparison)
-        yield "modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows)
-    yield "states", "Every state in time", "", figures.states_figure(data)
+        yield drawing_of("modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows))
+    yield drawing_of("states", "Every state in time", "", figures.states_figure(data))
     certificate, multipliers = result.certificate, result.multipliers
     if certificate is None or multipliers is None:
         return
@@ -98,19 +95,19 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
     if borders is not None and data.main.trajectory is result.trajectory:
         solution = PlotData(data.problem, (data.main,))
         figure = adjoint_figure(solution, multipliers.eta, comparison.kinks, smallest_adjoint(certificate))
-        yield "adjoint", "Adjoint, and its choice at kinks", proof.adjoint_caption(borders), figure
+        yield drawing_of("adjoint", "Adjoint, and its choice at kinks", proof.adjoint_caption(borders), figure)
     gap = figures.gap_figure(data, certificate)
     if gap is not None:
-        yield "gap", "Gap per stage", proof.parts_of_the_gap(certificate), gap
+        yield drawing_of("gap", "Gap per stage", proof.parts_of_the_gap(certificate), gap)
     if comparison.prices is not None:
         text = (
             "Decrease of the optimal cost per unit, if a removed bin (with its mirror image) may be slightly above "
             "zero, or its limit is slightly higher: the magnitude of the bin's multiplier."
         )
-        yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
+        yield drawing_of("price", "Price of each bin", text, figures.price_figure(data, comparison.prices))
 
 
-def render_page(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
+def render_page(comparison: ComparisonOutcome, drawings: Iterable[Drawing]) -> str:
     """Return the page."""
     problem, certificate = comparison.problem, comparison.constrained.certificate
     constrained, result = has_frequency_constraint(problem), comparison.constrained
