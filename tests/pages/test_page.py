@@ -122,7 +122,7 @@ def test_headline_has_the_measured_numbers():
     assert numbers[:2] == pytest.approx([0.857523687, 5.857523687], rel=2e-3)
     assert numbers[5:7] == pytest.approx([0.8134, 16.722], rel=2e-3)
     assert numbers[8] == pytest.approx(12.1, abs=0.06)
-    assert "everything holds" in text("pendulum").lower()
+    assert "all constraints hold" in text("pendulum").lower()
 
 
 def test_stop_band_is_explained_with_its_peaks():
@@ -270,7 +270,7 @@ def test_extra_cost_reads_well():
     assert "for 12.5 % more cost" in said(80.0, 90.0)
     assert "for 0.25 % more cost" in said(80.0, 80.2)
     assert "for 0.25 % less cost" in said(80.0, 79.8)
-    assert "everything holds, at the same cost, " in said(80.0, 80.0 - 1e-9)
+    assert "all constraints hold, at the same cost, " in said(80.0, 80.0 - 1e-9)
     assert "for a cost of 90 instead of 8" in said(8.0, 90.0)
     assert "for a cost of -1 instead of -3" in said(-3.0, -1.0)
 

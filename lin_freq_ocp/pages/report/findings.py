@@ -150,7 +150,7 @@ def _constraints_in_words(comparison: ComparisonOutcome) -> str:
                 f"the spectrum of the {kind} peaks at {number(peak, 3)} between the bins of its band, above the "
                 f"{number(before, 3)} without the constraint"
             )
-    return f"every constraint holds at the bins, but {listed(larger)}" if larger else "everything holds"
+    return f"every constraint holds at the bins, but {listed(larger)}" if larger else "all constraints hold"
 
 
 def _proof_in_words(result: Outcome) -> str:
