@@ -39,7 +39,7 @@ class Comparison(ComparisonOutcome):
     ['clipped']
     """
 
-    classical: Result  # both are what ``solve`` returned
+    classical: Result  # of ``solve``, as the other
     constrained: Result
 
     def __repr__(self) -> str:

@@ -197,15 +197,15 @@ def gap_figure(data: PlotData, certificate: Certificate) -> Figure | None:
 def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
     """Return |d J* / d bin| of one or more removed or bounded bins over their frequency."""
     kinds = [
-        (price, [signal for signal in signals if signal.stop.any()], what, length)
-        for price, signals, what, length in (
+        (price, [signal for signal in signals if signal.stop.any()], signal_kind, length)
+        for price, signals, signal_kind, length in (
             (prices[0], data.controls, "control", data.problem.horizon),
             (prices[1], data.states, "state", data.problem.state_samples),
         )
     ]
     kinds = [kind for kind in kinds if kind[1]]
     figure, panels = look.panel_grid(len(kinds), 0.85 * look.ROW_HEIGHT)
-    for ax, (price, components, what, length) in zip(panels, kinds, strict=True):
+    for ax, (price, components, signal_kind, length) in zip(panels, kinds, strict=True):
         frequency = data.frequency.factor * 2 * np.pi * np.arange(len(price)) / length
         for i, component in enumerate(components):
             stop = component.stop
@@ -220,7 +220,7 @@ def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
             ax.legend(fontsize=look.LABEL_SIZE, frameon=False, labelcolor=look.INK)
         units = {split_unit(component.name)[1] for component in components}
         unit = f" [cost per {units.pop()}]" if len(units) == 1 and "" not in units else " [cost per unit]"
-        look.style_axes(ax, f"Price of each removed {what} bin", data.frequency.label, f"|dJ* / d bin|{unit}")
+        look.style_axes(ax, f"Price of each removed {signal_kind} bin", data.frequency.label, f"|dJ* / d bin|{unit}")
         frequency_axis(ax, data)
         stopped = frequency[np.any([component.stop for component in components], axis=0)]
         margin = 0.12 * (stopped[-1] - stopped[0]) or 0.12 * stopped[0]

@@ -58,7 +58,7 @@ def finding_of(comparison: ComparisonOutcome) -> Finding:
             )
         elif not replay.meaningful:
             filtering += (
-                "; what the states would do cannot be replayed: over this horizon the dynamics amplify rounding errors "
+                "; the states cannot be replayed: over this horizon the dynamics amplify rounding errors "
                 f"{rough(comparison.classical_measures.amplification)}-fold"
             )
         filtering += f". Note: {limits}" if limits else ""

@@ -204,7 +204,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         tiles=headline,
         drawing=drawing,
         counts=[(*key, count) for key, count in counts.most_common()],
-        excess=violations,
+        violations=violations,
         facts=problem_facts(loop.problem, loop.problem.gap),
         problem=loop.problem,
     )

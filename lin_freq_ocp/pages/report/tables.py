@@ -129,13 +129,13 @@ def _violation_group(
     """Return one row per component that has a bound."""
 
     def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
-        excess = violation(trajectory)
-        if excess is None:
+        measured = violation(trajectory)
+        if measured is None:
             return TableCell(NOT_MEANINGFUL)
-        return TableCell(align(float(excess.values[i])), bool(excess.passed[i]))
+        return TableCell(align(float(measured.values[i])), bool(measured.passed[i]))
 
     violations = [violation(trajectory) for trajectory in columns if trajectory is not None]
-    bounded = np.any([excess.bounded for excess in violations if excess is not None], axis=0)
+    bounded = np.any([measured.bounded for measured in violations if measured is not None], axis=0)
     return _group(title, names, columns, cell, map(int, np.flatnonzero(bounded)))
 
 
