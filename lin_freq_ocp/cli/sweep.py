@@ -71,18 +71,14 @@ def sweep_command(
     problem: str,
     grids: tuple[str, ...],
     settings: tuple[str, ...],
-    method: str,
-    backend: str,
-    time_limit: float | None,
-    tolerance: float | None,
     workers: int,
     folder: Path | None,
     as_json: bool,
+    **options: FileValue,  # method, backend, time_limit and tolerance
 ) -> int:
     """Solve a problem at every point of a grid, to see the cost of bandwidth, time or a bound."""
     source = read_source(problem, settings)
     grid, path = parse_grid(grids, source), _file_in(folder, "sweep.jsonl")
-    options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     with _worker_pool(workers) as executor, _progress_bar() as report:
         points = sweep(source, grid, executor, path, **options, progress=report)
         if points.interrupted and executor is not None:
