@@ -24,7 +24,7 @@ from lin_freq_ocp.base.errors import ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.problems import build, require_folder, require_writable
-from lin_freq_ocp.files.reading import FileTable
+from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.files.run_file import dumping_errors
 from lin_freq_ocp.files.solution_files import kind_of_file, load_trajectory
 from lin_freq_ocp.files.summary import (
@@ -61,13 +61,11 @@ def output_options(command: console.Command) -> console.Command:
     return command
 
 
-def check_outputs(
-    files: Mapping[str, Path | None], problem: str, as_json: bool, with_trajectory: bool
-) -> dict[str, Path]:
-    """Return the files to write; before the solve, raise an error unless they differ and can be written."""
+def take_outputs(options: FileTable, problem: str, as_json: bool, with_trajectory: bool) -> dict[str, Path]:
+    """Take the files to write out of the options; raise an error unless they differ and can be written."""
     if with_trajectory and not as_json:
         raise click.UsageError("--trajectory needs --json: it adds times, x and u to the object. For a table: --csv.")
-    outputs = {name: file for name in HELP if (file := files[name]) is not None}
+    outputs: dict[str, Path] = {name: file for name in HELP if (file := options.pop(name)) is not None}
     taken: dict[Path, str] = {}
     for name, file in outputs.items():
         require_writable(f"--{name}", file, problem)
@@ -119,21 +117,16 @@ def write_outputs(outputs: Mapping[str, Path], result: Result | None, status: in
 def solve_command(
     problem: str,
     settings: tuple[str, ...],
-    method: str,
-    backend: str,
-    time_limit: float | None,
-    tolerance: float | None,
     node_limit: int | None,
     start: str | None,
     local: bool,
     as_json: bool,
     with_trajectory: bool,
-    **files: Path | None,
+    **options: FileValue,  # method, backend, time_limit and tolerance, and the files
 ) -> int:
     """Solve a library problem or a problem file, and certify the answer."""
     description = build(problem, settings)
-    outputs = check_outputs(files, problem, as_json, with_trajectory)
-    options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    outputs, time_limit = take_outputs(options, problem, as_json, with_trajectory), options["time_limit"]
     if node_limit is not None:
         options["node_limit"] = node_limit
     if start is not None:

@@ -42,9 +42,9 @@ from lin_freq_ocp.cli.console import (
     write_files,
 )
 from lin_freq_ocp.cli.problems import ProblemFile, read_source, require_folder, require_keys_of_file
-from lin_freq_ocp.cli.solve import check_outputs, output_options, save_figure, write_outputs
+from lin_freq_ocp.cli.solve import output_options, save_figure, take_outputs, write_outputs
 from lin_freq_ocp.files.batch_files import sweep_summary
-from lin_freq_ocp.files.reading import FileTable, FileValue
+from lin_freq_ocp.files.reading import FileValue
 from lin_freq_ocp.files.summary import SCHEMA, result_summary
 
 RANGE = re.compile(r"\s*([^:\[\],\s]+):([^:\[\],\s]+):(\d+)\s*")  # from:to:count, linear, both ends included
@@ -153,23 +153,18 @@ def minimum_time_command(
     problem: str,
     horizons: tuple[int, int],
     settings: tuple[str, ...],
-    method: str,
-    backend: str,
-    time_limit: float | None,
-    tolerance: float | None,
     workers: int,
     folder: Path | None,
     as_json: bool,
     with_trajectory: bool,
-    **files: Path | None,
+    **options: FileValue,  # method, backend, time_limit and tolerance, and the files
 ) -> int:
     """Find the least horizon at which a problem is feasible, and prove that one step less is not.
 
     The files of --save, --csv, --plot, --proof and --dump hold the answer at that horizon.
     """
     source = read_source(problem, settings)
-    outputs = check_outputs(files, problem, as_json, with_trajectory)
-    options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    outputs = take_outputs(options, problem, as_json, with_trajectory)
     path = _file_in(folder, "minimum_time.jsonl")
     with _worker_pool(workers) as executor, search_progress("looking for the least horizon") as report:
         tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
