@@ -1,4 +1,4 @@
-"""solve_many(), Solver and sweep() as users call them: one problem again and again, or at every point of a grid."""
+"""Solver, solve_many() and sweep(): one problem with other ends and references, or at every point of a grid."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, final
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.api.result import Result, shown_as
+from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import count_text, report_progress, result_of
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, html_table, number, plural, settings
 from lin_freq_ocp.batch.grid import Source
 from lin_freq_ocp.batch.many import ManyOutcome, References, run_many
 from lin_freq_ocp.batch.repeated import Repeated
@@ -30,23 +31,24 @@ if TYPE_CHECKING:
 
 
 class Solver:
-    """One problem, solved again from other initial states, to other ends or with other references.
+    """A solver for one problem with other initial states, terminal states and references.
 
-    What does not depend on them is set up once, and kept: the bins, kernels and last working set of the Fourier-domain
-    method, the stages of the structured method. An answer is what ``lfo.solve`` would find, with its certificate.
+    Data that do not depend on these are computed once and cached: the bins, kernels and last working set of the
+    Fourier-domain method, the stages of the structured method. Answers and certificates are those of ``lfo.solve``.
 
     Parameters
     ----------
     problem : OptimalControlProblem
     method : str or Method
-        As for ``lfo.solve``; "spectral", "structured" and "auto" of linear dynamics are set up once, others each time.
+        As for ``lfo.solve``. For linear dynamics, "spectral", "structured" and "auto" are set up once; other methods
+        are set up for each solve.
     tolerance : float, optional
         As for ``lfo.solve``.
 
     Raises
     ------
     UnsupportedError
-        If the method does not exist or is not for these dynamics.
+        If the method does not exist or does not take these dynamics.
 
     References
     ----------
@@ -64,7 +66,7 @@ class Solver:
 
     @property
     def problem(self) -> OptimalControlProblem:
-        """Return the problem with its own ends and references."""
+        """Return the problem with its original ends and references."""
         return self._repeated.problem
 
     def solve(
@@ -75,7 +77,7 @@ class Solver:
         time_limit: float | None = None,
         throw: bool = True,
     ) -> Result:
-        """Solve, with other ends and references than the problem's own where given, and judge the answer.
+        """Solve with the given ends and references, the problem's own in place of missing ones; certify the answer.
 
         Parameters
         ----------
@@ -83,7 +85,7 @@ class Solver:
         references : mapping, optional
             "x_ref" and "u_ref", as in QuadraticCost.
         time_limit, throw
-            As for ``lfo.solve``. ``result.seconds`` has "solve" and "certify" apart.
+            As for ``lfo.solve``. ``result.seconds`` lists "solve" and "certify" separately.
 
         Returns
         -------
@@ -104,14 +106,14 @@ class Solver:
 class Solutions(ManyOutcome):
     """The answers to many problems that differ in initial state and references, with the fields of ``ManyOutcome``.
 
-    ``solutions[i]`` is the full result of one of them, with multipliers and certificate: it is solved once more.
+    ``solutions[i]`` solves problem i once more and returns its full result, with multipliers and certificate.
 
     Methods
     -------
     controls, states, costs, gaps, statuses, messages
-        Arrays over all problems, and how each ended.
+        Arrays and tuples over all problems.
     proven
-        Whether all are solved, and proven.
+        Whether every problem is solved and its status proven.
 
     Examples
     --------
@@ -137,42 +139,42 @@ def solve_many(
     time_limit: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Solutions:
-    """Solve one problem from many initial states, or for many references, and judge every answer.
+    """Solve one problem from many initial states, or for many references, and certify every answer.
 
-    What they share is set up once, and each begins with the answer of one near it. Where the Fourier-domain method
-    applies, signals, multipliers and the judge's bound are computed for many at once: an answer counts as optimal if
-    its cost is within 1e-6 of a rigorous bound and no constraint is broken; ``solutions[i]`` says the rest.
+    Shared data are computed once, and each solve starts from the answer of a nearby problem. The Fourier-domain method
+    computes signals, multipliers and lower bounds of many problems at once: an answer is optimal if its cost is within
+    1e-6 of a rigorous bound and it satisfies every constraint; ``solutions[i]`` has the full certificate.
 
     Parameters
     ----------
     problem : OptimalControlProblem
     initial_states : (N, n), or a sequence of (n,), optional
-        An entry of a sequence that is no state is an answer of its own, with the status "error".
+        An entry of a sequence that is not a state gets an answer with the status "error".
     references : mapping, or a sequence of N mappings, optional
-        "x_ref" and "u_ref", as in QuadraticCost: for all, or one for each.
+        "x_ref" and "u_ref", as in QuadraticCost: one mapping for all problems, or one for each.
     executor : concurrent.futures.Executor, optional
         Where to solve: a ``ProcessPoolExecutor``, or ``distributed.Client(...).get_executor()`` for a Dask cluster.
-        Default: in this process. It is not shut down. What is lost with a worker is repeated.
+        Default: in this process. It is not shut down. Problems lost with a worker are solved again.
     path : path, optional
-        A file that gets a line per answer. If it exists already, its answers are not computed again, but for errors.
+        A file that gets a line per answer. If the file exists, only its errors and the missing answers are computed.
     method : str or Method
         As for ``solve``.
     time_limit : float, optional
-        Seconds, for each.
+        Seconds for each problem.
     progress : callable, optional
         Called with the numbers of finished and of all problems. Default: a line on a terminal or in a notebook.
 
     Returns
     -------
     Solutions
-        After Ctrl-C: what was found until then, and ``interrupted``.
+        After Ctrl-C: the answers until then, with ``interrupted`` set.
 
     Raises
     ------
     ProblemError
-        If an array has a wrong shape, nothing is a state, or the file belongs to something else.
+        If an array has a wrong shape, no entry is a state, or the file belongs to another batch.
     UnsupportedError
-        If the method does not exist or is not for these dynamics.
+        If the method does not exist or does not take these dynamics.
 
     Examples
     --------
@@ -181,13 +183,13 @@ def solve_many(
     (('optimal', 'optimal'), array([3199., 3281.]))
     """
 
-    def on_terminal(done: int, count: int) -> None:
+    def print_count(done: int, count: int) -> None:
         print(f"\r{count_text(done, count)}", end="\n" if done == count else "", file=sys.stderr, flush=True)
 
     record = (lambda head: nullcontext()) if path is None else partial(ManyFile, path)
-    with report_progress(progress or (on_terminal if sys.stderr.isatty() else None), count_text) as report:
-        found = run_many(problem, initial_states, references, executor, method, time_limit, record, report)
-    return shown_as(Solutions, found)
+    with report_progress(progress or (print_count if sys.stderr.isatty() else None), count_text) as report:
+        outcome = run_many(problem, initial_states, references, executor, method, time_limit, record, report)
+    return present_as(Solutions, outcome)
 
 
 @final
@@ -197,7 +199,7 @@ class Sweep(SweepOutcome):
     Methods
     -------
     column(name)
-        The values of one figure at every point.
+        The values of one parameter or one result at every point.
     table()
         All points as flat rows, for pandas.DataFrame.
     plot()
@@ -207,17 +209,40 @@ class Sweep(SweepOutcome):
 
     Examples
     --------
-    >>> found = lfo.sweep(lfo.library.double_integrator, {"horizon": [60, 80]})
-    >>> found.complete, len(found.table())
+    >>> costs = lfo.sweep(lfo.library.double_integrator, {"horizon": [60, 80]})
+    >>> costs.complete, len(costs.table())
     (True, 2)
     """
 
+    @property
+    def points(self) -> list[tuple[str, str]]:
+        """Return the parameters of every finished point, and its status, cost and gap, in words."""
+        points = list[tuple[str, str]]()
+        for row in self.rows:
+            status = str(row["status"]).replace("_", " ") + ("" if row["proven"] else ", not proven")
+            cost = [] if row["cost"] is None else [f"cost {number(row['cost'], 6)}", f"gap {number(row['gap'], 2)}"]
+            points.append((settings(row["parameters"]), ", ".join([status, *cost, *filter(None, [row["message"]])])))
+        return points
+
+    def __str__(self) -> str:
+        shown, hidden = self.points[:MOST_TABLE_ROWS], len(self.rows) - MOST_TABLE_ROWS
+        width = max((len(parameters) for parameters, _ in shown), default=0)
+        lines = [f"{parameters:{width}}  {text}" for parameters, text in shown]
+        return "\n".join([self._title, *lines, *([f"... {hidden} more"] if hidden > 0 else [])])
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title, self.points)
+
+    @property
+    def _title(self) -> str:
+        return f"{self.problem}: {len(self.rows)} of {plural(self.size, 'point')}"
+
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Write the table, one line per row; absent values are empty."""
+        """Write the table, one line per row; a missing value is an empty cell."""
         save_sweep_csv(path, self)
 
     def plot(self) -> Figure:
-        """Return a figure of cost and infeasible points over the first parameter that is a number."""
+        """Return a figure of costs and infeasible points over the first parameter whose values are numbers."""
         from lin_freq_ocp.pages.figures.sweep import sweep_figure  # Matplotlib is slow to import
 
         return sweep_figure(self)
@@ -234,40 +259,40 @@ def sweep(
     tolerance: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Sweep:
-    """Solve a problem at every point of a grid, and judge every answer.
+    """Solve a problem at every point of a grid, and certify every answer.
 
     Parameters
     ----------
     problem : OptimalControlProblem or callable
-        A function that builds one from keywords, such as ``lfo.library.pendulum`` or a ``functools.partial`` of it, is
-        quicker to send to other machines than a large problem.
+        A problem, or a function that builds one from keywords, such as ``lfo.library.pendulum`` or a
+        ``functools.partial`` of it. A function is quicker to send to other machines than a large problem.
     grid : mapping of str to sequence
-        Values of each parameter. Of a function: its keywords. Of a problem: its fields, "cutoff" (rad/sample) or
-        "cutoff_hz" for a low pass in place of its ``control_spectrum`` (a cut-off of None is no frequency constraint),
+        Values of each parameter. A function has its keywords as parameters. A problem has its fields; "cutoff"
+        (rad/sample) or "cutoff_hz", a low pass in place of its ``control_spectrum`` (None for no frequency constraint);
         and the numbers that its live page moves, by their keys: "bound.0" for the symmetric bound of the first control,
         "rows.0" for the limit of the first joint rows, "level.control_spectrum.0" for decibels of a mask.
     executor : concurrent.futures.Executor, optional
         Where to solve: a ``ProcessPoolExecutor``, or ``distributed.Client(...).get_executor()`` for a Dask cluster.
-        Default: one after another, in this process. It is not shut down. Points lost with a worker are repeated.
+        Default: one after another, in this process. It is not shut down. Points lost with a worker are solved again.
     path : path, optional
-        A file that gets a line per point as soon as it is finished. If it exists already, its points are not solved
-        again, except those with the status "error"; the grid may have other values than before.
+        A file that gets a line for each finished point. If the file exists, its points are not solved again, except
+        those with the status "error"; the grid may have other values than before.
     method, backend, time_limit, tolerance
         As for ``solve``, for each point.
     progress : callable, optional
-        Called with the number of finished points and the number of all points, at first and after each point. Default:
-        a line in a notebook.
+        Called with the numbers of finished and of all points, before the first point and after each. Default: a line
+        in a notebook.
 
     Returns
     -------
     Sweep
-        After Ctrl-C: the points that are finished until then, and ``interrupted``.
+        After Ctrl-C: the points that were finished, with ``interrupted`` set.
 
     Raises
     ------
     ProblemError
-        If the grid has a name that the problem does not know, something cannot be sent to other processes, or the file
-        belongs to another sweep. A single point that is no problem is a row with the status "error" instead.
+        If the problem has no parameter of a name in the grid, a value cannot be sent to other processes, or the file
+        belongs to another sweep. A point whose values make no valid problem is a row with the status "error" instead.
     UnsupportedError
         If the method or backend does not exist.
     MissingExtraError
@@ -275,18 +300,18 @@ def sweep(
 
     Examples
     --------
-    >>> found = lfo.sweep(lfo.library.double_integrator, {"cutoff_hz": [None, 3.0]})
-    >>> [str(status) for status in found.column("status")]
+    >>> costs = lfo.sweep(lfo.library.double_integrator, {"cutoff_hz": [None, 3.0]})
+    >>> [str(status) for status in costs.column("status")]
     ['optimal', 'optimal']
     """
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     record = (lambda head: nullcontext()) if path is None else partial(SweepFile, path)
     with report_progress(progress, count_text) as report:
-        return shown_as(Sweep, run_sweep(problem, grid, options, executor, record, report))
+        return present_as(Sweep, run_sweep(problem, grid, options, executor, record, report))
 
 
 def load_sweep(path: str | PathLike[str]) -> Sweep:
-    """Read the file that ``lfo.sweep`` wrote, whether or not the sweep is complete; its grid is the last grid.
+    """Read the file of a sweep, complete or not; the grid is that of the last run.
 
     Parameters
     ----------
@@ -300,12 +325,12 @@ def load_sweep(path: str | PathLike[str]) -> Sweep:
     Raises
     ------
     ProblemError
-        If it is no such file, or damaged.
+        If the file is not the file of a sweep, or is damaged.
 
     Examples
     --------
-    >>> found = lfo.sweep(lfo.library.double_integrator, {"horizon": [60]}, path="sweep.jsonl")
+    >>> costs = lfo.sweep(lfo.library.double_integrator, {"horizon": [60]}, path="sweep.jsonl")
     >>> len(lfo.load_sweep("sweep.jsonl").table())
     1
     """
-    return shown_as(Sweep, read_sweep(path))
+    return present_as(Sweep, read_sweep(path))

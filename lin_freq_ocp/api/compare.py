@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
-from lin_freq_ocp.api.result import Result, shown_as
+from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.base.phrases import html_table
 from lin_freq_ocp.comparison.compare import ComparisonOutcome, compare_methods
@@ -18,21 +17,20 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class Comparison(ComparisonOutcome):
-    """Filtering afterwards against solving with the frequency constraint.
+    """The classical solution, filtered versions of it, and the solution with the frequency constraint.
 
     Attributes
     ----------
     classical, constrained : Result
-        Without and with the frequency constraints; the rest as in ``ComparisonOutcome``.
+        Without and with the frequency constraints. The other fields are those of ``ComparisonOutcome``.
 
     Methods
     -------
     plot()
-        The four panels of the comparison.
+        A figure of controls, spectra and states.
     save(folder)
-        Write the HTML report.
+        Write an HTML report.
 
     Examples
     --------
@@ -41,7 +39,7 @@ class Comparison(ComparisonOutcome):
     ['clipped']
     """
 
-    classical: Result
+    classical: Result  # of ``solve``, as the other
     constrained: Result
 
     def __repr__(self) -> str:
@@ -76,17 +74,17 @@ def compare(
     Parameters
     ----------
     problem : OptimalControlProblem
-        With its frequency constraints.
+        The problem with its frequency constraints.
     filters : sequence of str, optional
-        Some of "brickwall", "butterworth", "zero_phase", "moving_average", "clipped"; of a bound on the residual
+        Some of "brickwall", "butterworth", "zero_phase", "moving_average", "clipped". For a bound on the residual
         vibration of controls, the input shapers "ZV", "ZVD", "EI". Default: all that apply.
     backend : str
         As for ``solve``.
     time_limit : float, optional
-        Seconds for all solves together, of which the classical problem gets half. Default: 30 s where modes are
-        searched, none otherwise.
+        Seconds for all solves together; the classical problem gets half of them. Default: 30 s if the solver searches
+        over mode sequences, no limit otherwise.
     start : Trajectory, (T, m) or (T,) integers, optional
-        Where both searches begin, as for ``solve``.
+        Start of both searches, as for ``solve``.
 
     Returns
     -------
@@ -95,7 +93,7 @@ def compare(
     Raises
     ------
     ProblemError
-        If there is no filter of a name, or input shapers do not apply, saying why.
+        If a filter is unknown, or an input shaper does not apply; the message says why.
     SolveError
         If the problem has no solution even without its frequency constraints, or none was found in time.
 
@@ -105,4 +103,4 @@ def compare(
     >>> comparison.classical.cost <= comparison.constrained.cost
     True
     """
-    return shown_as(Comparison, compare_methods(problem, solve, filters, backend, time_limit, start))
+    return present_as(Comparison, compare_methods(problem, solve, filters, backend, time_limit, start))

@@ -1,4 +1,4 @@
-"""minimum_time() as users call it, and what it returns."""
+"""minimum_time(), the least feasible horizon with its proof."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from functools import partial
 from os import PathLike
 from typing import final
 
-from lin_freq_ocp.api.result import Result, shown_as
+import numpy as np
+
+from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import raise_for, report_progress
 from lin_freq_ocp.base.errors import InfeasibleError
-from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.phrases import html_table, plural, runs_of, term_rows
 from lin_freq_ocp.batch.grid import Source, require_executor
 from lin_freq_ocp.batch.minimum_time import (
     Search,
@@ -35,39 +37,39 @@ MONOTONE = "zeros can be appended to every feasible control, and the trajectory 
 @final
 @dataclass(frozen=True, eq=False)
 class MinimumTime:
-    """The least feasible horizon of a range, and what is proven of the others.
+    """The least feasible horizon of a range, with the infeasibility proofs of shorter ones.
 
     Attributes
     ----------
     horizon : int or None
-        The least horizon that is feasible; None if none is known to be.
+        The least feasible horizon; None if no horizon is known to be feasible.
     result : Result or None
-        The optimum of the problem's cost at that horizon. Without a horizon: what was found at the largest one solved.
+        The optimum of the problem's cost at that horizon. Without a horizon: the result at the largest one solved.
     ray : Multipliers or None
-        The verified ray of infeasibility at one step less; without a horizon, that of the largest one of the range.
-        None if one step less is outside of the range, or there is none. ``proof`` says whether it is a proof: a
-        numerical ray excludes trajectories of practical size alone.
+        The verified ray of infeasibility at one step less; without a horizon, the ray at the largest horizon of the
+        range. None if one step less is outside of the range, or has no ray. A numerical ray rules out trajectories of
+        practical size only; ``proof`` says so.
     monotone : bool
-        Whether feasibility at one horizon is proven to imply it at all longer ones.
+        Whether feasibility at one horizon is proven to imply feasibility at all longer ones.
     reason : str
-        Why it is monotone, or which conditions fail.
+        Why feasibility is monotone, or which conditions for it fail.
     proven : bool
         Whether every shorter horizon of the range is proven infeasible; without a horizon, whether all of them are.
     proof : str
-        What is proven of which horizons.
+        The statement that is proven, in words.
     horizons : (int, int)
         The range.
     verdicts : dict
-        Of each horizon that was solved: "feasible", "infeasible" (by a verified ray) or "undecided".
+        The verdict on each solved horizon: "feasible", "infeasible" (by a verified ray) or "undecided".
     rays : dict
-        The ray of each horizon that is "infeasible", but for those of an earlier run, whose file has no rays.
+        The ray of each "infeasible" horizon. The file of an earlier run has no rays, so its horizons have none here.
     interrupted : bool
-        Whether Ctrl-C ended the search; what was found until then is here.
+        Whether Ctrl-C ended the search; the attributes then hold the state at that time.
 
     Examples
     --------
-    >>> found = lfo.minimum_time(lfo.library.mri_gradient, horizons=(125, 140))
-    >>> found.horizon, found.monotone, found.ray is not None
+    >>> shortest = lfo.minimum_time(lfo.library.mri_gradient, horizons=(125, 140))
+    >>> shortest.horizon, shortest.monotone, shortest.ray is not None
     (132, True, True)
     """
 
@@ -83,16 +85,28 @@ class MinimumTime:
     rays: Mapping[int, Multipliers] = field(repr=False)
     interrupted: bool = False
 
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the facts of the search: a term and its text each."""
         known = "none is known to be feasible" if self.horizon is None else f"{self.horizon} steps"
         kind = "monotone" if self.monotone else "not known to be monotone"
-        lines = [
-            f"least horizon  {known}{' (interrupted)' if self.interrupted else ''}",
-            f"proof          {self.proof}",
-            f"feasibility    {kind}: {self.reason}",
-            f"solved         {plural(len(self.verdicts), 'horizon')} of {self.horizons[0]} to {self.horizons[1]}",
+        return [
+            ("least horizon", known + (" (interrupted)" if self.interrupted else "")),
+            ("proof", self.proof),
+            ("feasibility", f"{kind}: {self.reason}"),
+            ("solved", f"{plural(len(self.verdicts), 'horizon')} of {self.horizons[0]} to {self.horizons[1]}"),
         ]
+
+    def __str__(self) -> str:
+        lines = [f"{term:13}  {text}" for term, text in self.rows]
         return "\n".join([*lines, *([] if self.result is None else [str(self.result)])])
+
+    def __repr__(self) -> str:
+        return f"MinimumTime(horizon={self.horizon}, horizons={self.horizons}, proof={self.proof!r})"
+
+    def _repr_html_(self) -> str:
+        head, *lines = [] if self.result is None else str(self.result).splitlines()
+        return html_table("Minimum time", [*self.rows, *([("problem", head)] if head else []), *term_rows(lines)])
 
 
 def minimum_time(
@@ -107,39 +121,39 @@ def minimum_time(
     executor: Executor | None = None,
     path: str | PathLike[str] | None = None,
 ) -> MinimumTime:
-    """Find the least horizon at which a problem is feasible, its optimum there, and a proof that one step less is not.
+    """Find the least feasible horizon of a problem, its optimum, and a proof that one step less is infeasible.
 
-    Where feasibility is monotone (zeros can be appended to any feasible control; the conditions are checked, and
-    ``reason`` names those that fail), by bisection, else horizon by horizon from below. A horizon counts as infeasible
-    only if the judge has verified a ray; one without an answer is undecided, and is said to be.
+    If feasibility is monotone (zeros can be appended to any feasible control), the search bisects; otherwise it solves
+    horizon by horizon from below. The conditions are checked, and ``reason`` names those that fail. A horizon is
+    infeasible only if the judge has verified a ray, and undecided if there is no answer.
 
     Parameters
     ----------
     problem : OptimalControlProblem or callable
-        A problem whose data do not depend on time, which is stated at other horizons as it is; or a function of
-        ``horizon``, such as ``lfo.library.mri_gradient`` or a ``functools.partial`` of it.
+        A problem whose data do not depend on time and so are the same at every horizon; or a function of ``horizon``,
+        such as ``lfo.library.mri_gradient`` or a ``functools.partial`` of it.
     horizons : (int, int)
         The least and the largest horizon to consider.
     method, backend, time_limit, tolerance
         As for ``solve``, for each horizon.
     throw : bool
-        Whether to raise if no horizon is feasible, or none is known to be.
+        Whether to raise if no horizon is known to be feasible.
     progress : callable, optional
         Called with each solved horizon and its verdict. Default: a line in a notebook.
     executor, path
-        As for ``sweep``: where to solve, several horizons at once; and a file that gets a line for each horizon. It is
-        that of a sweep over the horizon, which ``load_sweep`` reads.
+        As for ``sweep``: where to solve several horizons at once, and a file that gets a line for each horizon.
+        ``load_sweep`` reads the file as a sweep over the horizon.
 
     Returns
     -------
     MinimumTime
-        After Ctrl-C: what is found until then, and ``interrupted``.
+        After Ctrl-C: the state of the search, with ``interrupted`` set.
 
     Raises
     ------
     ProblemError
-        If the range is none, or the problem cannot be stated at another horizon, saying by which field; or as for
-        ``sweep``, of an executor and a path.
+        If the range is invalid, a field of the problem fixes its horizon, or as for ``sweep``, for an executor and a
+        path.
     InfeasibleError
         With ``throw``, if all horizons are proven infeasible; ``.result`` is that of the largest, with its ray.
     LimitError, NumericalError
@@ -155,15 +169,14 @@ def minimum_time(
     Examples
     --------
     >>> mover = lfo.library.double_integrator(cutoff_hz=None)
-    >>> found = lfo.minimum_time(mover, horizons=(100, 300))
-    >>> found.horizon, found.proof
+    >>> shortest = lfo.minimum_time(mover, horizons=(100, 300))
+    >>> shortest.horizon, shortest.proof
     (182, '182 is feasible; 181 is proven infeasible by a ray, and with it all shorter horizons')
     """
     low, high = checked_horizons(horizons)
     require_source(problem)
     require_options(method, backend, time_limit=time_limit, tolerance=tolerance)
-    at = partial(problem_at_horizon, problem)
-    failing = obstacles(at, low, high, same_data=not callable(problem))
+    failing = obstacles(partial(problem_at_horizon, problem), low, high, same_data=not callable(problem))
     monotone = not failing
 
     require_executor(executor, problem, {"method": [method]})
@@ -175,53 +188,50 @@ def minimum_time(
         record = None if path is None else SweepFile(path, head)
         search = search_horizons(low, high, monotone, solve_at, report, executor, record)
     horizon, proven = search.horizon, search.proven
-    outcome, before = (search.last, high) if horizon is None else (search.best, horizon - 1)
-    # A ray at one horizon is a proof for all shorter ones, where feasibility is monotone
+    outcome, last = (search.last, high) if horizon is None else (search.best, horizon - 1)
+    # If feasibility is monotone, a ray at one horizon proves all shorter ones infeasible.
     first = max(proven, default=low - 1) + 1 if monotone else low
-    unproven = [T for T in range(first, before + 1) if T not in proven]
-    found = MinimumTime(
+    unproven = [T for T in range(first, last + 1) if T not in proven]
+    shortest = MinimumTime(
         horizon=horizon,
-        result=None if outcome is None else shown_as(Result, outcome),
-        ray=search.rays.get(before),
+        result=None if outcome is None else present_as(Result, outcome),
+        ray=search.rays.get(last),
         monotone=monotone,
         reason=MONOTONE if monotone else "; ".join(failing),
         proven=not unproven,
-        proof=_proof(search, unproven, monotone),
+        proof=_proof_in_words(search, unproven, monotone),
         horizons=(low, high),
         verdicts={T: str(search.verdicts[T]) for T in sorted(search.verdicts)},
         rays=search.rays,
         interrupted=search.interrupted,
     )
     if throw and horizon is None and not search.interrupted:
-        if found.proven:
-            text = f"No horizon from {low} to {high} is feasible: {found.proof}. "
-            raise InfeasibleError(f"{text}Allow longer ones, or relax a constraint.", found.result)
-        if found.result is not None:
-            raise_for(found.result)
-    return found
+        if shortest.proven:
+            text = f"No horizon from {low} to {high} is feasible: {shortest.proof}. "
+            raise InfeasibleError(f"{text}Allow longer ones, or relax a constraint.", shortest.result)
+        if shortest.result is not None:
+            raise_for(shortest.result)
+    return shortest
 
 
-def _proof(search: Search, unproven: list[int], monotone: bool) -> str:
+def _proof_in_words(search: Search, unproven: list[int], monotone: bool) -> str:
     proven = [T for T in search.proven if search.horizon is None or T < search.horizon]  # an executor solves more
-    found = [] if search.horizon is None else [f"{search.horizon} is feasible"]
+    facts = [] if search.horizon is None else [f"{search.horizon} is feasible"]
     if search.horizon == search.low:
-        found.append("shorter horizons were not asked for")
+        facts.append("shorter horizons are outside of the range")
     elif monotone and proven:
-        found.append(f"{proven[-1]} is proven infeasible by a ray, and with it all shorter horizons")
+        facts.append(f"{proven[-1]} is proven infeasible by a ray, and with it all shorter horizons")
     elif proven:
         each = f"{proven[0]} is" if len(proven) == 1 else f"each of {_ranges(proven)} is"
-        found.append(f"{each} proven infeasible by a ray of its own")
+        facts.append(f"{each} proven infeasible by a ray of its own")
     if search.practical:
-        each = _ranges(search.practical)
-        found.append(f"a numerical ray excludes every trajectory of practical size at {each}")
+        facts.append(f"a numerical ray excludes every trajectory of practical size at {_ranges(search.practical)}")
     if unproven:
-        found.append(f"nothing {'more ' if search.practical else ''}is proven of {_ranges(unproven)}")
-    return "; ".join(found)
+        facts.append(f"nothing {'more ' if search.practical else ''}is proven of {_ranges(unproven)}")
+    return "; ".join(facts)
 
 
 def _ranges(horizons: list[int]) -> str:
     """Return increasing horizons as "3, 5 to 9"."""
-    starts = [i for i, T in enumerate(horizons) if i == 0 or horizons[i - 1] != T - 1]
-    ends = [i - 1 for i in starts[1:]] + [len(horizons) - 1]
-    pairs = ((horizons[i], horizons[j]) for i, j in zip(starts, ends, strict=True))
-    return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in pairs)
+    runs = runs_of(np.array(horizons))
+    return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in runs)

@@ -1,4 +1,4 @@
-"""Receding-horizon control as users call it, and the closed loop that it returns."""
+"""Receding-horizon control: the controller, and the record of its closed loop."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.api.result import Result, shown_as
+from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.base.arrays import Array, known_entries, positive_integer, real_array
 from lin_freq_ocp.base.atomic import write_text
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @final
 class ClosedLoop(LoopRecord):
-    """A control loop that has run, with the fields and arrays of ``LoopRecord``.
+    """The record of a closed loop, with the fields and arrays of ``LoopRecord``.
 
     Methods
     -------
@@ -76,39 +76,40 @@ class ClosedLoop(LoopRecord):
 
 @final
 class RecedingHorizon:
-    """Model predictive control: at every step the problem is solved from the measured state, and its plan begun.
+    """Model predictive control: each step solves the problem from the measured state and applies the first control.
 
-    The state set does not hold at the first state, which is measured. Frequency constraints hold over the horizon of
-    each plan; those of a ``Spectrogram`` hold over samples that were applied or measured before, too, and its windows
-    stand still in time. docs/receding_horizon.md says what follows for the closed loop.
+    The state set does not constrain the measured state. Frequency constraints hold over the horizon of each plan. A
+    ``Spectrogram`` also constrains samples that were applied or measured before, and its windows are fixed in time.
+    docs/receding_horizon.md states the consequences for the closed loop.
 
     Parameters
     ----------
     problem : OptimalControlProblem
-        Its initial state is replaced by the measured one. The past of a spectrogram is that before the first step.
+        The measured state replaces its initial state. The past of a spectrogram is that before the first step.
     method : str or Method
-        As for ``solve``. With "auto" and "spectral" the Fourier-domain method is set up once where it applies.
+        As for ``solve``. With "auto" and "spectral", the Fourier-domain method is set up once if it applies.
     soft : mapping of str to float, optional
-        What gives way at a step without a solution: fields of the problem ("state_set", "terminal_state", "stage_rows",
-        "control_spectrum", "state_spectrum", "output_spectrum") and the penalty of each per unit of excess. Penalties
-        above the multipliers are exact.
+        Constraints to relax at a step without a solution: fields of the problem ("state_set", "terminal_state",
+        "stage_rows", "control_spectrum", "state_spectrum", "output_spectrum"), and the penalty of each per unit of
+        violation. Penalties above the multipliers are exact.
     delay : {0, 1}
-        1: the control of a step acts one step after its measurement. Before the first it is zero.
+        With 1, the control of a step acts one step after its measurement, and zero acts before the first one.
     time_limit : float, optional
-        Seconds for each solve. A step without an answer in this time applies the better of two: the point that it has
-        reached, and the plan of the step before, replayed from the measured state. A feasible one is better than one
-        that is not, then the one of lower cost; of two others the one that violates the constraints less.
+        Seconds for each solve. A step without an answer in this time applies the better of two plans: the best point
+        until then, and the plan of the step before, simulated from the measured state. A feasible plan is better than
+        an infeasible one; of two feasible plans the one with less cost, of two infeasible ones the one with less
+        violation.
     certify : {"each", "later"}
         "later": a step whose problem differs from the last in its initial state alone returns the control of a plan
-        that is not judged yet, some ten times as fast; ``certify()`` judges all of them. What no plan is found for
-        is solved and judged at once.
+        that is not judged yet, some ten times as fast; ``certify()`` judges all of them. A step without such a plan is
+        solved and judged at once.
 
     Raises
     ------
     ProblemError
         If an option does not fit the problem.
     UnsupportedError
-        If the method does not exist, or is not for this problem.
+        If the method does not exist, or does not take this problem.
 
     References
     ----------
@@ -135,13 +136,13 @@ class RecedingHorizon:
 
     @property
     def problem(self) -> OptimalControlProblem:
-        """Return the problem as it was given."""
+        """Return the given problem."""
         return self._controller.problem
 
     @property
     def log(self) -> ClosedLoop:
         """Return the steps until now."""
-        return shown_as(ClosedLoop, self._controller.record)
+        return present_as(ClosedLoop, self._controller.record)
 
     def step(
         self,
@@ -156,27 +157,27 @@ class RecedingHorizon:
         Parameters
         ----------
         state : (n,)
-            Measured; it may lie outside the state set.
+            The measured state, which may lie outside the state set.
         references : mapping, optional
-            Over the coming horizon: "x_ref" and "u_ref", as in QuadraticCost.
+            "x_ref" and "u_ref" over the coming horizon, as in QuadraticCost.
         bounds : mapping, optional
-            Over the coming horizon: "state_set" and "control_set", as in OptimalControlProblem.
+            "state_set" and "control_set" over the coming horizon, as in OptimalControlProblem.
         disturbance : (n,) or (T, n), optional
-            What is expected to be added to the coming states (linear dynamics).
+            The disturbance that is expected to be added to the coming states (linear dynamics).
         applied : (m,), optional
-            What has acted in place of the last control.
+            The control that has acted in place of the last one returned.
 
         Raises
         ------
         ProblemError
-            If a measurement, a reference or a bound does not fit the problem. Nothing is recorded then.
+            If a measurement, a reference or a bound does not fit the problem. The step is then not recorded.
         InfeasibleError, LimitError, NumericalError, UnboundedError
-            If there is neither a plan nor what may take its place (see ``time_limit``); with ``.result``.
+            If there is neither a plan nor a replacement (see ``time_limit``); with ``.result``.
         """
         step, outcome = self._controller.advance(state, Preview(references, bounds, disturbance), applied)
         if step is None:
             assert outcome is not None  # the problem was solved as a whole
-            raise_for(shown_as(Result, outcome))
+            raise_for(present_as(Result, outcome))
             raise AssertionError("an outcome without a plan is an error")
         return step.control
 
@@ -194,25 +195,27 @@ class RecedingHorizon:
         disturbance: ArrayLike | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> ClosedLoop:
-        """Run the loop with a plant, and return it with all steps before.
+        """Run the loop with a plant, and return the record with all earlier steps.
 
         Parameters
         ----------
         initial_state : (n,)
         steps : int
         plant : callable, control.StateSpace, dynamics, or None
-            From x (n,) and u (m,) to the next state; a function of three takes the step first. None is the model.
+            A function from x (n,) and u (m,) to the next state; a function of three arguments takes the step first.
+            None for the model of the problem.
         references : mapping, optional
-            "x_ref" and "u_ref", of steps + T samples or more: each step sees its own horizon of them.
+            "x_ref" and "u_ref", of steps + T samples or more; each step sees those of its horizon.
         disturbance : (steps, n), optional
-            Added to what the plant returns; the controller does not know it.
+            Added to the state that the plant returns; the controller does not know it.
         progress : callable, optional
-            Called with the number of steps done and that of all, at first and after each step.
+            Called with the numbers of finished and of all steps, before the first step and after each.
 
         Returns
         -------
         ClosedLoop
-            After Ctrl-C, or a step without a plan, or a plant that fails: the steps until then, and why it stopped.
+            After Ctrl-C, a step without a plan, or an error of the plant: the steps until then, with the reason in
+            ``stopped``.
 
         Raises
         ------
@@ -224,7 +227,13 @@ class RecedingHorizon:
         noise = np.zeros((count, n)) if disturbance is None else real_array("disturbance", disturbance)
         if noise.shape != (count, n):
             raise ProblemError("disturbance", f"shape {noise.shape}", f"shape {(count, n)}")
-        known = _references(references, count, horizon)
+        tracked = dict[str, Array]()  # with a row for each sample that some step sees
+        for name, value in known_entries("references", references, ("x_ref", "u_ref")).items():
+            rows = real_array(f"references.{name}", value)
+            if rows.ndim != 2 or len(rows) < count + horizon:
+                expected = f"at least {count + horizon} rows, one per sample"
+                raise ProblemError(f"references.{name}", f"shape {rows.shape}", expected)
+            tracked[name] = rows
         x = self._controller.measured("initial_state", initial_state, n)
         stopped, delay = "", self._controller.delay
         acting = np.zeros(self.problem.control_dim)
@@ -232,8 +241,9 @@ class RecedingHorizon:
             for k in range(count):
                 if progress is not None:
                     progress(k, count)
-                seen = {name: rows[k + delay : k + delay + horizon + (name == "x_ref")] for name, rows in known.items()}
-                control = self.step(x, references=seen or None)
+                first = k + delay
+                ahead = {name: rows[first : first + horizon + (name == "x_ref")] for name, rows in tracked.items()}
+                control = self.step(x, references=ahead or None)
                 x = next_state(k, x, acting if delay else control) + noise[k]
                 acting = control
             if progress is not None:
@@ -243,15 +253,3 @@ class RecedingHorizon:
         except LinFreqOCPError as error:
             stopped = str(error)
         return replace(self.log, final_state=x, stopped=stopped)
-
-
-def _references(given: Mapping[str, ArrayLike] | None, steps: int, horizon: int) -> dict[str, Array]:
-    """Return references with a row for each sample that some step sees."""
-    found: dict[str, Array] = {}
-    for name, value in known_entries("references", given, ("x_ref", "u_ref")).items():
-        rows = real_array(f"references.{name}", value)
-        if rows.ndim != 2 or len(rows) < steps + horizon:
-            expected = f"at least {steps + horizon} rows, one per sample"
-            raise ProblemError(f"references.{name}", f"shape {rows.shape}", expected)
-        found[name] = rows
-    return found

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import Field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, final
+from typing import TYPE_CHECKING, TypeVar, final
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.atomic import replacing
 from lin_freq_ocp.base.errors import SolveError
-from lin_freq_ocp.base.phrases import html_table
+from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound
 from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
 from lin_freq_ocp.files.conversions import to_frame, to_time_response
@@ -32,23 +31,22 @@ if TYPE_CHECKING:
     from lin_freq_ocp.proof.proof import Proof
 
 
-class DataclassRecord(Protocol):
-    """A dataclass."""
-
-    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
+Face = TypeVar("Face")
 
 
-Shown = TypeVar("Shown", bound=DataclassRecord)
+def present_as(cls: type[Face], record: object) -> Face:
+    """Return a record as ``cls``, the subclass of its class that adds the methods that users call.
 
-
-def shown_as(cls: type[Shown], record: DataclassRecord) -> Shown:
-    """Return the fields of a record as a subclass with the methods that users call."""
-    return cls(**{field.name: getattr(record, field.name) for field in fields(cls)})
+    The subclass declares no field, so no field is named here; values that the record has cached stay cached.
+    """
+    face = object.__new__(cls)
+    face.__dict__.update(vars(record))
+    return face
 
 
 @final
 class Result(Outcome):
-    """The outcome of a solve, with the fields of ``Outcome``.
+    """The outcome of a solve: the fields of ``Outcome``, and methods to draw, save and prove it.
 
     Methods
     -------
@@ -59,9 +57,9 @@ class Result(Outcome):
     to_csv(path), to_mat(path), to_json(path), to_frame(), to_time_response()
         The trajectory for other tools.
     dump(path)
-        Write the whole run, to be repeated anywhere.
+        Write the problem, the options and the answer to a file that ``lfo.load_run`` reads and solves again.
     write_proof(path)
-        Write a proof of the answer, which is checked without this package.
+        Write a proof of the answer that third parties can check without this package.
 
     Examples
     --------
@@ -72,7 +70,7 @@ class Result(Outcome):
 
     @property
     def sensitivities(self) -> Sensitivities:
-        """Return the derivatives of the optimal cost by bounds, ends, bins and offsets; SolveError if there is none."""
+        """Return the derivatives of the optimal cost by bounds, ends, bins and offsets; SolveError if not solved."""
         if not self.status.solved or self.multipliers is None:
             raise SolveError(f"Only an optimum has sensitivities; this solve ended as '{self.status}'.", self)
         return sensitivities(self.problem, self.multipliers)
@@ -80,14 +78,14 @@ class Result(Outcome):
     @property
     def tree(self) -> ModeTree | None:
         """Return the nodes of a search over modes, with the multipliers that prove its leaves."""
-        found = tree_of(self)
-        return None if found is None else found.tree
+        evidence = tree_of(self)
+        return None if evidence is None else evidence.tree
 
     @property
     def tree_bound(self) -> TreeBound | None:
-        """Return the bound that the judge verified of the tree."""
-        found = tree_of(self)
-        return None if found is None else found.bound
+        """Return the lower bound that the judge computed from the tree."""
+        evidence = tree_of(self)
+        return None if evidence is None else evidence.bound
 
     @property
     def uniqueness(self) -> Uniqueness:
@@ -101,8 +99,7 @@ class Result(Outcome):
 
     def _repr_html_(self) -> str:
         head, *lines = str(self).splitlines()
-        rows = [(term, text.strip()) for term, text in (line.partition(" ")[::2] for line in lines)]
-        return html_table(head, rows)
+        return html_table(head, term_rows(lines))
 
     @property
     def times(self) -> Array:
@@ -110,10 +107,13 @@ class Result(Outcome):
         return self.problem.times
 
     def plot(self) -> Figure:
-        """Return a figure of controls, their spectra, phase portraits and all states over time.
+        """Return a figure of controls, their spectra, phase portraits and states, and of all that is constrained.
 
-        A notebook shows it where it is the last expression. In a script: ``.savefig(path)``, or ``.show()`` for a
-        window.
+        Joint rows such as rates, spectra of states and outputs, residual vibrations and spectra after a zero-order hold
+        have panels of their own, with their limits; levels of a control are dotted lines.
+
+        A notebook shows the figure if it is the last expression of a cell. In a script, call ``.savefig(path)``, or
+        ``.show()`` for a window.
         """
         from lin_freq_ocp.pages.figures.figures import result_figure  # Matplotlib is slow to import
 
@@ -134,7 +134,7 @@ class Result(Outcome):
     def to_frame(self) -> DataFrame:
         """Return the trajectory as a ``pandas.DataFrame``: a row per time, states and controls under their names.
 
-        Its index is the time, in seconds or in steps; controls at T, where there is none, are not a number.
+        Its index is the time, in seconds or in steps. There is no control at time T: its entries are NaN.
 
         Raises
         ------
@@ -146,21 +146,21 @@ class Result(Outcome):
         return to_frame(self.problem, self._require_trajectory())
 
     def to_time_response(self) -> TimeResponseData:
-        """Return the trajectory as a ``control.TimeResponseData``; the states are its outputs, too."""
+        """Return the trajectory as a ``control.TimeResponseData``, whose outputs are the states."""
         return to_time_response(self.problem, self._require_trajectory())
 
     def dump(self, path: str | Path) -> None:
-        """Write problem, options, result and versions to one .zip file; ``lfo.load_run`` reads it."""
+        """Write problem, options, result and versions to one .zip file, which ``lfo.load_run`` reads."""
         from lin_freq_ocp.files.run_file import dump_run  # slow to import
 
         dump_run(path, self.problem, self.options, self)
 
     @property
     def enclosure(self) -> Enclosure:
-        """Return an interval that contains the optimal cost, as the checker of proofs confirms; it is kept.
+        """Return an interval that contains the optimal cost, confirmed by the checker of proofs; computed once.
 
-        The checker sees Hessians that are semidefinite up to rounding as raised ones; what this costs is subtracted
-        from the lower end here (docs/proof.md).
+        A Hessian that is semidefinite only up to rounding is raised before it is checked. The lower end of the interval
+        is lowered by the amount that this adds to the cost (docs/proof.md).
 
         Raises
         ------
@@ -172,32 +172,33 @@ class Result(Outcome):
     def write_proof(self, path: str | Path) -> None:
         """Write a proof of the interval ``enclosure``, or that no trajectory is feasible.
 
-        ``lfo-check FILE`` reads it: one file of Python that imports nothing of this package (docs/proof.md). What is
-        written has been checked, but for horizons above 20000, where a check takes much longer than the solve. Hessians
-        that are semidefinite up to rounding only are stated as raised ones, and the claim allows for it.
+        ``lfo-check FILE`` checks it. The checker is one file of Python that imports nothing of this package
+        (docs/proof.md). The proof is checked before it is written, except for linear problems with horizons above
+        20000, where a check takes much longer than the solve. Hessians that are semidefinite only up to rounding are
+        raised, and the claimed interval allows for it.
 
         Raises
         ------
         MissingExtraError
             If the extra ``proof`` is not installed.
         UnsupportedError
-            If the format does not hold a part of the problem; the message names its field.
+            If the format cannot state a part of the problem; the message names its field.
         SolveError
-            If the solve ended without anything to prove, its multipliers prove nothing, or the certified cost
-            contradicts the proven interval.
+            If the solve ended without an answer, its multipliers prove no bound, or the certified cost lies outside of
+            the proven interval.
         ProblemError
             If the file cannot be written.
         """
-        known = "_proven" in self.__dict__ or self.problem.dynamics.mode_names
-        proof = self._proven[0] if known or self.problem.horizon <= LONGEST_CHECK else self._unchecked_proof()
+        checked = "_proven" in self.__dict__ or self.problem.dynamics.mode_names
+        if checked or self.problem.horizon <= LONGEST_CHECK:
+            proof = self._proven[0]
+        else:
+            require_checker()
+            from lin_freq_ocp.proof.proof import unchecked_proof  # imports an extra
+
+            proof = unchecked_proof(self)
         with replacing(path) as stream:
             stream.writelines(text.encode() for text in proof.lines())
-
-    def _unchecked_proof(self) -> Proof:
-        require_checker()
-        from lin_freq_ocp.proof.proof import unchecked_proof  # imports an extra
-
-        return unchecked_proof(self)
 
     @cached_property
     def _proven(self) -> tuple[Proof, Enclosure]:
@@ -207,7 +208,7 @@ class Result(Outcome):
         return proof_of(self)
 
     def to_json(self, path: str | Path) -> None:
-        """Write the object that ``lin-freq-ocp solve --json`` prints."""
+        """Write the JSON object that ``lin-freq-ocp solve --json`` prints."""
         save_json(path, result_summary(self))
 
     def _require_trajectory(self) -> Trajectory:

@@ -1,4 +1,4 @@
-"""Runs in files, to be repeated anywhere, and a run beside its repetition here."""
+"""Saved runs, and the comparison of a saved run with its repetition."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import final
 
-from lin_freq_ocp.api.result import Result, shown_as
+from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.files.reading import FileTable
 from lin_freq_ocp.files.run_file import RunRecord, describe_error, environment, read_run
@@ -19,12 +19,12 @@ COMPARED = ("status", "cost", "theorem", "method", "backend", "error")
 
 @final
 class SavedRun(RunRecord):
-    """A dumped run, with the fields of ``RunRecord``.
+    """A saved run, with the fields of ``RunRecord``.
 
     Methods
     -------
     solve()
-        Solve it again.
+        Solve the problem again with the same options.
 
     Examples
     --------
@@ -34,12 +34,12 @@ class SavedRun(RunRecord):
     """
 
     def solve(self, throw: bool = False) -> Result:
-        """Solve the same problem with the same options, here and now; ``throw`` as for ``lfo.solve``."""
+        """Solve the problem again with the same options; ``throw`` as for ``lfo.solve``."""
         return solve(self.problem, **self.options, throw=throw)
 
 
 def load_run(path: str | PathLike[str]) -> SavedRun:
-    """Read a run that ``result.dump`` or ``lin-freq-ocp solve --dump`` wrote; nothing in it is executed.
+    """Read a run that ``result.dump`` or ``lin-freq-ocp solve --dump`` wrote; no code in the file is executed.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def load_run(path: str | PathLike[str]) -> SavedRun:
     Raises
     ------
     ProblemError
-        If it is no such file; the field names it, the file within, and the location there.
+        If the file is not a saved run; the message names the file, the entry of the archive and the location in it.
 
     Examples
     --------
@@ -61,17 +61,17 @@ def load_run(path: str | PathLike[str]) -> SavedRun:
     >>> lfo.load_run("run.zip").solve().status
     'optimal'
     """
-    return shown_as(SavedRun, read_run(path))
+    return present_as(SavedRun, read_run(path))
 
 
 @dataclass(frozen=True, eq=False)
 class Rerun:
-    """How a run ended then, and now, each with its environment.
+    """A saved run and its repetition, each with its environment.
 
-    ``then`` and ``now`` have "status", "cost", "gap", "theorem", "method", "backend", "seconds" (in all) and "error".
+    ``then`` and ``now`` have "status", "cost", "gap", "theorem", "method", "backend", "seconds" (the sum) and "error".
     """
 
-    result: Result | None  # of now; None if it ended with the error
+    result: Result | None  # of the repetition; None if that ended with the error
     error: Exception | None
     then: FileTable
     now: FileTable
@@ -82,11 +82,14 @@ class Rerun:
     def differences(self) -> tuple[str, ...]:
         """Return which of status, cost, theorem, method, backend and error differ.
 
-        How far a run came before its limit depends on the machine: costs are not compared where both stopped there.
+        The cost reached at a limit depends on the machine; if both runs stopped at one, their costs are not compared.
         """
         stopped = self.then["status"] == self.now["status"] == "limit"
-        compared = [key for key in COMPARED if not (stopped and key == "cost")]
-        return tuple(key for key in compared if not _same(self.then[key], self.now[key]))
+        then, now = self.then["cost"], self.now["cost"]
+        numbers = isinstance(then, (int, float)) and isinstance(now, (int, float))
+        same_cost = stopped or (numbers and abs(then - now) <= SAME_COST * max(1.0, abs(then)))
+        differing = [key for key in COMPARED if self.then[key] != self.now[key]]
+        return tuple(key for key in differing if not (key == "cost" and same_cost))
 
     @property
     def versions(self) -> dict[str, tuple[str, str]]:
@@ -100,12 +103,12 @@ class Rerun:
         rows += [(key, _value_text(self.then[key]), _value_text(self.now[key])) for key in self.then]
         rows += [(name, *pair) for name, pair in self.versions.items()]
         widths = [max(len(row[i]) for row in rows) for i in (0, 1)]
-        lines = [f"{what:{widths[0]}}  {then:{widths[1]}}  {now}".rstrip() for what, then, now in rows]
+        lines = [f"{name:{widths[0]}}  {then:{widths[1]}}  {now}".rstrip() for name, then, now in rows]
         return "\n".join([*lines, f"differs: {', '.join(self.differences)}" if self.differences else "the same"])
 
 
 def rerun(run: SavedRun) -> Rerun:
-    """Repeat a run, and compare its result or error with those of then."""
+    """Repeat a saved run, and compare its result or error with the saved one."""
     result, error = None, None
     try:
         result = run.solve()
@@ -125,34 +128,28 @@ def rerun_summary(comparison: Rerun) -> FileTable:
 
 
 def outcome_fields(summary: Mapping[str, object] | None, error: Mapping[str, object] | None) -> FileTable:
-    """Return what two runs are compared by, of a summary or error as a file holds them, whoever wrote it."""
-    given = summary or {}
-    seconds = [value for value in _table(given.get("seconds")).values() if isinstance(value, (int, float))]
+    """Return the fields by which two runs are compared; the summary or error may come from anybody's file."""
+    fields = summary or {}
+    seconds = [value for value in _table(fields.get("seconds")).values() if isinstance(value, (int, float))]
     return {
-        "status": given.get("status"),
-        "cost": given.get("cost"),
-        "gap": given.get("gap"),
-        "theorem": _table(given.get("certificate")).get("pmp"),
-        "method": given.get("method"),
-        "backend": given.get("backend"),
+        "status": fields.get("status"),
+        "cost": fields.get("cost"),
+        "gap": fields.get("gap"),
+        "theorem": _table(fields.get("certificate")).get("pmp"),
+        "method": fields.get("method"),
+        "backend": fields.get("backend"),
         "seconds": sum(seconds) if seconds else None,
         "error": None if error is None else f"{error.get('type')}: {error.get('message')}",
     }
 
 
-def _same(then: object, now: object) -> bool:
-    if isinstance(then, (int, float)) and isinstance(now, (int, float)):
-        return abs(then - now) <= SAME_COST * max(1.0, abs(then))
-    return then == now
+def _flat(table: FileTable) -> dict[str, str]:
+    return {key: str(value) for key, value in (table | _table(table.get("packages"))).items() if key != "packages"}
 
 
-def _flat(given: FileTable) -> dict[str, str]:
-    return {key: str(value) for key, value in (given | _table(given.get("packages"))).items() if key != "packages"}
-
-
-def _table(given: object) -> FileTable:
-    """Return a table of a file, empty if the value is no table."""
-    return given if isinstance(given, dict) else {}
+def _table(value: object) -> FileTable:
+    """Return a table of a file, empty if the value is not a table."""
+    return value if isinstance(value, dict) else {}
 
 
 def _value_text(value: object) -> str:

@@ -1,4 +1,4 @@
-"""solve() as users call it: an answer with its certificate, an error where there is none, and a line of progress."""
+"""solve(): an answer with its certificate or an error, and the line of progress in a notebook."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from importlib import import_module
 from multiprocessing import parent_process
 from typing import Never, ParamSpec, Protocol
 
-from lin_freq_ocp.api.result import Result, shown_as
+from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import (
     InfeasibleError,
@@ -31,14 +31,14 @@ from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 
-FIRST_SECONDS, BETWEEN_SECONDS = 0.5, 0.2  # before the line is shown, and from one change to the next
+FIRST_SECONDS, BETWEEN_SECONDS = 0.5, 0.2  # before the line appears, and between its changes
 
-Given = ParamSpec("Given")
+Reported = ParamSpec("Reported")
 Bundle = dict[str, str]  # the same content in several media types
 
 EXPLAIN_SECONDS = 5.0  # of processor time for the explanation of an infeasible problem
 
-# The errors of statuses that are no answer.
+# The errors of statuses without an answer.
 ERRORS: dict[Status, type[SolveError]] = {
     Status.INFEASIBLE: InfeasibleError,
     Status.INFEASIBLE_CLAIMED: InfeasibleError,
@@ -63,45 +63,45 @@ def solve(
     global_bound: bool | None = None,
     **unknown: Never,
 ) -> Result:
-    """Solve a problem, and judge the answer.
+    """Solve a problem, and certify the answer.
 
     Parameters
     ----------
     problem : OptimalControlProblem
     method : str or Method
         An object with its options: ``Spectral``, ``Structured``, ``Convex`` (linear dynamics); ``BranchAndBound``,
-        ``Enumeration``, ``MixedInteger`` (piecewise-affine); ``Nonsmooth`` (piecewise-smooth). Or its shorthand,
+        ``Enumeration``, ``MixedInteger`` (piecewise affine); ``Nonsmooth`` (piecewise smooth). Or its shorthand,
         "spectral", "structured", "convex", "branch_and_bound", "enumerate", "miqp" or "nonsmooth", whose options are
-        the keywords below. "auto": linear dynamics, spectral where it applies and its answer is proven, else structured
-        for large problems and convex for small ones (``result.reason`` says why); piecewise-affine, branch and bound;
-        piecewise-smooth, nonsmooth with a global bound (up to three states), on which it spends 10 s or what the time
-        limit leaves; one smooth map is solved by Newton's method from a few starts, without a search.
+        the keywords below. "auto" chooses by the dynamics. Linear: spectral if it applies and its answer is proven,
+        otherwise structured for large problems and convex for small ones (``result.reason`` says why). Piecewise
+        affine: branch and bound. Piecewise smooth: nonsmooth with a global bound (up to three states), for which it
+        uses 10 s or the rest of the time limit. A single smooth map: Newton's method from a few starts, without search.
     backend : str
-        Of "convex" (and "auto" with linear dynamics, which then is "convex"): "auto" (Clarabel), "clarabel", "osqp" or
-        "qpsolvers:NAME". Of "miqp": "auto" (SCIP), "scip" or "daqp".
+        For "convex": "auto" (Clarabel), "clarabel", "osqp" or "qpsolvers:NAME"; with linear dynamics, a backend makes
+        "auto" mean "convex". For "miqp": "auto" (SCIP), "scip" or "daqp".
     time_limit : float, optional
-        Seconds, set-up included, without the judge's certificate. A step that is estimated to take longer is not begun.
+        Seconds for set-up and solve, without the certificate. A step that is estimated to take longer is not begun.
     tolerance : float, optional
-        Linear dynamics: relative residuals asked of the solver; above 1e-6 the judge allows as much, up to 1e-2. Over
-        modes: the same as ``gap``.
+        Linear dynamics: relative residuals for the solver. Above 1e-6, up to 1e-2, the judge allows the same. Piecewise
+        dynamics: the same as ``gap``.
     throw : bool
         Whether to raise if the status is neither "optimal" nor "locally_optimal"; the error holds the result.
     node_limit : int, optional
-        Over affine modes: relaxations to solve at most.
+        Piecewise-affine dynamics: the largest number of relaxations to solve.
     progress : callable, optional
-        Over affine modes: called with a ``SearchProgress`` (cost, lower_bound, nodes, open, seconds) at every node.
-        Over smooth pieces: with a ``SmoothProgress`` (cost, lower_bound, tried, level, share) at every start of a local
-        search and every step of the bound. Default: a line in a notebook.
+        Piecewise-affine dynamics: called with a ``SearchProgress`` (cost, lower_bound, nodes, open, seconds) at every
+        node. Piecewise-smooth dynamics: called with a ``SmoothProgress`` (cost, lower_bound, tried, level, share) at
+        every start of a local search and every step of the bound. Default: a line in a notebook.
     executor : concurrent.futures.Executor, optional
-        Branch and bound: searches sub-trees with its workers. The answer does not depend on how many there are.
+        Branch and bound: workers that search subtrees. The answer does not depend on their number.
     start : Trajectory, (T, m) or (T,) integers, optional
-        Of piecewise-affine and piecewise-smooth dynamics: a trajectory (or a result), controls to be replayed from the
-        initial state, or the mode at every time. Branch and bound begins with the best trajectory of these modes, the
-        local search with this one: their answer is not worse.
+        Piecewise dynamics: a trajectory (or a result), controls to simulate from the initial state, or the mode at
+        every time. Branch and bound starts with the best trajectory of these modes, the local search with this
+        trajectory; their answer is not worse.
     gap : float, optional
-        Over modes: relative gap (J - D)/S to prove, 1e-6 by default; 1e-4 over smooth pieces.
+        Relative gap (J - D)/S to prove: 1e-6 by default for piecewise-affine dynamics, 1e-4 for piecewise-smooth ones.
     global_bound : bool, optional
-        Over smooth pieces: whether to bound the cost of all trajectories; False gives a local answer at once.
+        Piecewise-smooth dynamics: whether to bound the cost of all trajectories. False returns a local answer at once.
 
     Returns
     -------
@@ -112,8 +112,8 @@ def solve(
     InfeasibleError, UnboundedError, LimitError, NumericalError
         With ``throw``; a subclass of SolveError, with ``.result``.
     UnsupportedError
-        If the method or backend does not exist or cannot take this problem, or does not know an option, or the problem
-        does not fit into memory.
+        If the method or backend does not exist, does not take this problem or one of the options, or the problem does
+        not fit into memory.
     MissingExtraError
         If the package of the backend is not installed.
     ProblemError
@@ -122,7 +122,7 @@ def solve(
     References
     ----------
     Kotpalliwar, Paruchuri, Chatterjee and Banavar, "Discrete time optimal control with frequency constraints for
-    non-smooth systems", 2019: Theorem 4.1 and its corollaries, by which an answer is judged.
+    non-smooth systems", 2019: Theorem 4.1 and its corollaries, which the certificate checks.
 
     Examples
     --------
@@ -144,56 +144,51 @@ def solve(
 
 
 def result_of(outcome: Outcome, throw: bool, seconds_left: float | None = None) -> Result:
-    """Return an outcome as a result; with ``throw``, raise the error of a status that is no answer, and explain it."""
-    result = shown_as(Result, outcome)
-    if throw and result.status == Status.INFEASIBLE:
-        result = with_explanation(result, seconds_left)
+    """Return an outcome as a result; with ``throw``, raise the error of a status without an answer, explained."""
+    result = present_as(Result, outcome)
     if throw:
-        raise_for(result)
+        raise_for(with_explanation(result, seconds_left) if result.status == Status.INFEASIBLE else result)
     return result
 
 
 def raise_for(result: Result) -> None:
     """Raise the error of a result whose status is neither "optimal" nor "locally_optimal"."""
-    if result.status in ERRORS:
-        raise ERRORS[result.status](_complaint(result), result)
-
-
-def _complaint(result: Result) -> str:
     name = result.problem.name or "the problem"
+    if result.status not in ERRORS:
+        return
     if result.status == Status.INFEASIBLE:
-        if result.conflict is None:
-            return f"No trajectory of {name} satisfies all constraints ({result.message})."
-        blocks = "; ".join(map(str, result.conflict))
-        cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
-        return f"No trajectory of {name} satisfies all constraints ({result.message}). In conflict: {blocks}. " + (
-            f"Least change that helps: {cures}." if cures else "Relax one of these."
-        )
-    if result.status == Status.INFEASIBLE_CLAIMED:
-        return (
-            f"{name}: {result.solver} says that no trajectory satisfies all constraints, which is not proven "
+        message = f"No trajectory of {name} satisfies all constraints ({result.message})."
+        if result.conflict is not None:
+            cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
+            advice = f"Least change that helps: {cures}." if cures else "Relax one of these."
+            message += f" In conflict: {'; '.join(map(str, result.conflict))}. {advice}"
+    elif result.status == Status.INFEASIBLE_CLAIMED:
+        message = (
+            f"{name}: {result.solver} claims that no trajectory satisfies all constraints, which is not proven "
             f"({result.message}). Try another backend or method, or rescale the data."
         )
-    if result.status == Status.UNBOUNDED:
-        return f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
-    if result.status == Status.LIMIT:
+    elif result.status == Status.UNBOUNDED:
+        message = f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
+    elif result.status == Status.LIMIT:
         figures = {"cost": result.cost, "lower bound": result.lower_bound, "gap": result.gap}
-        texts = [f"{what} {'unknown' if value is None else format(value, '.6g')}" for what, value in figures.items()]
+        texts = [f"{term} {'unknown' if value is None else format(value, '.6g')}" for term, value in figures.items()]
         best = f"the best point is in .result: {', '.join(texts)}"
         if result.trajectory is None:
             bound = "" if result.lower_bound is None else f", lower bound {result.lower_bound:.6g}"
             best = f"no point was found{bound}"
-        return f"{name}: stopped before the answer was accurate ({result.message}); {best}."
-    return (
-        f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large to call it a "
-        "solution; what it found is in .result. Try another backend or method."
-    )
+        message = f"{name}: stopped before the answer was accurate ({result.message}); {best}."
+    else:
+        message = (
+            f"{name}: {result.solver} ended with '{result.message}', and its residuals are too large for a solution; "
+            "its last point is in .result. Try another backend or method."
+        )
+    raise ERRORS[result.status](message, result)
 
 
 def with_explanation(
     result: Result, seconds_left: float | None = None, processor_time: float | None = EXPLAIN_SECONDS
 ) -> Result:
-    """Return an infeasible result with its explanation, if it is found in these limits; None for no limit."""
+    """Return an infeasible result with its explanation, if one is found within these limits; None for no limit."""
     from lin_freq_ocp.explanation.explanation import explain  # few problems are infeasible
 
     if seconds_left is not None and seconds_left <= 0:
@@ -206,15 +201,15 @@ def with_explanation(
 
 @contextmanager
 def report_progress(
-    given: Callable[Given, None] | None, words: Callable[Given, str]
-) -> Generator[Callable[Given, None] | None]:
-    """Yield a given report of progress; without one, in a notebook, what shows its words, else None."""
-    if given is not None or not in_notebook():
-        yield given
+    progress: Callable[Reported, None] | None, words: Callable[Reported, str]
+) -> Generator[Callable[Reported, None] | None]:
+    """Yield the given function that reports progress; without one, in a notebook, a function that shows its words."""
+    if progress is not None or not in_notebook():
+        yield progress
         return
     line = ProgressLine()
 
-    def report(*args: Given.args, **kwargs: Given.kwargs) -> None:
+    def report(*args: Reported.args, **kwargs: Reported.kwargs) -> None:
         line.show(words(*args, **kwargs))
 
     try:
@@ -224,20 +219,20 @@ def report_progress(
 
 
 class Handle(Protocol):
-    """What changes a displayed line."""
+    """The handle of a displayed line."""
 
     def update(self, bundle: Bundle, *, raw: bool) -> object:
-        """Show something else in its place."""
+        """Replace the displayed line."""
 
 
 class ProgressLine:
-    """A line below the cell that runs: quick calls never show it, and it is emptied in the end."""
+    """A line below the running cell: quick calls never show it, and it is emptied at the end."""
 
     def __init__(self):
         self._next, self._handle = now() + FIRST_SECONDS, None
 
     def show(self, text: str) -> None:
-        """Show a text, unless the last was shown just now."""
+        """Show a text, unless the last one has just appeared."""
         if now() < self._next:
             return
         self._next = now() + BETWEEN_SECONDS
@@ -248,17 +243,17 @@ class ProgressLine:
             self._handle.update(bundle, raw=True)
 
     def clear(self) -> None:
-        """Leave nothing of it."""
+        """Empty the line."""
         if self._handle is not None:
             self._handle.update({}, raw=True)
 
 
 def in_notebook() -> bool:
-    """Whether a Jupyter kernel runs this: IPython in a terminal has none, and a worker of a pool is not the kernel."""
+    """Whether a Jupyter kernel runs this code: IPython in a terminal has none, and a worker of a pool is not one."""
     ipython = sys.modules.get("IPython")
     return ipython is not None and hasattr(ipython.get_ipython(), "kernel") and parent_process() is None
 
 
 def count_text(done: int, count: int) -> str:
-    """Return how many are solved of how many."""
+    """Return "3 of 10 solved"."""
     return f"{done} of {count} solved"

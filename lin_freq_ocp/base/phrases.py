@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from math import isfinite
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import NO_BOUND, Array, Indices
+from lin_freq_ocp.base.arrays import NO_BOUND, Array, ComplexArray, Indices
 
 NAME_WITH_UNIT = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 SMALL, LARGE = 1e-3, 1e6  # numbers outside this range are written with a power of ten
@@ -172,6 +172,25 @@ def _from_to(values: Array) -> str:
 def price(penalty: float | None, of: str = "excess") -> str:
     """Return the price of leaving a soft constraint, to stand behind it; nothing for a hard one."""
     return "" if penalty is None else f"; soft, {number(penalty)} per unit of {of}"
+
+
+def shape_and_range(values: Array | ComplexArray) -> str:
+    """Return "(201, 2) from -1 to 0.5"; of complex numbers, the range of magnitudes; NaN and infinity are left out."""
+    real = np.abs(values) if np.iscomplexobj(values) else np.real(values)
+    finite = real[np.isfinite(real)]
+    extremes = span(finite) if finite.size else ", no finite entry" if values.size else ""
+    return f"{values.shape}{' magnitudes' if np.iscomplexobj(values) else ''}{extremes}"
+
+
+def settings(parameters: Mapping[str, object]) -> str:
+    """Return "horizon = 60, cutoff_hz = none"."""
+    texts = {key: "none" if value is None else value for key, value in parameters.items()}
+    return ", ".join(f"{key} = {number(text) if isinstance(text, float) else text}" for key, text in texts.items())
+
+
+def term_rows(lines: Iterable[str]) -> list[tuple[str, str]]:
+    """Return lines of a term and its text as pairs."""
+    return [(term, text.strip()) for term, _, text in (line.partition(" ") for line in lines)]
 
 
 MOST_TABLE_ROWS = 24  # a table says how many more there are

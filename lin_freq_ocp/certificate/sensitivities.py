@@ -9,6 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.phrases import html_table, shape_and_range
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.trajectory import Multipliers
@@ -57,6 +58,24 @@ class Sensitivities:
     offset: Array
     control_bins: ComplexArray
     state_bins: ComplexArray
+
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the shape and the extremes of every array under its name."""
+        arrays = dict[str, Array | ComplexArray]()
+        for name, value in vars(self).items():
+            arrays |= (
+                {f"{name}: {key}": entry for key, entry in value.items()}
+                if isinstance(value, Mapping)
+                else {name: value}
+            )
+        return [(name, shape_and_range(values)) for name, values in arrays.items()]
+
+    def __repr__(self) -> str:
+        return f"Sensitivities({', '.join(f'{name} {text}' for name, text in self.rows)})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Derivatives of the optimal cost", self.rows)
 
 
 def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> Sensitivities:

@@ -10,7 +10,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import html_table
+from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
@@ -230,8 +230,7 @@ class Certificate:
         return f"Certificate({verdict}, theorem {self.pmp}, {self.figures})"
 
     def _repr_html_(self) -> str:
-        lines = [line.partition(" ")[::2] for line in str(self).splitlines()]
-        rows = [(term, text.strip()) for term, text in lines]
+        rows = term_rows(str(self).splitlines())
         rows += [(failed.label, f"fails: {failed.name}, {failed.relative:.1e} relative") for failed in self.failed]
         return html_table("Certificate", rows)
 

@@ -1,17 +1,19 @@
-"""The command line: lin-freq-ocp list, show, solve, compare, sweep, minimum-time, explore, certify, rerun, init.
+"""The command line: lin-freq-ocp and its commands.
 
-Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
-unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input, or a file that cannot be written; 3 a point
-without such a proof, or too little memory; 70 a fault of this program; 130 interrupted.
+Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 infeasible or unbounded, with the
+reason (0 for a sweep, in which both are answers); 2 bad input, or a file that cannot be written; 3 a point without such
+a proof, or too little memory; 70 a fault of this program; 130 interrupted.
 """
 
 from __future__ import annotations
 
+import ast
 import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from io import TextIOWrapper
+from pathlib import Path
 
 import click
 
@@ -32,25 +34,37 @@ COMMANDS = {
     "certify": "solve",
     "rerun": "solve",
     "init": "show",
+    "schema": "show",
 }
+FUNCTION = "{}_command"  # of a command in its module
 
 
 class Commands(click.Group):
-    """Commands that are imported when they are called; Ctrl-C ends them silently."""
+    """Commands that are imported when they are called; Ctrl-C ends them without a message."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command; Ctrl-C meanwhile ends the process."""
+        """Import a command; Ctrl-C during the import ends the process."""
         if cmd_name not in COMMANDS:
             return None
         leave_silently()
         module = import_module(f"lin_freq_ocp.cli.{COMMANDS[cmd_name]}")
         let_commands_decide()
-        command: click.Command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
+        command: click.Command = getattr(module, FUNCTION.format(cmd_name.replace("-", "_")))
         return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the first line of each command's docstring, read from the source: importing all takes a second."""
+        lines = dict[str, str]()
+        for module in set(COMMANDS.values()):
+            for node in ast.parse(Path(__file__).with_name(f"{module}.py").read_bytes()).body:
+                if isinstance(node, ast.FunctionDef):
+                    lines[node.name] = (ast.get_docstring(node) or "").partition("\n")[0]
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, lines[FUNCTION.format(name.replace("-", "_"))]) for name in COMMANDS])
 
     def invoke(self, ctx: click.Context) -> object:
         """Run a command."""
@@ -71,22 +85,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     warnings.showwarning = _show_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that lacks a character shows another
+            stream.reconfigure(errors="replace")  # a terminal that lacks a character shows a question mark
     silent = False
     try:
         silent = let_commands_decide()
-        status = _status(arguments)
+        status = _run_command(arguments)
     except KeyboardInterrupt:  # before the command began, or after it ended
         status = INTERRUPTED
     if silent:
         leave_silently()
-    # Python ends by the signal, not with our status, where Ctrl-C met code that was run from a text, as dataclasses run
-    # theirs, even if KeyboardInterrupt was caught since. To run another text makes it forget that.
+    # If Ctrl-C interrupts code that exec() runs, such as that of dataclasses, Python later ends by the signal, not with
+    # our status, even if KeyboardInterrupt was caught. Another call of exec() prevents that.
     exec("")
     sys.exit(status)
 
 
-def _status(arguments: Sequence[str] | None) -> int:
+def _run_command(arguments: Sequence[str] | None) -> int:
     console.fit_console()
     try:
         return cli.main(None if arguments is None else list(arguments), "lin-freq-ocp", standalone_mode=False) or 0
@@ -104,6 +118,6 @@ def _status(arguments: Sequence[str] | None) -> int:
         return console.error_status(error)
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *where: object, **more: object) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     kind = "" if issubclass(category, (BandWarning, ClosedLoopWarning)) else f" ({category.__name__})"
     console.err.print(f"warning: {message}{kind}", markup=False, highlight=False, soft_wrap=True)

@@ -1,7 +1,6 @@
 """Consoles, exit statuses, printed text and tables, and the arguments and options that several commands have.
 
-A table that does not fit a narrow terminal loses columns, or becomes several tables, and lines are broken between words
-only.
+A table that is too wide for the terminal loses columns or is split into several tables. Lines are broken between words.
 """
 
 from __future__ import annotations
@@ -34,20 +33,20 @@ if TYPE_CHECKING:
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 Command = TypeVar("Command", bound=Callable[..., object])
-LONGEST_WORD = 16  # longer words may be broken: names of files, for instance
-ROOMY = 60  # columns from which on a term stands beside its text, and not above it
-FIRST = 16  # least width of the first column, which says what a row is, where a table is shown in several
+LONGEST_WORD = 16  # longer words, such as names of files, may be broken
+ROOMY = 60  # columns: in a narrower terminal a term is above its text, not next to it
+FIRST = 16  # least width of the first column, which names the row, in a table split into several
 BETWEEN, INDENT = 1, 2  # blank columns between the columns of a narrow table, and before a text below its term
 
 PROVEN, NO_SOLUTION, BAD_INPUT, NOT_PROVEN, FAULT = 0, 1, 2, 3, 70
-PAGE = ConsoleDimensions(width=200, height=100)  # of a file or a pipe, where no table needs to be cut off
+PAGE = ConsoleDimensions(width=200, height=100)  # of a file or a pipe: wide enough for every table
 
 
 class PatientConsole(Console):
-    """A console whose reader may close the pipe early, as ``head`` does: the rest is dropped, the status is kept."""
+    """A console whose reader may close the pipe early, as ``head`` does; this does not change the exit status."""
 
     def on_broken_pipe(self) -> None:
-        """Drop the rest."""
+        """Discard further output."""
         self.quiet = True
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -56,7 +55,7 @@ out, err = PatientConsole(), Console(stderr=True)
 
 
 def write_files(status: int, *writes: Callable[[], object]) -> int:
-    """Write files after the answer is printed; a failure is reported, and the status is that of bad input."""
+    """Write files after the answer is printed; report a failure, with the exit status of bad input."""
     for write in writes:
         try:
             write()
@@ -76,7 +75,7 @@ def error_status(error: BaseException) -> int:
     if isinstance(error, click.Abort):
         return INTERRUPTED
     cause: BaseException | None = error
-    while cause is not None:  # compiled code turns Ctrl-C into errors of its own
+    while cause is not None:  # compiled code turns Ctrl-C into other errors
         if isinstance(cause, KeyboardInterrupt):
             return INTERRUPTED
         cause = cause.__cause__ or cause.__context__
@@ -86,17 +85,17 @@ def error_status(error: BaseException) -> int:
 
 
 def error_message(error: Exception) -> str:
-    """Return the message of an error; an unexpected error is a fault of this program, with a request to report it."""
+    """Return the message of an error; that of a fault of this program asks for a report."""
     if isinstance(error, MemoryError):
         return f"not enough memory for a problem of this size ({error})."
     if error_status(error) != FAULT:
         return str(error)
     from lin_freq_ocp.files.run_file import describe_error
 
-    what = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
-    location = next(iter(describe_error(error)["places"][::-1]), "no place")
+    cause = "nested too deeply for Python" if isinstance(error, RecursionError) else first_line(error)
+    location = next(iter(describe_error(error)["places"][::-1]), "an unknown place")
     return (
-        f"a fault of lin-freq-ocp, not of what it was given: {what} (at {location}). "
+        f"a fault of lin-freq-ocp, not of its input: {cause} (at {location}). "
         "Please report it, with the file that 'lin-freq-ocp solve ... --dump FILE.zip' writes."
     )
 
@@ -107,7 +106,7 @@ def exit_status(result: Result) -> int:
         return INTERRUPTED
     if result.status in (Status.INFEASIBLE, Status.UNBOUNDED):
         return NO_SOLUTION
-    if result.tree is not None:  # with modes, an extremal need not be optimal: the gap counts
+    if result.tree is not None:  # with modes, an extremal need not be optimal: only the gap proves optimality
         return PROVEN if result.status == Status.OPTIMAL else NOT_PROVEN
     return NOT_PROVEN if result.certificate is None else certificate_status(result.certificate)
 
@@ -119,7 +118,7 @@ def certificate_status(certificate: Certificate) -> int:
 
 
 def say(text: str) -> None:
-    """Print a line on stdout; where the reader has closed the pipe, drop it: click would exit with the status 1."""
+    """Print a line on stdout; discard it if the reader has closed the pipe, for which click would exit with 1."""
     try:
         click.echo(text)
     except BrokenPipeError:
@@ -127,7 +126,7 @@ def say(text: str) -> None:
 
 
 def print_lines(text: str) -> None:
-    """Print lines on stdout, broken on a terminal only."""
+    """Print lines on stdout; only a terminal breaks long ones."""
     out.print(text, markup=False, highlight=False, soft_wrap=not out.is_terminal)
 
 
@@ -139,12 +138,12 @@ def print_json(summary: Mapping[str, object]) -> None:
 
 
 def print_table(table: Table, spare: Sequence[str] = ()) -> None:
-    """Print a table on stdout; where it is too wide, ``spare`` columns are dropped first."""
+    """Print a table on stdout; if it is too wide, the ``spare`` columns are dropped first."""
     out.print(fit_table(table, out.width, spare))
 
 
 def print_conflict(result: Result) -> None:
-    """Print the constraints in conflict, and the changes that would help."""
+    """Print the constraints in conflict, and the smallest relaxations that restore feasibility."""
     for part in result.conflict or ():
         print_lines(f"conflict  {part}")
     if result.explanation is not None:
@@ -159,23 +158,23 @@ def print_certificate(problem: OptimalControlProblem, certificate: Certificate |
         print_table(certificate_table(problem, certificate), ("scale", "tolerance", "residual", "worst at"))
 
 
-def progress(what: str) -> AbstractContextManager[object]:
-    """Show the current work, on a terminal."""
-    return err.status(escape(what)) if err.is_terminal else nullcontext()
+def progress(activity: str) -> AbstractContextManager[object]:
+    """Show the current activity on a terminal."""
+    return err.status(escape(activity)) if err.is_terminal else nullcontext()
 
 
 @contextmanager
-def search_progress(what: str) -> Generator[Callable[[object], None] | None]:
-    """Show the current work, on a terminal, and yield a function that shows the progress of a search."""
+def search_progress(activity: str) -> Generator[Callable[[object], None] | None]:
+    """Show the current activity on a terminal, and yield a function that shows the progress of a search."""
     if not err.is_terminal:
         yield None
         return
-    with err.status(escape(what)) as status:
-        yield lambda reached: status.update(escape(f"{what}: {reached}"))
+    with err.status(escape(activity)) as status:
+        yield lambda state: status.update(escape(f"{activity}: {state}"))
 
 
 def fit_console() -> None:
-    """Take the width from COLUMNS; without it, a file or a pipe has room for whole tables."""
+    """Set the width: from COLUMNS; otherwise a file or a pipe has room for whole tables."""
     columns = os.environ.get("COLUMNS", "")
     if columns.isdigit() and int(columns):
         out.width = int(columns)
@@ -204,25 +203,25 @@ settings_option = click.option(
 backend_option = click.option(
     "--backend", default="auto", show_default=True, help="clarabel, osqp, qpsolvers:NAME; scip, daqp."
 )
-METHOD_HELP = "auto; spectral, structured or convex; for modes branch_and_bound, enumerate or miqp; smooth: nonsmooth."
+METHOD_HELP = "auto; spectral, structured, convex; with modes branch_and_bound, enumerate, miqp; smooth: nonsmooth."
 method_option = click.option("--method", default="auto", show_default=True, help=METHOD_HELP)
-tolerance_option = click.option("--tolerance", type=float, help="Relative residuals, or over modes the gap to prove.")
+tolerance_option = click.option("--tolerance", type=float, help="Relative residuals; with modes, the gap to prove.")
 time_limit_option = click.option("--time-limit", type=float, help="Seconds for the solver.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
 
 
 def solve_options(command: Command) -> Command:
-    """Add the options of solve that every method knows, with the settings of the problem."""
+    """Add the options of solve that every method takes, and the settings of the problem."""
     for option in (tolerance_option, time_limit_option, backend_option, method_option, settings_option):
         command = option(command)
     return command
 
 
 def fit_table(table: Table, width: int, spare: Sequence[str] = ()) -> RenderableType:
-    """Return a table of texts in at most ``width`` columns; columns justified to the right are not wrapped.
+    """Return a table of texts in at most ``width`` columns; right-justified columns are not wrapped.
 
-    Columns with the ``spare`` headings are left out, the first one first. If that is not enough, the others are shown
-    in several tables, each with the first column.
+    Columns with ``spare`` headings are omitted, in this order. If that is not enough, the remaining columns are split
+    into several tables, each with the first column.
     """
     widths = [_measure_column(column) for column in table.columns]
     if sum(column.maximum for column in widths) + 3 * len(widths) + 1 <= width:
@@ -237,7 +236,7 @@ def fit_table(table: Table, width: int, spare: Sequence[str] = ()) -> Renderable
     if _least_width(widths, shown) > width:
         widths[0] = widths[0].with_minimum(min(widths[0].maximum, FIRST))
     first, *others = shown
-    chunks = [[first]]  # the columns of each table: the first, and as many others as there is room for, at least one
+    chunks = [[first]]  # the columns of each table: the first, and as many others as fit, at least one
     for i in others:
         if len(chunks[-1]) > 1 and _least_width(widths, [*chunks[-1], i]) > width:
             chunks.append([first])
@@ -253,9 +252,9 @@ def fit_table(table: Table, width: int, spare: Sequence[str] = ()) -> Renderable
 
 
 def _measure_column(column: Column) -> Measurement:
-    """Return the least width of a column, of its longest word or all of a number, and that without a line break.
+    """Return the least width of a column, given by its longest word or number, and its width without line breaks.
 
-    A heading may be broken between words in any column.
+    Headings may be broken between words.
     """
     cells, heading = [_plain(cell) for cell in column.cells], _plain(column.header)
     natural = max((cell_len(cell) for cell in [heading, *cells]), default=0)
@@ -275,7 +274,7 @@ def _least_width(widths: Sequence[Measurement], columns: Sequence[int]) -> int:
 
 
 def _columns_table(table: Table, columns: Sequence[int], widths: Sequence[Measurement], width: int) -> Table:
-    """Return some columns of a table, without lines between them, each as wide as it can be."""
+    """Return some columns of a table, without lines between them; they share the remaining width."""
     headers = [table.columns[i].copy() for i in columns]
     room, wanted = max(width - _least_width(widths, columns), 0), sum(widths[i].span for i in columns)
     for i, column in zip(columns, headers, strict=True):
@@ -284,13 +283,13 @@ def _columns_table(table: Table, columns: Sequence[int], widths: Sequence[Measur
     part = Table(*headers, title=table.title, caption=table.caption, box=box.SIMPLE_HEAD, padding=0)
     part.pad_edge, part.show_edge, part.collapse_padding = False, False, False
     cells = [list(table.columns[i].cells) for i in columns]
-    for row, here in zip(table.rows, zip(*cells, strict=True), strict=True):
-        part.add_row(*here, style=row.style, end_section=row.end_section)
+    for row, row_cells in zip(table.rows, zip(*cells, strict=True), strict=True):
+        part.add_row(*row_cells, style=row.style, end_section=row.end_section)
     return part
 
 
 def print_terms(rows: Iterable[tuple[str, str]]) -> None:
-    """Print terms on stdout with their texts beside them, or below them where there is not the room."""
+    """Print terms on stdout with their texts next to them, or below them on a narrow terminal."""
     if out.width >= ROOMY:
         grid = Table.grid(padding=(0, 2))
         grid.add_column(no_wrap=True)

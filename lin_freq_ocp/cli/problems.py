@@ -22,32 +22,39 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
     """Return the library problem of that name, or the problem in that file, with the settings applied."""
-    given = parsed_settings(settings)
-    if is_file(problem):
-        return ProblemFile.read(problem, given).problem
+    source = read_source(problem, settings)
+    if isinstance(source, ProblemFile):
+        return source.problem
     try:
-        return builder(problem, given)()
+        return source()
     except ProblemError:
         raise
     except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:  # parameters of a wrong type
-        raise ProblemError("--set", brief(given), f"parameters that {problem} can use", f"({error})") from None
+        values = brief(source.keywords)
+        raise ProblemError("--set", values, f"parameters that {problem} can use", f"({error})") from None
+
+
+def read_source(problem: str, settings: Sequence[str]) -> ProblemFile | partial[OptimalControlProblem]:
+    """Return a problem as a function of its parameters, with the settings applied."""
+    values = parse_settings(settings)
+    return ProblemFile.read(problem, values) if is_file(problem) else builder(problem, values)
 
 
 @dataclass(frozen=True)
 class ProblemFile:
     """A problem file as a function of its keys; keys within tables are written with dots, ``control_set.upper``.
 
-    ``cutoff`` (rad/sample) and ``cutoff_hz`` are a low pass of all controls in place of the file's
-    ``control_spectrum``, and keys such as ``rows.0`` are numbers of its limits, as in ``lfo.sweep`` of a problem.
+    ``cutoff`` (rad/sample) and ``cutoff_hz`` put a low pass of all controls in place of the file's
+    ``control_spectrum``. Keys such as ``rows.0`` set a number of its limits, as in ``lfo.sweep``.
     """
 
-    path: Path = field(compare=False)  # read anew for every point; not compared when a sweep is resumed
-    settings: FileTable  # take precedence over the file
-    problem: OptimalControlProblem  # read first, so that an invalid file is no sweep of errors
+    path: Path = field(compare=False)  # read again for every point; not compared when a sweep is resumed
+    settings: FileTable  # these take precedence over the file
+    problem: OptimalControlProblem  # read first, so that an invalid file does not become a sweep of errors
 
     @classmethod
     def read(cls, path: str, settings: FileTable) -> ProblemFile:
-        """Read the file, with these settings."""
+        """Read the file with these settings."""
         with naming_file(Path(path)):
             require_keys_of_file(settings)
         return cls(Path(path), settings, read_with_settings(path, settings))
@@ -67,31 +74,36 @@ class ProblemFile:
 
 
 FILE_KEYS = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)  # top-level keys for --set and --grid
-SPECTRA = ("control_spectrum", *CUTOFFS)  # keys that all set the frequency constraints of the controls
+SPECTRA = ("control_spectrum", *CUTOFFS)  # each of these sets the frequency constraints of the controls
 
 
 def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
-    """Raise ProblemError unless these are keys of problem files or cut-offs, and at most one sets the spectrum."""
+    """Raise ProblemError unless all are keys of problem files or cut-offs, and at most one sets the spectrum."""
     for key in keys:
         first = key.partition(".")[0]
         if first not in (*FILE_KEYS, *NUMBER_WORDS):
             known = f"one of {', '.join(FILE_KEYS)}"
             advice = suggestion(first, FILE_KEYS) or "Those of tables are written with dots, such as control_set.upper."
             raise ProblemError(f"{option}{key}", "an unknown key", known, advice)
-    given = [key for key in SPECTRA if key in keys]
-    if len(given) > 1:
-        raise ProblemError(f"{option}{given[1]}", f"{given[0]}, too", "one of them", "Both set the same.")
+    spectra = [key for key in SPECTRA if key in keys]
+    if len(spectra) > 1:
+        raise ProblemError(f"{option}{spectra[1]}", f"{spectra[0]}, too", "one of them", "Both set the same field.")
 
 
 def read_with_settings(path: str | Path, settings: FileTable) -> OptimalControlProblem:
-    """Return the problem of a file, with settings in place of its keys, and then numbers of its limits moved."""
-    problem = read_problem(path, file_tables(settings))
+    """Return the problem of a file: settings replace its keys, a cut-off its spectrum, and then numbers its limits."""
+    tables = {key: value for key, value in settings.items() if key not in (*CUTOFFS, *NUMBER_WORDS)}
+    for key in CUTOFFS:
+        if key in settings:
+            low_pass = {"kind": "low_pass", key: settings[key]}
+            tables["control_spectrum"] = None if settings[key] is None else [low_pass]
+    problem = read_problem(path, tables)
     values = dict(entry for word in NUMBER_WORDS for entry in _dotted_entries(word, settings.get(word, {})))
     return replace(problem, **changed_fields(problem, values)) if values else problem
 
 
 def _dotted_entries(key: str, value: FileValue) -> Iterator[tuple[str, FileValue]]:
-    """Yield the entries of nested tables with their keys, in which dots stand between those of the tables."""
+    """Yield the entries of nested tables under dotted keys."""
     if not isinstance(value, dict):
         yield key, value
         return
@@ -99,40 +111,30 @@ def _dotted_entries(key: str, value: FileValue) -> Iterator[tuple[str, FileValue
         yield from _dotted_entries(f"{key}.{inner}", part)
 
 
-def file_tables(settings: FileTable) -> FileTable:
-    """Return settings as tables of a problem file, with a cut-off as a low pass, without numbers of limits."""
-    tables = {key: value for key, value in settings.items() if key not in (*CUTOFFS, *NUMBER_WORDS)}
-    for key in CUTOFFS:
-        if key in settings:
-            low_pass = {"kind": "low_pass", key: settings[key]}
-            tables["control_spectrum"] = None if settings[key] is None else [low_pass]
-    return tables
-
-
 def is_file(problem: str) -> bool:
-    """Whether this argument means a file, and not a library problem."""
+    """Whether this argument names a file instead of a library problem."""
     return problem not in library.PROBLEMS and (problem.endswith(".toml") or Path(problem).is_file())
 
 
-def builder(name: str, given: FileTable) -> partial[OptimalControlProblem]:
+def builder(name: str, values: FileTable) -> partial[OptimalControlProblem]:
     """Return the function that builds the library problem of that name, with these parameters set."""
     function = library.by_name(name)
     parameters = inspect.signature(function).parameters
-    for key in given:
+    for key in values:
         if key not in parameters:
             known = f"some of {', '.join(parameters)}"
             raise ProblemError(f"--set {key}", "no parameter of that name", known, suggestion(key, parameters))
-    return partial(function, **given)
+    return partial(function, **values)
 
 
-def parsed_settings(settings: Sequence[str]) -> FileTable:
+def parse_settings(settings: Sequence[str]) -> FileTable:
     """Return KEY=VALUE settings as nested tables; dotted keys name entries of tables."""
     result: FileTable = {}
     for setting in settings:
         try:
             table = _without_none(tomllib.loads(setting))
             _merge(result, table)
-        except (ValueError, RecursionError) as error:  # numbers of thousands of digits and deep nesting, too
+        except (ValueError, RecursionError) as error:  # also numbers of thousands of digits, and deep nesting
             advice = f"Text needs quotes within quotes: --set 'name=\"text\"'. ({error})"
             raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value", advice) from None
         if not table:
@@ -149,7 +151,7 @@ def _without_none(table: FileTable) -> FileTable:
 
 
 def require_writable(option: str, file: Path, problem: str) -> None:
-    """Raise ProblemError unless the file can be written, so that no answer is lost to a typing error."""
+    """Raise ProblemError unless the file can be written: a mistyped name is reported before the solve."""
     if file.is_dir():
         raise ProblemError(f"{option} {file}", "a folder", "a file to write")
     if not file.absolute().parent.is_dir():
@@ -159,7 +161,7 @@ def require_writable(option: str, file: Path, problem: str) -> None:
 
 
 def require_folder(folder: Path) -> None:
-    """Raise ProblemError unless the folder exists or can be made."""
+    """Raise ProblemError unless the folder exists or can be created."""
     for path in (folder, *folder.absolute().parents):
         if path.exists():
             if not path.is_dir():
@@ -168,7 +170,7 @@ def require_folder(folder: Path) -> None:
 
 
 def _merge(into: FileTable, new: FileTable) -> None:
-    """Put new entries into nested tables."""
+    """Insert new entries into nested tables."""
     for key, value in new.items():
         if isinstance(value, dict) and isinstance(into.get(key), dict):
             _merge(into[key], value)

@@ -1,11 +1,9 @@
-"""The commands lin-freq-ocp list, show and init: the library, the facts of a problem, and a problem file to start from.
-
-show prints a problem before it is solved, and the parameters that --set can change.
-"""
+"""The commands lin-freq-ocp list, show, init and schema: the library, a problem in words, formats of files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 
 import click
@@ -14,13 +12,22 @@ from rich.text import Text
 from lin_freq_ocp import library
 from lin_freq_ocp.cli import console
 
-LONGEST_VALUE = 50  # characters of a value that are shown
+SCHEMAS = ("problem", "result", "show", "sweep", "minimum-time")  # of problem files, and of objects of --json
+LONGEST_VALUE = 50  # characters of a value; a longer one is cut off
 
 
 @click.command("list")
 def list_command() -> int:
-    """List the library's problems and what each shows."""
-    console.print_terms((name, console.first_line_of(builder)) for name, builder in library.PROBLEMS.items())
+    """List the library's problems by field, one line each; show tells the rest."""
+    fields = {field: names.split() for field, names in library.FIELDS.items()}
+    fields["Other"] = [name for name in library.PROBLEMS if name not in " ".join(library.FIELDS.values()).split()]
+    rows = list[tuple[str, str]]()
+    for field, names in fields.items():
+        if names:
+            rows.append((field, ""))
+            lines = [console.first_line_of(library.PROBLEMS[name]).rstrip(".") for name in names]
+            rows += [(f"  {name}", line.partition(":")[0]) for name, line in zip(names, lines, strict=True)]
+    console.print_terms(rows)
     return console.PROVEN
 
 
@@ -29,27 +36,27 @@ def list_command() -> int:
 @console.settings_option
 @console.json_option
 def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
-    """Show what a library problem or a problem file is, and its parameters for --set with their defaults."""
-    from lin_freq_ocp.cli.problems import build, is_file, parsed_settings  # here, for list, which needs no files
+    """Describe a library problem or a problem file, with its parameters for --set and their defaults."""
+    from lin_freq_ocp.cli.problems import build, is_file, parse_settings  # here: list needs no files
     from lin_freq_ocp.files import problem_file
 
-    given = parsed_settings(settings)
-    shown = build(problem, settings)
+    values = parse_settings(settings)
+    description = build(problem, settings)
     if is_file(problem):
-        about, parameters = "", problem_file.parameters_of_file(Path(problem), given)
+        about, parameters = "", problem_file.parameters_of_file(Path(problem), values)
     else:
         function = library.by_name(problem)
-        about, parameters = problem_file.about_function(function), problem_file.parameters_of_function(function, given)
-    summary = problem_file.description_summary(shown, about, parameters)
+        about, parameters = problem_file.about_function(function), problem_file.parameters_of_function(function, values)
+    summary = problem_file.description_summary(description, about, parameters)
     if as_json:
         console.print_json(summary)
         return console.PROVEN
-    console.print_lines(str(shown))
+    console.print_lines(str(description))
     console.out.print(Text(f"{about}\n" if about else ""))
     console.print_terms((fact["what"], fact["words"]) for fact in summary["facts"])
     console.out.print(Text("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n"))
     rows = list[tuple[str, str]]()
-    for parameter in parameters:  # with its default as it is written after --set, and the value that is set instead
+    for parameter in parameters:  # default and value as they are written after --set
         texts = [as_toml(value) for value in (parameter.default, parameter.value)]
         default, value = (text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..." for text in texts)
         rows.append(
@@ -59,10 +66,18 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool) -> int:
     return console.PROVEN
 
 
+@click.command("schema")
+@click.argument("name", type=click.Choice(SCHEMAS))
+def schema_command(name: str) -> int:
+    """Print the JSON Schema of problem files ("problem") or of an object of --json."""
+    console.say((files("lin_freq_ocp.files") / "schemas" / f"{name}.schema.json").read_text(encoding="utf-8").rstrip())
+    return console.PROVEN
+
+
 @click.command("init")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
 def init_command(file: Path) -> int:
-    """Write a commented problem file to start from."""
+    """Write a template of a problem file, with comments."""
     from lin_freq_ocp.files.problem_file import init_problem_file
 
     init_problem_file(file)
@@ -71,7 +86,7 @@ def init_command(file: Path) -> int:
 
 
 def as_toml(value: object) -> str:
-    """Return a value as it is written after --set, in one line."""
+    """Return a value as one line of TOML, as it is written after --set."""
     import tomli_w
 
     text = " ".join(tomli_w.dumps({"_": [[_without_null(value)]]}).split())  # nested, for inline tables

@@ -1,8 +1,8 @@
 """The commands lin-freq-ocp solve, certify, rerun and compare.
 
 solve finds an answer with its certificate, and writes the files of --save, --csv, --plot, --proof and --dump; certify
-checks the maximum principle for any trajectory; rerun repeats a dumped run; compare sets filtering afterwards against
-solving with the constraint.
+checks the maximum principle for any trajectory; rerun repeats a saved run; compare compares filters of the classical
+solution with the constrained solution.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -23,7 +24,7 @@ from lin_freq_ocp.base.errors import ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.problems import build, require_folder, require_writable
-from lin_freq_ocp.files.reading import FileTable
+from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.files.run_file import dumping_errors
 from lin_freq_ocp.files.solution_files import kind_of_file, load_trajectory
 from lin_freq_ocp.files.summary import (
@@ -38,17 +39,33 @@ from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.proof.enclosure import require_checker
 from lin_freq_ocp.solving.certify import certify
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 HELP = {
     "save": "Write the trajectory to this .npz (with its multipliers), .csv or .mat file.",
     "csv": "Write the trajectory to this file as a table, one row per time.",
     "plot": "Draw the answer into this file: .png, .svg, .pdf.",
-    "proof": "Write a proof of the answer to this file, which lfo-check confirms without this package.",
-    "dump": "Write the whole run to this .zip file; see rerun.",
+    "proof": "Write a proof of the answer to this file; lfo-check checks it without this package.",
+    "dump": "Write problem, options and answer to this .zip file; see rerun.",
 }
 
 
-def require_outputs(outputs: Mapping[str, Path], problem: str) -> None:
-    """Raise ProblemError, before anything is solved, unless all can be written, each to a file of its own."""
+def output_options(command: console.Command) -> console.Command:
+    """Add the options of an answer to a command: its files, --json and --trajectory."""
+    text = "With --json: times, x and u, too."
+    command = click.option("--trajectory", "with_trajectory", is_flag=True, help=text)(command)
+    command = console.json_option(command)
+    for name, text in reversed(HELP.items()):
+        command = click.option(f"--{name}", type=click.Path(path_type=Path), help=text)(command)
+    return command
+
+
+def take_outputs(options: FileTable, problem: str, as_json: bool, with_trajectory: bool) -> dict[str, Path]:
+    """Take the files to write out of the options; raise an error unless they differ and can be written."""
+    if with_trajectory and not as_json:
+        raise click.UsageError("--trajectory needs --json: it adds times, x and u to the object. For a table: --csv.")
+    outputs: dict[str, Path] = {name: file for name in HELP if (file := options.pop(name)) is not None}
     taken: dict[Path, str] = {}
     for name, file in outputs.items():
         require_writable(f"--{name}", file, problem)
@@ -58,7 +75,7 @@ def require_outputs(outputs: Mapping[str, Path], problem: str) -> None:
     if "save" in outputs:
         kind_of_file(outputs["save"], f"--save {outputs['save']}")
     if "plot" in outputs:
-        from matplotlib.figure import Figure  # here, because it takes long to import
+        from matplotlib.figure import Figure  # slow to import
 
         file, kinds = outputs["plot"], Figure().canvas.get_supported_filetypes()
         if file.suffix.lower().removeprefix(".") not in kinds:
@@ -66,65 +83,50 @@ def require_outputs(outputs: Mapping[str, Path], problem: str) -> None:
             raise ProblemError(f"--plot {file}", got, f"one that ends in .{', .'.join(kinds)}")
     if "proof" in outputs:
         require_checker()
+    return outputs
 
 
-def output_writes(outputs: Mapping[str, Path], result: Result) -> list[Callable[[], None]]:
-    """Return the function that writes each file, and report the files that stay unwritten."""
+def save_figure(figure: Figure, file: Path) -> None:
+    """Write a figure to a file, in the format of its suffix."""
+    with replacing(file) as stream:
+        figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
 
-    def draw_figure(file: Path) -> None:
-        figure = result.plot()
-        with replacing(file) as stream:
-            figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
 
-    writers = {"save": result.save, "csv": result.to_csv, "plot": draw_figure, "dump": result.dump}
-    writers["proof"] = result.write_proof
+def write_outputs(outputs: Mapping[str, Path], result: Result | None, status: int) -> int:
+    """Write the files of an answer, report those without content, and return the exit status."""
+    writers: dict[str, Callable[[Result, Path], None]] = {"save": Result.save, "csv": Result.to_csv}
+    writers |= {"dump": Result.dump, "proof": Result.write_proof}
+    writers["plot"] = lambda answer, file: save_figure(answer.plot(), file)
     writes: list[Callable[[], None]] = []
     for name, file in outputs.items():
-        if name in ("dump", "proof") or result.trajectory is not None:
-            writes.append(partial(writers[name], file))
+        if result is not None and (name in ("dump", "proof") or result.trajectory is not None):
+            writes.append(partial(writers[name], result, file))
         else:
             done = "drawn" if name == "plot" else "saved"
-            console.complain(f"nothing {done} to {file}: there is no trajectory.")
-    return writes
-
-
-def output_options(command: console.Command) -> console.Command:
-    """Add the options of all outputs to a command."""
-    for name, text in reversed(HELP.items()):
-        command = click.option(f"--{name}", type=click.Path(path_type=Path), help=text)(command)
-    return command
+            console.complain(f"nothing {done} to {file}: there is no {'answer' if result is None else 'trajectory'}.")
+    return console.write_files(status, *writes)
 
 
 @click.command("solve")
 @console.problem_argument
 @console.solve_options
-@click.option("--node-limit", type=int, help="Over modes: relaxations to solve at most.")
-@click.option("--start", metavar="FILE", help="Over modes: begin with the trajectory in this .npz, .csv or .mat.")
-@click.option("--local", is_flag=True, help="Over smooth pieces: no global bound, a local answer at once.")
+@click.option("--node-limit", type=int, help="With modes: the largest number of relaxations to solve.")
+@click.option("--start", metavar="FILE", help="With modes: start from the trajectory in this .npz, .csv or .mat.")
+@click.option("--local", is_flag=True, help="Smooth pieces: a local answer at once, without a global bound.")
 @output_options
-@console.json_option
-@click.option("--trajectory", "with_trajectory", is_flag=True, help="With --json: the times, x and u, too.")
 def solve_command(
     problem: str,
     settings: tuple[str, ...],
-    method: str,
-    backend: str,
-    time_limit: float | None,
-    tolerance: float | None,
     node_limit: int | None,
     start: str | None,
     local: bool,
     as_json: bool,
     with_trajectory: bool,
-    **files: Path | None,
+    **options: FileValue,  # method, backend, time_limit and tolerance, and the files
 ) -> int:
     """Solve a library problem or a problem file, and certify the answer."""
     description = build(problem, settings)
-    outputs = {name: file for name in HELP if (file := files[name]) is not None}
-    require_outputs(outputs, problem)
-    if with_trajectory and not as_json:
-        raise click.UsageError("--trajectory needs --json: it adds times, x and u to the object. For a table: --csv.")
-    options: FileTable = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    outputs, time_limit = take_outputs(options, problem, as_json, with_trajectory), options["time_limit"]
     if node_limit is not None:
         options["node_limit"] = node_limit
     if start is not None:
@@ -135,7 +137,7 @@ def solve_command(
         with console.search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
         if result.status == Status.INFEASIBLE:
-            with console.progress("looking for what would help"):
+            with console.progress("looking for the smallest relaxation"):
                 result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     if as_json:
         console.print_json(result_summary(result, with_trajectory))
@@ -143,19 +145,19 @@ def solve_command(
         console.print_lines(str(result))
         console.print_conflict(result)
         console.print_certificate(description, result.certificate)
-    return console.write_files(console.exit_status(result), *output_writes(outputs, result))
+    return write_outputs(outputs, result, console.exit_status(result))
 
 
 @click.command("certify")
 @console.problem_argument
 @click.argument("solution", metavar="SOLUTION.npz|.csv|.mat")
 @console.settings_option
-@click.option("--tolerance", type=float, help="Relative residuals up to which conditions hold, 1e-6 by default.")
+@click.option("--tolerance", type=float, help="Relative residuals up to which conditions hold; default 1e-6.")
 @console.json_option
 def certify_command(
     problem: str, solution: str, settings: tuple[str, ...], tolerance: float | None, as_json: bool
 ) -> int:
-    """Judge a trajectory (an .npz, with multipliers if it has them, a .csv or a .mat) by the maximum principle."""
+    """Check the maximum principle for a trajectory: an .npz (with its multipliers, if any), a .csv or a .mat."""
     description = build(problem, settings)
     trajectory, multipliers = load_trajectory(solution, description)
     with console.progress("certifying"):
@@ -169,7 +171,7 @@ def certify_command(
         console.say(f"rounding    {certificate.rounded}")
     if certificate.borders is not None:
         console.say(f"borders     {certificate.borders}")
-    if descent is not None:  # a direction that excludes multipliers
+    if descent is not None:  # a direction that rules out multipliers
         control = description.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]
         proven = "no normal multipliers exist" if certificate.borders is None else "no local minimum"
         console.say(
@@ -177,7 +179,7 @@ def certify_command(
             f"t = {descent.steepest}, the cost falls by {-descent.slope:.3g} per unit"
         )
     elif certificate.pmp == "satisfied":
-        with suppress(UnsupportedError):  # too many to count in a moment
+        with suppress(UnsupportedError):  # too many to count quickly
             console.say(f"multipliers {uniqueness(linear_along(description, trajectory), trajectory)}")
     return status
 
@@ -186,7 +188,7 @@ def certify_command(
 @click.argument("file", metavar="FILE.zip")
 @console.json_option
 def rerun_command(file: str, as_json: bool) -> int:
-    """Repeat what solve --dump wrote; show what it ended with then and now, and what differs."""
+    """Repeat the run in a file of solve --dump, and show in which results it differs."""
     run = load_run(file)
     with console.progress(f"solving {run.problem.name or file}"):
         comparison = rerun(run)
@@ -203,12 +205,12 @@ def rerun_command(file: str, as_json: bool) -> int:
 @console.problem_argument
 @console.settings_option
 @click.option(
-    "--filters", help="Some of brickwall,butterworth,zero_phase,moving_average,clipped,ZV,ZVD,EI; default all."
+    "--filters", help="Some of brickwall,butterworth,zero_phase,moving_average,clipped,ZV,ZVD,EI; default: all."
 )
-@click.option("--out", "folder", type=click.Path(path_type=Path), help="Write an HTML report and its figures here.")
+@click.option("--out", "folder", type=click.Path(path_type=Path), help="Write an HTML report into this folder.")
 @console.backend_option
-@click.option("--time-limit", type=float, help="Seconds for all solves together; default 30 over modes.")
-@click.option("--start", metavar="FILE", help="Over modes: begin with the trajectory in this .npz, .csv or .mat.")
+@click.option("--time-limit", type=float, help="Seconds for all solves together; default with modes: 30.")
+@click.option("--start", metavar="FILE", help="With modes: start from the trajectory in this .npz, .csv or .mat.")
 @console.json_option
 def compare_command(
     problem: str,
@@ -221,16 +223,16 @@ def compare_command(
     as_json: bool,
 ) -> int:
     """Compare filtering a classical optimal control with solving under the frequency constraint."""
-    from lin_freq_ocp.api.compare import compare  # here, as the other commands need no filters
+    from lin_freq_ocp.api.compare import compare  # here: the other commands need no filters
 
     description = build(problem, settings)
     if folder is not None:
         require_folder(folder)
-    begin = None if start is None else load_trajectory(start, description)[0]
+    trajectory = None if start is None else load_trajectory(start, description)[0]
     names = None if filters is None else [name.strip() for name in filters.split(",")]
     try:
         with console.progress(f"comparing {description.name or problem}"):
-            comparison = compare(description, names, backend, time_limit, begin)
+            comparison = compare(description, names, backend, time_limit, trajectory)
     except SolveError as error:
         if not as_json or error.result is None:
             raise

@@ -78,6 +78,18 @@ PIECEWISE_SMOOTH = _by_name(norm_dynamics, buck_converter, pendulum_swing_up, ca
 # See docs/frequency_response.md.
 MEASURED = _by_name(wave_energy)
 PROBLEMS = LINEAR | WAVEFORMS | MEASURED | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
+# In the order of `lin-freq-ocp list`, which shows problems without a field at its end.
+FIELDS = {
+    "Motion": "pendulum double_integrator two_mass_spring crane flexible_joint_arm mass_chain quadcopter quarter_car "
+    "scanner printer_move",
+    "Medical imaging": "mri_gradient",
+    "Power electronics": "pulse_pattern buck_affine buck_converter",
+    "Space": "flexible_satellite elliptic_rendezvous",
+    "Energy": "wave_energy",
+    "Swing-up and flip": "pendulum_swing_up cart_pole planar_quadrotor",
+    "Impact and friction": "pendulum_with_wall cart_between_walls cart_pole_with_walls ball_and_paddle",
+    "Theory": "absolute_value max_min_network switched_rotation norm_dynamics",
+}
 
 
 def by_name(name: str) -> Benchmark:

@@ -1,4 +1,4 @@
-"""Pages from templates: what is put into one is escaped, and a name that it does not get is an error."""
+"""Pages from templates: values are escaped, and a missing value is an error."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
 def render_template(folder: str, template: str, **values: object) -> str:
-    """Return a page from a template of a folder of ``pages``; every template gets the version of the package."""
+    """Return a page from a template in a folder of ``pages``; every template gets the version of the package."""
     environment = Environment(
         loader=PackageLoader(f"lin_freq_ocp.pages.{folder}"),
         autoescape=True,

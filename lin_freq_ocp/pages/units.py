@@ -1,4 +1,4 @@
-"""Numbers with their units in tables and sentences, and the units of the time and frequency axes."""
+"""Numbers with units in tables and sentences, and the units of the time and frequency axes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
 def align(value: float | None, digits: int = 4) -> str:
-    """Return a number with exactly so many significant digits, for a column of numbers; 0 remains "0"."""
+    """Return a number with exactly that many significant digits, for a column of numbers; 0 is "0"."""
     if value is None or value == 0 or not SMALL <= abs(value) < LARGE:
         return number(value)
     return number(value) if abs(value) >= 10 ** (digits - 1) else f"{value:#.{digits}g}"
 
 
 def rough(value: float) -> str:
-    """Return a number of which only the size matters, with two digits."""
+    """Return a number with two digits, to show its size."""
     return power(value) if 1e3 <= abs(value) < inf else number(value, 2)
 
 
@@ -30,7 +30,7 @@ def quantity(value: float, name: str, digits: int = 3) -> str:
 
 @dataclass(frozen=True)
 class Scale:
-    """What to multiply by (steps, or rad/sample) to get the unit; ``label`` names the axis."""
+    """The factor from steps, or from rad/sample, to a unit; ``label`` names the axis."""
 
     factor: float
     unit: str
@@ -38,7 +38,7 @@ class Scale:
 
 
 def time_scale(problem: OptimalControlProblem) -> Scale:
-    """Return the scale from steps to seconds, or steps themselves without a sampling time."""
+    """Return the scale from steps to a unit of seconds; without a sampling time, the unit is steps."""
     step = problem.sampling_time
     if step is None:
         return Scale(1.0, "steps", "step t")
@@ -48,7 +48,7 @@ def time_scale(problem: OptimalControlProblem) -> Scale:
 
 
 def frequency_scale(problem: OptimalControlProblem) -> Scale:
-    """Return the scale from rad/sample to Hz, as cut-offs are given, or rad/sample itself without a sampling time."""
+    """Return the scale from rad/sample to Hz; without a sampling time, the unit is rad/sample."""
     step = problem.sampling_time
     if step is None:
         return Scale(1.0, "rad/sample", "frequency [rad/sample]")

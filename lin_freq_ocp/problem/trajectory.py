@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, complex_array, real_array
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.phrases import html_table, shape_and_range
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -40,6 +41,12 @@ class Trajectory:
                 "x of shape (T+1, n) and u of shape (T, m): time is axis 0",
             )
         assign(self, x=states, u=controls)
+
+    def __repr__(self) -> str:
+        return f"Trajectory(x {shape_and_range(self.x)}, u {shape_and_range(self.u)})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Trajectory", [(name, shape_and_range(values)) for name, values in vars(self).items()])
 
 
 @dataclass(frozen=True, eq=False, init=False)

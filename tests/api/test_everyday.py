@@ -53,8 +53,13 @@ def test_without_pandas_a_frame_says_what_to_install(result, monkeypatch):
 
 
 def test_notebooks_show_objects_as_escaped_tables(result):
-    comparison = lfo.compare(result.problem, filters=[])
-    for one in (result, result.certificate, result.problem, comparison):
+    comparison, sweep = (
+        lfo.compare(result.problem, filters=[]),
+        lfo.sweep(result.problem, {"horizon": [result.problem.horizon]}),
+    )
+    shortest = lfo.minimum_time(lfo.library.double_integrator(cutoff_hz=None), horizons=(181, 182))
+    arrays = (result.trajectory, result.sensitivities)
+    for one in (result, result.certificate, result.problem, comparison, sweep, shortest, *arrays):
         html = one._repr_html_()
         assert html.startswith("<table>")
         assert html.endswith("</table>")
@@ -66,8 +71,32 @@ def test_notebooks_show_objects_as_escaped_tables(result):
     assert "&lt;script&gt;" in result.problem._repr_html_()
     assert f"{result.cost:.12g}" in result._repr_html_()
     assert "½ u&#x27; R u" in result.problem._repr_html_()
+    assert "182 is feasible; 181 is proven infeasible" in shortest._repr_html_()
+    assert str(result.trajectory.x.shape) in result.trajectory._repr_html_()
+    assert "offset" in result.sensitivities._repr_html_()
     many = lfo.OptimalControlProblem(lfo.LinearDynamics(np.eye(90), np.eye(90)), 3, lfo.QuadraticCost(R=1))
     assert many._repr_html_().count("<tr>") < 30
+
+
+def test_printed_objects_are_short_and_show_what_they_hold():
+    result = lfo.solve(lfo.library.double_integrator())
+    assert repr(result.trajectory).startswith("Trajectory(x (201, 2) from ")
+    assert "control_bins (101, 1) magnitudes from 0 to " in repr(result.sensitivities)
+    grid = {"horizon": [10, 200], "cutoff_hz": [None, 5.0]}
+    first, *points = str(lfo.sweep(lfo.library.double_integrator, grid)).splitlines()
+    assert first == "double_integrator: 4 of 4 points"
+    assert points[0].startswith("horizon = 10, cutoff_hz = none   infeasible")
+    assert points[3].startswith("horizon = 200, cutoff_hz = 5     optimal, cost 6.38576, gap ")
+    shortest = lfo.minimum_time(lfo.library.double_integrator(cutoff_hz=None), horizons=(181, 182))
+    assert repr(shortest).startswith("MinimumTime(horizon=182, horizons=(181, 182), proof='182 is feasible; 181 is")
+
+
+def test_a_long_sweep_prints_its_first_points_and_counts_the_others():
+    row = {"parameters": {"horizon": 1}, "status": "error", "proven": False, "cost": None, "gap": None, "message": "no"}
+    sweep = lfo.results.Sweep("toy", {"horizon": tuple(range(30))}, (row,) * 30, {})
+    lines = str(sweep).splitlines()
+    assert lines[1] == "horizon = 1  error, not proven, no"
+    assert (len(lines), lines[-1]) == (26, "... 6 more")
 
 
 def test_a_notebook_shows_a_figure_without_pyplot(result):

@@ -219,8 +219,8 @@ def test_new_files_have_the_mode_that_the_system_gives(result, tmp_path):
 @pytest.mark.parametrize("writer", ["save_report", "init"])
 def test_what_else_is_written_fails_with_words(writer, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", failing(errno.ENOSPC))
-    monkeypatch.setattr(page, "draw", lambda comparison: ())
-    monkeypatch.setattr(page, "render", lambda *given: "page")
+    monkeypatch.setattr(page, "draw_figures", lambda comparison: ())
+    monkeypatch.setattr(page, "render_page", lambda *given: "page")
     if writer == "init":
         monkeypatch.setattr(toml_file, "template", failing(errno.ENOSPC))
         assert run("init", str(tmp_path / "new.toml"))[0] == 2

@@ -288,7 +288,7 @@ def test_a_loop_is_shown_saved_and_tabulated(tmp_path):
     loop = lfo.RecedingHorizon(base, soft={"state_set": 1e3}).run([0.8, 0.0], 12)
     page = loop.save(tmp_path / "loop").read_text(encoding="utf-8")
     assert "12 steps" in page
-    assert "What gave way" in page
+    assert "Relaxed constraints" in page
     assert "infeasible" in page
     assert (tmp_path / "loop" / "loop.png").stat().st_size > 10_000
     assert "://" not in page

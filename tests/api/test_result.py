@@ -1,5 +1,9 @@
 """A result in words, and that it cannot be changed."""
 
+import copy
+import pickle
+from dataclasses import replace
+
 import pytest
 
 import lin_freq_ocp as lfo
@@ -38,3 +42,16 @@ def test_results_cannot_be_changed(solved):
     for array in (result.trajectory.x, result.control, result.multipliers.eta, result.multipliers.rho_u):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
+
+
+def test_copies_of_results_are_results_with_the_same_fields_and_methods(solved):
+    result = solved("paper, constrained")
+    comparison = lfo.compare(lfo.library.double_integrator(), ["clipped"])
+    sweep = lfo.sweep(lfo.library.double_integrator, {"horizon": [60]})
+    for original in (result, comparison, sweep):
+        for again in (copy.copy(original), pickle.loads(pickle.dumps(original)), replace(original)):
+            assert type(again) is type(original)
+            assert str(again) == str(original)
+    assert replace(result, message="other").message == "other"
+    assert pickle.loads(pickle.dumps(result)).to_frame().equals(result.to_frame())
+    assert copy.copy(comparison).classical.cost == comparison.classical.cost

@@ -270,7 +270,7 @@ def test_ctrl_c_keeps_what_is_decided():
 def test_ends_of_the_range():
     at_once = lfo.minimum_time(integrator(), horizons=(5, 9))
     assert (at_once.horizon, at_once.ray, at_once.proven) == (5, None, True)
-    assert at_once.proof == "5 is feasible; shorter horizons were not asked for"
+    assert at_once.proof == "5 is feasible; shorter horizons are outside of the range"
     with pytest.raises(lfo.errors.InfeasibleError, match="No horizon from 1 to 3 is feasible: 3 is proven") as caught:
         lfo.minimum_time(integrator(), horizons=(1, 3))
     assert caught.value.result.problem.horizon == 3

@@ -5,15 +5,18 @@ from __future__ import annotations
 import io
 import os
 import subprocess
+import sys
 from contextlib import redirect_stdout
 from pathlib import Path
 
+import click
 import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_json import FILTERS, SOLVE, TOO_WEAK, UNCLOCKED, compared, require
 from helpers.command_line import COMMAND, once, parsed, run
 from lin_freq_ocp.cli import app as cli
+from lin_freq_ocp.cli.app import COMMANDS
 
 # --- for people -----------------------------------------------------------------------------------------------------
 
@@ -236,3 +239,28 @@ def test_it_is_said_that_nothing_was_saved(tmp_path, monkeypatch):
 def test_a_nearby_parameter_is_suggested():
     assert "Did you mean 'cutoff'?" in run("solve", "pendulum", "--set", "cutof=1")[2]
     assert run("solve", "pendulum", "--set", "")[0] == 2
+
+
+def test_the_help_imports_no_command():
+    """It would take a second. The first line of each command is read from its source."""
+    text = (
+        "import sys\nfrom lin_freq_ocp.cli.app import main\ntry: main(['-h'])\nexcept SystemExit: print(*sys.modules)"
+    )
+    shown = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True).stdout
+    help_text, _, modules = shown.rpartition("\n  schema")
+    assert not {"numpy", "lin_freq_ocp.cli.solve", "lin_freq_ocp.cli.show"} & set(modules.split())
+    words = " ".join(help_text.split())
+    for name in list(COMMANDS)[:-1]:
+        command = cli.cli.get_command(click.Context(cli.cli), name)
+        assert f"{name} {command.help.partition(chr(10))[0]}" in words
+
+
+def test_the_library_is_listed_by_field():
+    names = [name for field in lfo.library.FIELDS.values() for name in field.split()]
+    assert sorted(names) == sorted(set(names) & set(lfo.library.PROBLEMS))
+    lines = once("list")[1].splitlines()
+    assert [line.rstrip() for line in lines if not line.startswith(" ")][: len(lfo.library.FIELDS)] == [
+        *lfo.library.FIELDS
+    ]
+    assert len(lines) >= len(lfo.library.PROBLEMS) + len(lfo.library.FIELDS)
+    assert next(line for line in lines if "quarter_car" in line).split(maxsplit=1)[1].startswith("Cross a bump")

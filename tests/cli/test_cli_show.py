@@ -7,11 +7,12 @@ import json
 import tomllib
 
 import pytest
+from jsonschema import Draft202012Validator
 
 import lin_freq_ocp as lfo
-from helpers.command_line import run
+from helpers.command_line import parsed, run
 from helpers.schemas import SHOW, faults
-from lin_freq_ocp.cli.show import as_toml
+from lin_freq_ocp.cli.show import SCHEMAS, as_toml
 
 
 def shown(*arguments):
@@ -95,3 +96,15 @@ def test_what_is_no_problem_is_not_shown():
         status, out, err = run("show", *arguments)
         assert (status, out) == (2, "")
         assert word in err
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_schemas_are_printed(name):
+    status, out, err = run("schema", name)
+    assert (status, err) == (0, "")
+    Draft202012Validator.check_schema(parsed(out))
+
+
+def test_an_unknown_schema_is_answered_with_the_known_ones():
+    status, _, err = run("schema", "problems")
+    assert (status, all(name in err for name in SCHEMAS)) == (2, True)

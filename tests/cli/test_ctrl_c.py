@@ -70,7 +70,7 @@ def status(arguments):
     except KeyboardInterrupt:
         return app.INTERRUPTED
 
-app._status = status
+app._run_command = status
 app.main()
 """
 

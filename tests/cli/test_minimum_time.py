@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.schemas import MINIMUM_TIME, RESULT, faults
+from lin_freq_ocp.proof import lfo_check
 
 MOVER = ("double_integrator", "--set", 'cutoff_hz="none"', "--set", "sampling_time=0.1")
 
@@ -83,3 +85,32 @@ def test_a_search_on_two_processes_is_recorded_and_resumed(tmp_path):
     again = run(*words)
     assert (tmp_path / "minimum_time.jsonl").read_text() == recorded
     assert parsed(again[1])["proof"] == parsed(out)["proof"]
+
+
+def test_the_files_of_solve_hold_the_answer_at_the_least_horizon(tmp_path, monkeypatch):
+    names = {"save": "run.npz", "csv": "run.csv", "plot": "run.png", "proof": "run.proof", "dump": "run.zip"}
+    options = [word for option, name in names.items() for word in (f"--{option}", str(tmp_path / name))]
+    status, out, err = run("minimum-time", *MOVER, "--horizons", "36", "37", "--json", "--trajectory", *options)
+    assert (status, err) == (0, "")
+    assert len(parsed(out)["result"]["trajectory"]["u"]) == 37
+    assert len((tmp_path / "run.csv").read_text().splitlines()) == 1 + 38
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    monkeypatch.setattr(sys, "argv", ["lfo-check", str(tmp_path / "run.proof")])
+    assert lfo_check.main() == 0
+    assert lfo.load_run(tmp_path / "run.zip").problem.horizon == 37
+    assert lfo.load(tmp_path / "run.npz").trajectory.u.shape == (37, 1)
+
+
+def test_without_a_feasible_horizon_only_proof_and_run_are_written(tmp_path):
+    options = [word for name in ("csv", "proof", "dump") for word in (f"--{name}", str(tmp_path / name))]
+    status, _, err = run("minimum-time", *MOVER, "--horizons", "30", "31", *options)
+    assert status == 1
+    assert "nothing saved to" in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dump", "proof"]
+
+
+def test_outputs_are_checked_before_the_search(tmp_path):
+    status, _, err = run("minimum-time", *MOVER, "--horizons", "36", "37", "--plot", str(tmp_path / "run.xyz"))
+    assert (status, "a name that ends in .xyz" in err) == (2, True)
+    status, _, err = run("minimum-time", *MOVER, "--horizons", "36", "37", "--trajectory")
+    assert (status, "--trajectory needs --json" in err) == (2, True)

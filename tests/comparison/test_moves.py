@@ -11,7 +11,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.comparison import moves as moves_of
 from lin_freq_ocp.comparison.moves import vibration, why_not_shaped
 from lin_freq_ocp.pages.figures.continua import ringing_of
-from lin_freq_ocp.pages.report.page import draw, render
+from lin_freq_ocp.pages.report.page import draw_figures, render_page
 from lin_freq_ocp.pages.report.tables import moves_rows, moves_sentence
 
 CALM = lfo.ResidualVibration(frequency=(18.0, 22.0), damping=(0.02, 0.1), limit=0.5)
@@ -59,10 +59,10 @@ def test_words_table_and_page(comparison):
     (group,) = rows.groups
     assert [cell.text for cell in group.rows[0].cells] == ["18", "45", "28", "28", "22"]
     assert [cell.passed for cell in group.rows[3].cells] == [False, True, True, True, True]
-    drawings = draw(comparison)
+    drawings = tuple(draw_figures(comparison))
     (drawing,) = (one for one in drawings if one.name == "vibration")
     assert 'aria-label="Residual vibration over the natural frequency: ZV, ZVD, EI and optimal' in drawing.inline
-    page = render(comparison, drawings)
+    page = render_page(comparison, drawings)
     assert "Shortest moves at the same residual vibration" in page
     assert "0.5471 at t = 0, 0.4529 at t = 5" in page
     assert "ZV " in str(comparison)

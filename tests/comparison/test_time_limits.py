@@ -13,7 +13,7 @@ from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.compare import SEARCH_SECONDS, compare_methods
 from lin_freq_ocp.files.summary import comparison_summary
-from lin_freq_ocp.pages.report.findings import finding
+from lin_freq_ocp.pages.report.findings import finding_of
 
 
 def wall():
@@ -48,7 +48,7 @@ def test_filters_are_shown_beside_no_point(plan):
     assert [one.name for one in comparison.filtered] == ["brickwall", "clipped"]
     assert comparison.constrained_solution is None
     assert str(comparison).splitlines()[-1] == "constrained  limit, no point found"
-    assert "With the constraint in the problem: no point found (time limit)" in str(finding(comparison))
+    assert "With the constraint in the problem: no point found (time limit)" in str(finding_of(comparison))
     summary = comparison_summary(comparison)
     assert summary["constrained"] is None
     assert set(summary["filtered"]) == {"brickwall", "clipped"}

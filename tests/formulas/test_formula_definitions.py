@@ -5,19 +5,18 @@ Values are compared with those of the formulas before, to the last bit, and with
 
 import json
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
 import lin_freq_ocp as lfo
+from helpers.schemas import PROBLEM
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import in_order
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 
-DOCS = Path(__file__).parents[2] / "docs"
-SCHEMA = Draft202012Validator(json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8")))
+SCHEMA = Draft202012Validator(PROBLEM)
 POINTS = np.random.default_rng(0).uniform(-1, 1, (20, 3))
 
 

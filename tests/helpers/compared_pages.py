@@ -9,7 +9,7 @@ from helpers.pages import double_integrator, parsed
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.library import pendulum
 from lin_freq_ocp.pages.figures.figures import comparison_data, price_figure
-from lin_freq_ocp.pages.report.page import draw, render
+from lin_freq_ocp.pages.report.page import draw_figures, render_page
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import low_pass, stop_band
@@ -40,12 +40,12 @@ def case(name: str) -> Comparison:
 
 @cache
 def drawings(name: str):
-    return draw(case(name))
+    return tuple(draw_figures(case(name)))
 
 
 @cache
 def page(name: str) -> str:
-    return render(case(name), drawings(name))
+    return render_page(case(name), drawings(name))
 
 
 @cache

@@ -1,21 +1,20 @@
-"""The JSON Schemas in docs/, and what they find wrong."""
+"""The JSON Schemas of the package, and what they find wrong."""
 
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from importlib.resources import files
 from typing import Any
 
 from jsonschema import Draft202012Validator
 
+from lin_freq_ocp.cli.show import SCHEMAS
 from lin_freq_ocp.files.summary import to_json
 
-DOCS = Path(__file__).parents[2] / "docs"
-PROBLEM = json.loads((DOCS / "problem.schema.json").read_text(encoding="utf-8"))
-RESULT = json.loads((DOCS / "result.schema.json").read_text(encoding="utf-8"))
-SWEEP = json.loads((DOCS / "sweep.schema.json").read_text(encoding="utf-8"))
-SHOW = json.loads((DOCS / "show.schema.json").read_text(encoding="utf-8"))
-MINIMUM_TIME = json.loads((DOCS / "minimum_time.schema.json").read_text(encoding="utf-8"))
+FOLDER = files("lin_freq_ocp.files") / "schemas"
+PROBLEM, RESULT, SHOW, SWEEP, MINIMUM_TIME = (
+    json.loads((FOLDER / f"{name}.schema.json").read_text(encoding="utf-8")) for name in SCHEMAS
+)
 
 
 def faults(schema: dict[str, Any], instance: Any) -> list[str]:

@@ -157,6 +157,24 @@ def test_nothing_is_requested_elsewhere_and_nothing_complains(browser, page, req
     assert all(one.startswith(url) for one in urls)
 
 
+def test_a_slow_solve_is_shown(browser, monkeypatch):
+    from selenium.webdriver import Keys
+
+    session = new_session()
+    with served(session) as url:
+        opened(browser, url)
+        release, answer = threading.Event(), session.answer
+        monkeypatch.setattr(session, "answer", lambda values: release.wait(PATIENCE) and answer(values))
+        part(browser, "cutoff").send_keys(Keys.ARROW_LEFT)
+        until(browser, "document.getElementById('badge').textContent === 'solving, 1 s'")
+        assert browser.find_element("id", "results").get_attribute("aria-busy") == "true"
+        assert browser.find_element("id", "panels").value_of_css_property("opacity") == "0.55"
+        release.set()
+        until(browser, "document.getElementById('results').getAttribute('aria-busy') === 'false'")
+        until(browser, "document.getElementById('badge').dataset.status")
+        assert shown(browser)["status"] == "optimal, proven"
+
+
 def test_the_static_page_shows_the_nearest_solved_point(browser, file):
     first = opened(browser, file)
     assert first["cost"] == "6.38576"

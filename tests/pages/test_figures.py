@@ -98,14 +98,14 @@ def test_without_a_brick_wall_the_first_filter_is_shown():
     assert (trace.label, trace.detail) == ("filtered", "moving average")
     assert trace.trajectory is comparison.filtered[3].replay.trajectory
     nothing = replace(comparison, filtered=())
-    assert findings.finding(nothing).filtering == ""
+    assert findings.finding_of(nothing).filtering == ""
     assert [trace.label for trace in comparison_data(nothing).traces] == ["classical", "constrained"]
 
 
 def test_result_figure_shows_one_solution():
     result = case("state band").constrained
     figure = result.plot()
-    assert len(figure.axes) == 5
+    assert len(figure.axes) == 6  # control, spectrum, phase portrait, two states, spectrum of the speed
     assert result_figure(replace(result, status="limit")).legends[0].get_texts()[0].get_text() == "best point"
     with pytest.raises(SolveError, match="without a trajectory"):
         result_figure(case("infeasible").constrained)

@@ -21,7 +21,7 @@ from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.pages.figures.figures import comparison_data, comparison_figure
 from lin_freq_ocp.pages.figures.look import STYLES
 from lin_freq_ocp.pages.report import findings, proof
-from lin_freq_ocp.pages.report.page import draw, render, save_report, tiles
+from lin_freq_ocp.pages.report.page import draw_figures, render_page, save_report, tiles
 from lin_freq_ocp.pages.report.tables import NOT_MEANINGFUL, comparison_rows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 def quietly(name: str) -> list[float]:
     """Return all numbers of the headline."""
-    return [float(one) for one in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", str(findings.finding(case(name))))]
+    return [float(one) for one in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", str(findings.finding_of(case(name))))]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -54,7 +54,7 @@ def test_page_names_everything(name: str):
     problem, shown = case(name).problem, text(name)
     for component in (*problem.state_names, *problem.control_names):
         assert component in shown
-    assert str(findings.finding(case(name))).split(": ", 1)[1].split(". ")[0][1:] in shown
+    assert str(findings.finding_of(case(name))).split(": ", 1)[1].split(". ")[0][1:] in shown
     certificate = case(name).constrained.certificate
     if certificate is not None:
         for condition in certificate.conditions:
@@ -70,16 +70,16 @@ def test_names_are_escaped_and_dollars_are_no_formulas():
 
 def test_page_and_figures_do_not_change_from_run_to_run():
     comparison = case("infeasible")
-    first, second = drawings("infeasible"), draw(comparison)
+    first, second = drawings("infeasible"), tuple(draw_figures(comparison))
     assert [one.svg for one in first] == [one.svg for one in second]
     assert [one.png for one in first] == [one.png for one in second]
-    assert render(comparison, first) == render(comparison, second)
+    assert render_page(comparison, first) == render_page(comparison, second)
     assert mpl.rcParams["svg.hashsalt"] is None
 
 
 def test_saved_folder_holds_page_and_figures(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "lin_freq_ocp.pages.report.page.draw", lambda _: drawings("state band")
+        "lin_freq_ocp.pages.report.page.draw_figures", lambda _: drawings("state band")
     )  # they are drawn only once
     path = case("state band").save(tmp_path / "new" / "folder")
     assert path == tmp_path / "new" / "folder" / "index.html"
@@ -122,7 +122,7 @@ def test_headline_has_the_measured_numbers():
     assert numbers[:2] == pytest.approx([0.857523687, 5.857523687], rel=2e-3)
     assert numbers[5:7] == pytest.approx([0.8134, 16.722], rel=2e-3)
     assert numbers[8] == pytest.approx(12.1, abs=0.06)
-    assert "everything holds" in text("pendulum").lower()
+    assert "all constraints hold" in text("pendulum").lower()
 
 
 def test_stop_band_is_explained_with_its_peaks():
@@ -139,7 +139,7 @@ def test_an_infeasible_problem_shows_its_conflict_and_no_certificate():
     assert "No trajectory satisfies all constraints" in shown
     for block in comparison.constrained.conflict or ():
         assert str(block) in shown
-    assert "The proof rests on" in shown
+    assert "The proof uses these constraints" in shown
     assert "C-iii" not in shown
     assert [one.name for one in drawings("infeasible")] == ["comparison", "states"]
     assert ("with the constraint", "infeasible", "proven") in tiles(comparison)
@@ -174,7 +174,7 @@ def test_without_a_meaningful_replay_no_states_are_claimed():
 
 def test_without_a_stop_band_there_is_nothing_to_filter():
     comparison = case("no band")
-    assert findings.finding(comparison).filtering == ""
+    assert findings.finding_of(comparison).filtering == ""
     assert "nothing to filter" in text("no band")
     assert comparison_rows(comparison).columns == ("optimal",)
     assert "The filters" not in text("no band")
@@ -226,9 +226,9 @@ def test_failing_conditions_are_named():
     spoiled = replace(
         comparison, constrained=replace(comparison.constrained, certificate=certificate, message="out of time")
     )
-    assert "not every constraint holds (out of time)" in str(findings.finding(spoiled))
-    assert "✗ fails" in parsed(render(spoiled, draw_nothing())).text
-    assert "not judged" in proof.verdict(replace(certificate, pmp="not_applicable"))[0]
+    assert "not every constraint holds (out of time)" in str(findings.finding_of(spoiled))
+    assert "✗ fails" in parsed(render_page(spoiled, draw_nothing())).text
+    assert "was not checked" in proof.verdict(replace(certificate, pmp="not_applicable"))[0]
     assert "no global lower bound" in proof.verdict(replace(certificate, bound=None))[1]
 
 
@@ -242,9 +242,9 @@ def test_a_solve_without_an_answer_has_a_page():
     comparison = case("pendulum")
     result = replace(comparison.constrained, status="limit", message="time is up", trajectory=None, certificate=None)
     stopped = replace(comparison, constrained=result)
-    assert "no point found (time is up)" in str(findings.finding(stopped))
+    assert "no point found (time is up)" in str(findings.finding_of(stopped))
     assert ("with the constraint", "limit", "") in tiles(stopped)
-    shown = parsed(render(stopped, draw_nothing())).text
+    shown = parsed(render_page(stopped, draw_nothing())).text
     assert "limit: time is up" in shown
     assert "The proof" not in shown
     assert "Why there is no solution" not in shown
@@ -253,9 +253,9 @@ def test_a_solve_without_an_answer_has_a_page():
 def test_a_harmless_filter_is_not_blamed():
     problem = double_integrator(control_spectrum=stop_band(bins=[7]), terminal_state=None)
     comparison = compare(problem, filters=["brickwall"])
-    assert findings.finding(comparison).filtering == "breaks no constraint"
+    assert findings.finding_of(comparison).filtering == "breaks no constraint"
     dear = case("state band")
-    assert "leaves an energy of" in findings.finding(dear).filtering
+    assert "leaves an energy of" in findings.finding_of(dear).filtering
 
 
 def test_extra_cost_reads_well():
@@ -265,12 +265,12 @@ def test_extra_cost_reads_well():
         assert certificate is not None
         changed = replace(comparison.constrained, certificate=replace(certificate, cost=after))
         classical = replace(comparison.classical, certificate=replace(certificate, cost=before))
-        return findings.finding(replace(comparison, constrained=changed, classical=classical)).solution
+        return findings.finding_of(replace(comparison, constrained=changed, classical=classical)).solution
 
     assert "for 12.5 % more cost" in said(80.0, 90.0)
     assert "for 0.25 % more cost" in said(80.0, 80.2)
     assert "for 0.25 % less cost" in said(80.0, 79.8)
-    assert "everything holds, at the same cost, " in said(80.0, 80.0 - 1e-9)
+    assert "all constraints hold, at the same cost, " in said(80.0, 80.0 - 1e-9)
     assert "for a cost of 90 instead of 8" in said(8.0, 90.0)
     assert "for a cost of -1 instead of -3" in said(-3.0, -1.0)
 

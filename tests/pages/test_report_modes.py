@@ -29,7 +29,7 @@ from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS, TINTS
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, shade_modes, strip_rows, strips_figure
 from lin_freq_ocp.pages.figures.plot_data import Span, spans
 from lin_freq_ocp.pages.report import findings
-from lin_freq_ocp.pages.report.page import draw, render, tiles
+from lin_freq_ocp.pages.report.page import draw_figures, render_page, tiles
 from lin_freq_ocp.pages.report.proof import adjoint_caption, modes_caption, search_sentences, switching_sentences
 from lin_freq_ocp.pages.report.tables import certificate_table, comparison_rows, worst_location
 from lin_freq_ocp.problem.description import problem_facts
@@ -94,12 +94,12 @@ def case(name: str) -> Comparison:
 
 @cache
 def drawings(name: str):
-    return {drawing.name: drawing for drawing in draw(case(name))}
+    return {drawing.name: drawing for drawing in draw_figures(case(name))}
 
 
 @cache
 def page(name: str) -> str:
-    return render(case(name), tuple(drawings(name).values()))
+    return render_page(case(name), tuple(drawings(name).values()))
 
 
 @cache
@@ -291,27 +291,27 @@ def test_pages_with_modes_have_strips_and_adjoint():
         assert {"modes", "adjoint"} <= set(drawings(name))
         assert "adjoint" in page(name)
     assert result_data(case("norm").constrained).modes == ()  # one mode
-    assert [one.svg for one in draw(case("kink"))] == [one.svg for one in drawings("kink").values()]
-    assert "N-f that the weights are nonnegative" in text("wall")
+    assert [one.svg for one in draw_figures(case("kink"))] == [one.svg for one in drawings("kink").values()]
+    assert "N-f: the weights are nonnegative" in text("wall")
 
 
 def test_words_of_borders_and_trees():
     tree = case("tree").constrained
     sentence = search_sentences(tree)[0]
-    assert f"{len(tree.tree.nodes)} nodes, of which {tree.tree_bound.leaves} are leaves" in sentence
+    assert f"{len(tree.tree.nodes)} nodes; {tree.tree_bound.leaves} are leaves" in sentence
     assert float(re.search(r"bounds is (\S+)\.$", sentence)[1]) == pytest.approx(tree.tree_bound.value, rel=1e-8)
     assert search_sentences(case("wall").constrained)[0] in text("wall")
     assert "No two modes meet along this trajectory" in text("wall")
     borders = case("kink").constrained.certificate.borders
     found = re.search(r"(\S+) “on” and (\S+) “off”\.", text("kink"))
     assert [float(one) for one in found.groups()] == pytest.approx(list(borders.weights[0]), rel=1e-2)
-    assert "flip-stationary: to first order, nothing is gained" in text("kink")
+    assert "flip-stationary: to first order, a switch to another mode" in text("kink")
     assert "no global bound" in text("kink")
     assert ("cost found", "-17.599", "no global bound") in tiles(case("kink"))
     assert "is not here" in " ".join(switching_sentences(case("absolute").constrained.certificate.borders))
     assert "search over their sequences" not in text("kink")
     uncovered = replace(tree, evidence=replace(tree.evidence, bound=replace(tree.tree_bound, covers=False)))
-    assert "nothing is bounded" in search_sentences(uncovered)[0]
+    assert "so there is no bound" in search_sentences(uncovered)[0]
     without = replace(tree, evidence=replace(tree.evidence, bound=replace(tree.tree_bound, value=np.inf)))
     assert "no leaf can contain a trajectory" in search_sentences(without)[0]
 
@@ -322,7 +322,7 @@ def test_words_of_flips_and_jumps():
     assert "verified" in rising
     assert "other multipliers" not in rising
     jump = switching_sentences(lfo.certify(rotation(), np.zeros((5, 1))).borders)
-    assert jump[0].startswith("The map jumps at the border between “")
+    assert jump[0].startswith("The map jumps at the switching boundary between “")
     untried = case("norm").constrained.certificate.borders
     kink = untried.norms[0]._replace(rate=2.0)
     text_of_kink = " ".join(switching_sentences(replace(untried, norms=(kink,), flip_stationary=False)))
@@ -356,7 +356,7 @@ def test_a_page_without_a_solution_shows_the_classical_modes_and_the_tree():
     assert data.modes == spans(comparison.classical.sequence)
     assert [label for label, _ in strip_rows(shown)] == ["classical", "brickwall", "zero phase"]
     assert "those of the classical trajectory" in modes_caption(strip_rows(shown), data.main.label)
-    html = parsed(re.sub(r"<svg.*?</svg>", "", render(shown, made), flags=re.DOTALL)).text
+    html = parsed(re.sub(r"<svg.*?</svg>", "", render_page(shown, made), flags=re.DOTALL)).text
     assert "no leaf can contain a trajectory" in html
     assert "The proof rests on" not in html
     assert result.conflict is None
@@ -409,11 +409,11 @@ def test_a_replay_that_leaves_all_regions_is_said_to():
     rows = dict(strip_rows(comparison))
     assert rows["brickwall"] is None
     assert list(rows["constrained"]) == list(comparison.constrained.sequence)
-    assert "its states leave the regions of all modes, so that" in str(findings.finding(comparison))
+    assert "its states leave the regions of all modes, so that" in str(findings.finding_of(comparison))
     notes = [note.text for note in comparison_data(comparison).notes(comparison_data(comparison).states[:1])]
     assert not first.between_levels
     assert notes == ["filtered: not replayed; its states leave the regions of all modes"]
-    html = render(comparison, tuple(drawings("wall").values()))
+    html = render_page(comparison, tuple(drawings("wall").values()))
     assert "regions of all modes\n  (brickwall" in html
 
 
@@ -435,15 +435,15 @@ def test_a_filter_takes_controls_between_levels_and_the_page_says_so():
     (filtered,) = comparison.filtered
     assert filtered.replay.between_levels
     assert not comparison.classical_solution.between_levels
-    words = findings.finding(comparison).filtering
+    words = findings.finding_of(comparison).filtering
     assert words == "its controls lie between the levels, so that they cannot be replayed to the end"
     data = comparison_data(comparison)
     assert [note.text for note in data.notes(data.states[:1])] == [
         "filtered: not replayed; its controls lie between the levels"
     ]
-    html = render(comparison, draw(comparison))
+    html = render_page(comparison, draw_figures(comparison))
     assert "the controls lie between the levels\n  (brickwall)" in html
-    assert "At t = 0, 1, 2, 3, 4, 5, 6 and 7 the trajectory lies on the rim of a gap" in html
+    assert "At t = 0, 1, 2, 3, 4, 5, 6 and 7 the trajectory lies at the edge of a gap" in html
 
 
 def test_costs_of_levels_are_no_bounds_and_levels_are_said_once():

@@ -121,7 +121,7 @@ def test_answers_are_those_of_solve(server):
     assert status == 200
     assert answer["status"] == "optimal"
     assert answer["cost"] == pytest.approx(lfo.solve(lfo.library.double_integrator()).cost, rel=1e-6)
-    assert [one["name"] for one in posted(server, "beside", request())[1]["trajectories"]] == ["classical", "filtered"]
+    assert [one["name"] for one in posted(server, "compare", request())[1]["trajectories"]] == ["classical", "filtered"]
     assert posted(server, "cure", request(slider="cutoff"))[1]["key"] == "cutoff"
 
 

@@ -67,17 +67,17 @@ def test_the_last_notch_of_the_cutoff_is_none(integrator):
     assert high >= 0.5 / integrator.problem.sampling_time
     answer = integrator.answer({"cutoff": high})
     assert answer["frame"]["spectra"][0]["stopped"] == []
-    assert integrator.beside({"cutoff": high}) == {"finding": "", "trajectories": []}
+    assert integrator.compare({"cutoff": high}) == {"finding": "", "trajectories": []}
 
 
 def test_beside_are_the_classical_and_the_filtered_trajectory(integrator):
     comparison = lfo.compare(double_integrator(), ["brickwall"])
-    classical, filtered = integrator.beside({})["trajectories"]
+    classical, filtered = integrator.compare({})["trajectories"]
     assert [classical["name"], filtered["name"]] == ["classical", "filtered"]
     np.testing.assert_allclose(classical["signals"][0], comparison.classical.trajectory.u[:, 0], rtol=1e-3, atol=1e-6)
     replay = comparison.filtered[0].replay.trajectory
     np.testing.assert_allclose(filtered["signals"][1], replay.x[:, 0], rtol=1e-2, atol=1e-4)
-    assert "misses the end" in integrator.beside({})["finding"]
+    assert "misses the end" in integrator.compare({})["finding"]
 
 
 def test_an_infeasible_setting_names_the_conflict_and_its_least_cure(integrator):
@@ -170,5 +170,5 @@ def test_a_residual_vibration_is_drawn_with_its_limit():
     assert panel["limit"] == session.problem.control_spectrum.limit
     assert np.array(values)[within].max() == pytest.approx(panel["limit"], rel=1e-2)
     assert np.array(values).max() > panel["top"]
-    (classical,) = session.beside({})["trajectories"][0]["vibrations"]
+    (classical,) = session.compare({})["trajectories"][0]["vibrations"]
     assert np.array(classical)[within].max() > 10 * panel["limit"]

@@ -10,8 +10,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.stage_rows import cart
 from lin_freq_ocp.files.summary import comparison_summary
-from lin_freq_ocp.pages.report.findings import finding
-from lin_freq_ocp.pages.report.page import draw, render
+from lin_freq_ocp.pages.report.findings import finding_of
+from lin_freq_ocp.pages.report.page import draw_figures, render_page
 from lin_freq_ocp.pages.report.tables import comparison_rows
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.measures import measure
@@ -37,13 +37,13 @@ def test_violations_are_measured_and_shown():
     assert (row.label, row.unit) == ("traction", "N")
     assert [cell.passed for cell in row.cells] == [True, False, True]
     assert float(row.cells[1].text) == pytest.approx(excess, rel=1e-3)
-    assert "violates traction by" in str(finding(comparison))
+    assert "violates traction by" in str(finding_of(comparison))
     assert ("rows: traction [N]", "2 rows C x + D u ≤ e, which depend on time") in problem_facts(problem)
     conditions = [one for one in comparison.constrained.certificate.conditions if one.label == "S-z"]
     assert conditions[0].name == "rows hold: traction [N]"
-    drawings = draw(comparison)
-    page = render(comparison, drawings)
+    drawings = tuple(draw_figures(comparison))
+    page = render_page(comparison, drawings)
     assert "rows hold: traction" in page
-    assert "that joint rows hold" in page
+    assert "S-z and N-z: joint rows" in page
     without = lfo.compare(cart(), filters=[])
-    assert "that joint rows hold" not in render(without, drawings)
+    assert "that joint rows hold" not in render_page(without, drawings)

@@ -11,7 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import assign
-from lin_freq_ocp.pages.report.page import draw, render
+from lin_freq_ocp.pages.report.page import draw_figures, render_page
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
 from lin_freq_ocp.solving.families import FAMILIES, Family, Shorthand
 from lin_freq_ocp.solving.hybrid.smooth import Nonsmooth
@@ -139,7 +139,7 @@ def test_it_is_reported_and_compared(registered):
     given = problem(BILINEAR, control_spectrum=lfo.stop_band(bins=[3]))
     comparison = lfo.compare(given)
     assert comparison.constrained.certificate.pmp == "satisfied"
-    assert "bilinear" in render(comparison, draw(comparison))
+    assert "bilinear" in render_page(comparison, draw_figures(comparison))
 
 
 def test_without_a_registration_the_methods_are_those_of_the_standard_form():

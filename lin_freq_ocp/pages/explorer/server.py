@@ -1,10 +1,10 @@
 """The live page as one HTML file, and its server for the browser on this machine alone.
 
-The page is live, asking its server, or has a solved sweep inside, and then works from disk.
+The page is either live and asks its server, or contains a solved sweep and works from disk.
 
-The server listens on the loopback address; every path begins with a random token, and the Host header must be its own,
-so that neither other users nor pages of other sites (by a name that resolves to 127.0.0.1) get an answer. Solves are
-made one after another; a request that a newer one of the same page has overtaken is not solved.
+The server listens on the loopback address. Every path begins with a random token, and the Host header must name this
+server, so that neither other users nor pages of other sites (by a name that resolves to 127.0.0.1) get an answer.
+Requests are solved one after another; a request that a newer one of the same page has overtaken is not solved.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import re
 import secrets
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -29,15 +29,15 @@ from lin_freq_ocp.pages.explorer.sliders import Slider
 from lin_freq_ocp.pages.templates import render_template
 from lin_freq_ocp.problem.description import problem_facts
 
-# Points of a solved sweep along each slider, the own value among them: all pairs of two, the others alone.
+# Points of a solved sweep along a slider, the problem's value among them: two sliders vary together, the others alone.
 PAIRED, ALONE = 7, 5
-PAIR = "frequency", "bounds"  # groups of which the first sliders are moved together
+PAIR = "frequency", "bounds"  # the groups whose first sliders vary together
 
-Connection = socket | tuple[bytes, socket]  # the second for datagrams, which this server does not get
+Connection = socket | tuple[bytes, socket]  # the second for datagrams, which never reach this server
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 1 << 16  # of a request: the values of a few sliders
 TOKEN_BYTES = 16
-IDLE_SECONDS = 30.0  # without a byte, a connection is closed; browsers open a new one when they need it
+IDLE_SECONDS = 30.0  # a connection without a byte for so long is closed; browsers open a new one on demand
 MOST_CONNECTIONS = 32  # each has a thread; a browser opens six for a page
 BUSY_ANSWER = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 LENGTH = re.compile("[0-9]{1,9}")  # of a request, in ASCII
@@ -52,7 +52,7 @@ HEADERS = {
 
 
 def page(session: Session, solved: list[Data] | None = None) -> str:
-    """Return the page that asks its server, or that has these solved points inside."""
+    """Return the live page, or the page that contains these solved points."""
     data: Data = {"sliders": [slider.data for slider in session.sliders], "points": solved}
     return render_template(
         "explorer",
@@ -68,35 +68,27 @@ def page(session: Session, solved: list[Data] | None = None) -> str:
 
 
 def static_page(session: Session, progress: Callable[[int, int], object] = lambda done, count: None) -> str:
-    """Return the page with a solved sweep inside; ``progress`` is told how many points are solved, and of how many."""
+    """Return the page with a solved sweep; ``progress`` gets the numbers of solved and of all points."""
     grid = points(session.sliders)
     solved = list[Data]()
     for values in grid:
-        solved.append({"values": values, "answer": session.answer(values), "beside": session.beside(values)})
+        solved.append({"values": values, "answer": session.answer(values), "compared": session.compare(values)})
         progress(len(solved), len(grid))
     return page(session, solved)
 
 
 def points(sliders: tuple[Slider, ...]) -> list[dict[str, float]]:
-    """Return the values at the points of a sweep: of the sliders that are moved."""
-    firsts = [[one for one in sliders if one.group == group][:1] for group in PAIR]
-    paired = [one for first in firsts for one in first]
-    moved = [dict(pair) for pair in product(*([(one.key, v) for v in _points_along(one, PAIRED)] for one in paired))]
-    moved += [{one.key: value} for one in sliders if one not in paired for value in _points_along(one, ALONE)]
-    own = {one.key: one.value for one in sliders}
-    unique = {tuple({**own, **values}.items()): None for values in moved}
-    return [dict(values) for values in unique] or [own]
+    """Return the values of all sliders at the points of a sweep."""
+    paired = [slider for group in PAIR for slider in [slider for slider in sliders if slider.group == group][:1]]
+    moves = [dict(pair) for pair in product(*(slider.samples(PAIRED) for slider in paired))]
+    moves += [dict([sample]) for slider in sliders if slider not in paired for sample in slider.samples(ALONE)]
+    start = {slider.key: slider.value for slider in sliders}
+    unique = {tuple({**start, **values}.items()): None for values in moves}
+    return [dict(values) for values in unique] or [start]
 
 
-def _points_along(slider: Slider, count: int) -> Iterator[float]:
-    """Yield values from end to end, on notches, the problem's own among them."""
-    first, last = (round((end - slider.value) / slider.step) for end in (slider.low, slider.high))
-    notches = {round(first + (last - first) * i / (count - 1)) for i in range(count)} | {0}
-    yield from (slider.notch(n) for n in sorted(notches))
-
-
-class Overtaken(Exception):  # noqa: N818  (no error: nobody waits for the answer any more)
-    """A newer request of the same page has come."""
+class OvertakenError(Exception):
+    """A newer request of the same page has arrived, so that nobody waits for this answer."""
 
 
 class ExploreServer(ThreadingHTTPServer):
@@ -123,7 +115,7 @@ class ExploreServer(ThreadingHTTPServer):
         self._interrupted = threading.Event()
 
     def serve_until_interrupted(self) -> NoReturn:
-        """Serve until Ctrl-C, which is noted wherever it arrives and raised between connections."""
+        """Serve until Ctrl-C, which may arrive in any thread and is raised between connections."""
         with interrupts_noted() as self._interrupted:
             self.serve_forever()
         raise KeyboardInterrupt
@@ -134,7 +126,7 @@ class ExploreServer(ThreadingHTTPServer):
             raise KeyboardInterrupt
 
     def process_request(self, request: Connection, client_address: object) -> None:
-        """Give a connection a thread of its own; refuse it where there are too many."""
+        """Serve a connection in its own thread; refuse it if there are too many."""
         if not self._free.acquire(blocking=False):
             with suppress(OSError):
                 if isinstance(request, socket):
@@ -155,14 +147,14 @@ class ExploreServer(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, request: Connection, client_address: object) -> None:
-        """Say nothing of connections that were reset or fell silent, and of other errors one line."""
+        """Print one line on an error, and nothing on a connection that was reset or timed out."""
         error = sys.exception()
         if isinstance(error, Exception) and not isinstance(error, (ConnectionError, TimeoutError)):
             print(f"error: a fault of lin-freq-ocp explore: {first_line(error)}", file=sys.stderr)
 
     @property
     def hosts(self) -> tuple[str, str]:
-        """Return the Host headers of its own page."""
+        """Return the Host headers of the server's page."""
         return f"{LOOPBACK}:{self.server_port}", f"localhost:{self.server_port}"
 
     @property
@@ -170,26 +162,26 @@ class ExploreServer(ThreadingHTTPServer):
         """Return the address of the page."""
         return f"http://{self.hosts[0]}/{self.token}/"
 
-    def answer(self, what: str, request: dict[str, object]) -> Data:
-        """Return the answer to a request; raise Overtaken if a newer one of its page has come."""
+    def answer(self, question: str, request: dict[str, object]) -> Data:
+        """Return the answer to a request; raise OvertakenError if a newer one of its page has arrived."""
         client, order = str(request.get("page")), request.get("order")
         if not isinstance(order, int):
             raise ProblemError("order", repr(order), "a whole number, larger with every move of a slider")
         self._newest[client] = max(order, self._newest.get(client, order))
 
-        def wanted() -> bool:
+        def is_newest() -> bool:
             return self._newest[client] == order
 
         with self._solving:
-            if not wanted():
-                raise Overtaken
-            if what == "cure":
-                return self.session.cure(request.get("values"), request.get("slider"), wanted)
-            return {"answer": self.session.answer, "beside": self.session.beside}[what](request.get("values"))
+            if not is_newest():
+                raise OvertakenError
+            if question == "cure":
+                return self.session.cure(request.get("values"), request.get("slider"), is_newest)
+            return {"answer": self.session.answer, "compare": self.session.compare}[question](request.get("values"))
 
 
 class Handler(BaseHTTPRequestHandler):
-    """One request."""
+    """The handler of one connection."""
 
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
@@ -202,8 +194,8 @@ class Handler(BaseHTTPRequestHandler):
         return self.server
 
     def do_GET(self) -> None:
-        """Answer with the page, and nothing else."""
-        path = self._own_path()
+        """Answer with the page, the only thing to get."""
+        path = self._path_after_token()
         if path == "":
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", self._live.page)
         elif path is not None:
@@ -211,29 +203,28 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Answer a question of the page."""
-        path = self._own_path()
+        path = self._path_after_token()
         if path is None:
             return
-        if path not in ("answer", "beside", "cure"):
-            self._refuse(HTTPStatus.NOT_FOUND, "expected answer, beside or cure")
+        if path not in ("answer", "compare", "cure"):
+            self._refuse(HTTPStatus.NOT_FOUND, "expected answer, compare or cure")
             return
         try:
-            self._send_json(HTTPStatus.OK, self._live.answer(path, self._request()))
-        except Overtaken:
+            self._send_json(HTTPStatus.OK, self._live.answer(path, self._read_request()))
+        except OvertakenError:
             self._send_json(HTTPStatus.OK, {"overtaken": True})
         except LinFreqOCPError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
-        except (ConnectionError, TimeoutError):  # the page has been closed, or sends nothing any more
+        except (ConnectionError, TimeoutError):  # the page has been closed, or stopped sending
             self.close_connection = True
         except Exception as error:
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"a fault of lin-freq-ocp: {type(error).__name__}: {error}")
 
-    def _own_path(self) -> str | None:
-        """Return what follows the token in the path; refuse, and return None, if host or token are wrong."""
+    def _path_after_token(self) -> str | None:
+        """Return the path after the token; refuse the request, and return None, if host or token are wrong."""
         token, slash, rest = self.path.removeprefix("/").partition("/")
-        origin = self.headers.get("Origin")
-        own = self.headers.get("Host") in self._live.hosts
-        if not own or origin not in (None, *(f"http://{host}" for host in self._live.hosts)):
+        origin, hosts = self.headers.get("Origin"), self._live.hosts
+        if self.headers.get("Host") not in hosts or origin not in (None, *(f"http://{host}" for host in hosts)):
             self._refuse(HTTPStatus.FORBIDDEN, "not the page's own host")
         elif not secrets.compare_digest(token.encode(), self._live.token.encode()) or not slash:
             self._refuse(HTTPStatus.FORBIDDEN, "the address needs its token: open the one that lin-freq-ocp prints")
@@ -241,11 +232,11 @@ class Handler(BaseHTTPRequestHandler):
             return rest
         return None
 
-    def _request(self) -> dict[str, object]:
-        """Return the object that was sent."""
+    def _read_request(self) -> dict[str, object]:
+        """Return the JSON object of the request."""
         length = self.headers.get("Content-Length", "")
         if not LENGTH.fullmatch(length) or int(length) > MOST_BYTES:
-            self.close_connection = True  # what was sent is not read
+            self.close_connection = True  # the body is not read
             raise ProblemError("Content-Length", repr(length), f"at most {MOST_BYTES} bytes")
         content = self.rfile.read(int(length))
         try:
@@ -257,7 +248,7 @@ class Handler(BaseHTTPRequestHandler):
         return request
 
     def _refuse(self, status: HTTPStatus, why: str) -> None:
-        self.close_connection = True  # what was sent may not have been read
+        self.close_connection = True  # the body may not have been read
         self._send_json(status, {"error": why})
 
     def _send_json(self, status: HTTPStatus, answer: Data) -> None:
@@ -273,4 +264,4 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing of requests."""
+        """Log no requests."""

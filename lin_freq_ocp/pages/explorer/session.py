@@ -1,17 +1,17 @@
-"""The answers of a live page: a problem at the values of its sliders, solved again and again and judged.
+"""The answers of a live page: a problem at the values of its sliders, re-solved and certified.
 
-Bounds and ends leave the solver cache valid, which is kept between solves (``batch.repeated``); other values build the
-problem again. What can be moved is what the problem lists of its limits (``problem.limits``), and its horizon.
+Changes of bounds and ends use the solver cache (``batch.repeated``); other changes build the problem again. The sliders
+are the numbers that the problem lists of its limits (``problem.limits``), and its horizon.
 
 The page draws plain data in the axes' units: signals over time, and their spectra. The spectrum of a signal v of N
-samples is |V_k| = |sum_t v_t exp(-2 pi i k t / N)|, k = 0 .. N//2, as limits mean it.
+samples is |V_k| = |sum_t v_t exp(-2 pi i k t / N)|, k = 0 .. N//2, as in limits on magnitudes.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
@@ -28,7 +28,7 @@ from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequ
 from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, frequencies_around, vibration
 from lin_freq_ocp.comparison.trajectories import ProblemSignal, controls_of, outputs_of, replay_control, states_of
 from lin_freq_ocp.pages.explorer.sliders import GROUP_OF, Slider, sliders_of_limits
-from lin_freq_ocp.pages.report.findings import finding
+from lin_freq_ocp.pages.report.findings import finding_of
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.units import frequency_scale, time_scale
 from lin_freq_ocp.problem.limits import SPECTRA, changed_fields
@@ -42,7 +42,7 @@ from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome
 
 HORIZON = "horizon"
-HORIZON_NOTCHES = 60  # between half the problem's own horizon and its double, about
+HORIZON_NOTCHES = 60  # about so many between half and twice the problem's horizon
 
 # The groups of sliders in the order of the page, with their headings.
 GROUPS = {
@@ -54,36 +54,31 @@ GROUPS = {
     "initial_state": "Initial state",
     "terminal_state": "Terminal state",
 }
-FOLDED = "state_bounds", "initial_state", "terminal_state"  # shown when they are asked for
-KEPT = "bounds", *FOLDED  # what they change leaves what is set up once as it is
+FOLDED = "state_bounds", "initial_state", "terminal_state"  # hidden until the user opens them
+CACHED = "bounds", *FOLDED  # groups whose sliders leave the solver cache valid
 
-Rebuild = Callable[[int], OptimalControlProblem]  # the same problem over another horizon
+Rebuild = Callable[[int], OptimalControlProblem]  # builds the same problem over another horizon
 
-DIGITS = 4  # significant, of values that are drawn
-MOST_SIGNALS = 24  # that are drawn over time; controls come first
+DIGITS = 4  # significant digits of drawn values
+MOST_SIGNALS = 24  # drawn over time; controls come first
 
-Data = dict[str, object]  # as JSON has it
+Data = dict[str, object]  # an object of JSON
 
-SOLVE_SECONDS = 10.0  # for one answer
-KEPT_PROBLEMS, KEPT_ANSWERS = 8, 64  # the latest ones
+SOLVE_SECONDS = 10.0  # time limit of one answer
+CACHED_PROBLEMS, CACHED_ANSWERS = 8, 64  # the latest ones
 
 Values = Mapping[str, float]  # the value of each slider, by its key
 Item = TypeVar("Item")
 
 
 def sliders_of(problem: OptimalControlProblem, rebuild: Rebuild | None) -> tuple[Slider, ...]:
-    """Return the sliders of a problem, group by group."""
-    found = [*_horizon_slider(problem, rebuild), *sliders_of_limits(problem)]
-    return tuple(sorted(found, key=lambda slider: list(GROUPS).index(slider.group)))
-
-
-def _horizon_slider(problem: OptimalControlProblem, rebuild: Rebuild | None) -> Iterator[Slider]:
-    """Yield the horizon, if the problem can be built over others."""
-    T = problem.horizon
+    """Return the sliders of a problem, group by group; that of the horizon if the problem can be built over others."""
+    sliders, T = list(sliders_of_limits(problem)), problem.horizon
     notch = max(1, T // HORIZON_NOTCHES)
     low, high = T - (T // 2 // notch) * notch, T + (T // notch) * notch
     if rebuild is not None and _can_be_built(rebuild, low) and _can_be_built(rebuild, high):
-        yield Slider(HORIZON, "horizon", "horizon", "steps", low, high, notch, T, high)
+        sliders.append(Slider(HORIZON, "horizon", "horizon", "steps", low, high, notch, T, high))
+    return tuple(sorted(sliders, key=lambda slider: list(GROUPS).index(slider.group)))
 
 
 def _can_be_built(rebuild: Rebuild, horizon: int) -> bool:
@@ -91,16 +86,16 @@ def _can_be_built(rebuild: Rebuild, horizon: int) -> bool:
         warnings.simplefilter("ignore", BandWarning)
         try:
             return rebuild(horizon).horizon == horizon
-        except (LinFreqOCPError, TypeError, ValueError):  # no such parameter, or arrays over this horizon alone
+        except (LinFreqOCPError, TypeError, ValueError):  # no such parameter, or data that fix the horizon
             return False
 
 
-def checked_values(sliders: tuple[Slider, ...], given: object) -> dict[str, float]:
-    """Return the value of every slider, the problem's own where none is given; raise ProblemError if one is wrong."""
-    if not isinstance(given, Mapping):
-        raise ProblemError("values", brief(given), "an object with the values of sliders")
+def checked_values(sliders: tuple[Slider, ...], values: object) -> dict[str, float]:
+    """Return the value of every slider, that of the problem if none is given; raise ProblemError if one is wrong."""
+    if not isinstance(values, Mapping):
+        raise ProblemError("values", brief(values), "an object with the values of sliders")
     known = {slider.key: slider for slider in sliders}
-    for key, value in given.items():
+    for key, value in values.items():
         if key not in known:
             raise ProblemError(
                 f"values.{key}", "no slider of that name", f"some of {', '.join(known)}", suggestion(key, known)
@@ -110,49 +105,53 @@ def checked_values(sliders: tuple[Slider, ...], given: object) -> dict[str, floa
         if not number or not slider.low <= value <= slider.high:
             expected = f"a number from {slider.low:.6g} to {slider.high:.6g} {slider.unit}".rstrip()
             raise ProblemError(f"values.{key}", brief(value), expected)
-    return {key: float(given.get(key, slider.value)) for key, slider in known.items()}
+    return {key: float(values.get(key, slider.value)) for key, slider in known.items()}
 
 
-def problem_at(problem: OptimalControlProblem, rebuild: Rebuild | None, moved: Values) -> OptimalControlProblem:
-    """Return the problem with these values."""
+def problem_at(
+    problem: OptimalControlProblem, rebuild: Rebuild | None, moved: Values, classical: bool = False
+) -> OptimalControlProblem:
+    """Return the problem with these values, with or without its frequency constraints."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BandWarning)  # the page shows which bins are stopped
         if HORIZON in moved and rebuild is not None:
             problem = rebuild(int(moved[HORIZON]))
         fields = changed_fields(problem, {key: value for key, value in moved.items() if key != HORIZON})
+        if classical:
+            fields |= dict.fromkeys(SPECTRA)
         return replace(problem, **fields) if fields else problem
 
 
 class Session:
-    """A problem with its sliders, and what was solved of it."""
+    """A problem with its sliders and its latest answers."""
 
     def __init__(self, problem: OptimalControlProblem, rebuild: Rebuild | None = None):
         if "convex" not in family_of(problem).shorthands or problem.dynamics.mode_names:
             raise UnsupportedError(
-                f"explore: got {family_of(problem).kind} dynamics, where one answer can take minutes; expected linear "
-                "dynamics or a frequency response. For such problems: 'sweep --grid', or 'compare' of one."
+                f"explore: got {family_of(problem).kind} dynamics, for which one answer can take minutes; expected "
+                "linear dynamics or a frequency response. For such problems, use 'sweep --grid' or 'compare'."
             )
         self.problem, self.rebuild = problem, rebuild
         self.sliders = sliders_of(problem, rebuild)
-        self._repeated = Latest[Repeated](KEPT_PROBLEMS)
-        self._outcomes = Latest[Outcome](KEPT_ANSWERS)
+        self._repeated = Latest[Repeated](CACHED_PROBLEMS)
+        self._outcomes = Latest[Outcome](CACHED_ANSWERS)
 
-    def answer(self, given: object) -> Data:
+    def answer(self, values: object) -> Data:
         """Return status, cost, certificate and trajectory at these values of the sliders."""
-        values = checked_values(self.sliders, given)
+        checked = checked_values(self.sliders, values)
         try:
-            return answer_data(self.outcome(values))
+            return answer_data(self.outcome(checked))
         except LinFreqOCPError as error:  # such as a problem file whose arrays do not fit this horizon
             return {"status": "error", "message": str(error)}
 
-    def beside(self, given: object) -> Data:
-        """Return the classical solution and what a filter makes of it, at these values; nothing without a band."""
-        values = checked_values(self.sliders, given)
-        constrained = self.outcome(values)
+    def compare(self, values: object) -> Data:
+        """Return the classical and the filtered trajectory at these values; none without a frequency constraint."""
+        checked = checked_values(self.sliders, values)
+        constrained = self.outcome(checked)
         problem = constrained.problem
         if not has_frequency_constraint(problem):
             return {"finding": "", "trajectories": []}
-        classical = self.outcome(values, classical=True)
+        classical = self.outcome(checked, classical=True)
         plan = classical.trajectory
         if not classical.status.solved or plan is None:
             return {"finding": f"no classical solution, {classical.status}", "trajectories": []}
@@ -161,87 +160,82 @@ class Session:
             control = filtered(PREFERRED_FILTER, problem, plan.u)
             replay = replay_control(PREFERRED_FILTER, problem, control.u, plan)
             entries = (Filtered(PREFERRED_FILTER, control.description, replay),)
-        compared = ComparisonOutcome(problem, classical, constrained, entries)
-        shown = [("classical", compared.classical_solution), *(("filtered", one.replay) for one in entries)]
+        comparison = ComparisonOutcome(problem, classical, constrained, entries)
+        measured = [("classical", comparison.classical_solution), *(("filtered", entry.replay) for entry in entries)]
         return {
-            "finding": finding(compared).filtering,
+            "finding": finding_of(comparison).filtering,
             "trajectories": [
-                {"name": name, "cost": number(one.measures.cost, 6), "meaningful": one.meaningful}
-                | trajectory_data(problem, one.trajectory)
-                for name, one in shown
+                {"name": name, "cost": number(solution.measures.cost, 6), "meaningful": solution.meaningful}
+                | trajectory_data(problem, solution.trajectory)
+                for name, solution in measured
             ],
         }
 
-    def cure(self, given: object, key: object, wanted: Callable[[], bool] = lambda: True) -> Data:
-        """Return the least move of one slider after which there is a solution, all others as they are; or none.
+    def cure(self, values: object, key: object, is_wanted: Callable[[], bool] = lambda: True) -> Data:
+        """Return the smallest move of one slider that restores feasibility, others unchanged; None without one.
 
-        By bisection over its notches; it ends early when the answer is not wanted any more.
+        By bisection over its notches, which ends early when the answer is no longer wanted.
         """
-        values = checked_values(self.sliders, given)
-        slider = next((one for one in self.sliders if one.key == key), None)
-        if slider is None:
-            raise ProblemError("slider", repr(key), f"one of {', '.join(one.key for one in self.sliders)}")
+        checked, sliders = checked_values(self.sliders, values), {slider.key: slider for slider in self.sliders}
+        if not isinstance(key, str) or key not in sliders:
+            raise ProblemError("slider", repr(key), f"one of {', '.join(sliders)}")
+        slider = sliders[key]
 
-        def suffices(n: int) -> bool:
-            return self.outcome({**values, slider.key: slider.notch(n)}).status.solved
+        def is_feasible(n: int) -> bool:
+            return self.outcome({**checked, key: slider.notch(n)}).status.solved
 
-        least, most = (round((value - slider.value) / slider.step) for value in (values[slider.key], slider.relaxed))
-        if least == most or not suffices(most):
-            return {"key": slider.key, "value": None}
-        while abs(most - least) > 1 and wanted():
+        least, most = (round((value - slider.value) / slider.step) for value in (checked[key], slider.relaxed))
+        if least == most or not is_feasible(most):
+            return {"key": key, "value": None}
+        while abs(most - least) > 1 and is_wanted():
             middle = (least + most) // 2
-            least, most = (least, middle) if suffices(middle) else (middle, most)
-        return {"key": slider.key, "value": slider.notch(most)}
+            least, most = (least, middle) if is_feasible(middle) else (middle, most)
+        return {"key": key, "value": slider.notch(most)}
 
     def outcome(self, values: Values, classical: bool = False) -> Outcome:
-        """Return how the problem at these values ends, with or without its frequency constraints."""
-        moved = {one.key: values[one.key] for one in self.sliders if values[one.key] != one.value}
+        """Return the outcome at these values, with or without the frequency constraints."""
+        moved = [slider for slider in self.sliders if values[slider.key] != slider.value]
         if classical:
-            moved = self._values_of_groups(moved, lambda group: group != GROUP_OF["control_spectrum"])
-        return self._outcomes.get((classical, *moved.items()), lambda: self._solve(moved, classical))
+            moved = [slider for slider in moved if slider.group != GROUP_OF["control_spectrum"]]
+        cached, structure = dict[str, float](), dict[str, float]()  # values that keep the solver cache, and others
+        for slider in moved:
+            (cached if slider.group in CACHED else structure)[slider.key] = values[slider.key]
 
-    def _values_of_groups(self, moved: Values, wanted: Callable[[str], bool]) -> dict[str, float]:
-        """Return the moved values of some groups of sliders."""
-        groups = {slider.key: slider.group for slider in self.sliders}
-        return {key: value for key, value in moved.items() if wanted(groups[key])}
+        def solve() -> Outcome:
+            repeated = self._repeated.get(
+                (classical, *structure.items()),
+                lambda: Repeated(problem_at(self.problem, self.rebuild, structure, classical)),
+            )
+            fields: dict[str, Any] = changed_fields(repeated.problem, cached)
+            ends = (fields.pop(field, None) for field in ("initial_state", "terminal_state"))
+            return repeated.solve(Change(*ends, bounds=fields or None), SOLVE_SECONDS)
 
-    def _solve(self, moved: dict[str, float], classical: bool) -> Outcome:
-        structure = self._values_of_groups(moved, lambda group: group not in KEPT)
-
-        def prepare() -> Repeated:
-            problem = problem_at(self.problem, self.rebuild, structure)
-            if classical:
-                problem = replace(problem, **dict.fromkeys(SPECTRA))
-            return Repeated(problem)
-
-        repeated = self._repeated.get((classical, *structure.items()), prepare)
-        fields: dict[str, Any] = changed_fields(
-            repeated.problem, self._values_of_groups(moved, lambda group: group in KEPT)
-        )
-        ends = (fields.pop(field, None) for field in ("initial_state", "terminal_state"))
-        change = Change(*ends, bounds=fields or None)
-        return repeated.solve(change, SOLVE_SECONDS)
+        return self._outcomes.get((classical, *structure.items(), *cached.items()), solve)
 
 
 class Latest(Generic[Item]):
-    """The latest few of what was made, by their keys."""
+    """A cache of the latest items, by their keys."""
 
     def __init__(self, most: int):
         self._most, self._items = most, OrderedDict[Hashable, Item]()
 
     def get(self, key: Hashable, make: Callable[[], Item]) -> Item:
-        """Return what was made for a key, or make it."""
-        found = self._items[key] if key in self._items else make()
-        self._items[key] = found
+        """Return the item of a key; make it if it is not cached."""
+        if key not in self._items:
+            self._items[key] = make()
         self._items.move_to_end(key)
         if len(self._items) > self._most:
             self._items.popitem(last=False)
-        return found
+        return self._items[key]
 
 
 def answer_data(outcome: Outcome) -> Data:
-    """Return an outcome as the page shows it."""
+    """Return an outcome in the form that the page shows."""
     certificate, trajectory = outcome.certificate, outcome.trajectory
+    theorem = "no point to certify"
+    if certificate is not None:
+        theorem = certificate.pmp.replace("_", " ")
+        theorem += f", {'normal' if certificate.normal else 'abnormal'}" if theorem == "satisfied" else ""
     return {
         "status": outcome.status,
         "message": outcome.message,
@@ -256,7 +250,7 @@ def answer_data(outcome: Outcome) -> Data:
         },
         "gap": outcome.gap,
         "lower_bound": outcome.lower_bound,
-        "theorem": _theorem(outcome),
+        "theorem": theorem,
         "proof": [] if certificate is None else verdict(certificate, outcome.problem),
         "conflict": [part.block for part in outcome.conflict or ()],
         "frame": frame_data(outcome.problem),
@@ -264,29 +258,29 @@ def answer_data(outcome: Outcome) -> Data:
     }
 
 
-def _theorem(outcome: Outcome) -> str:
-    """Say what the judge found of the maximum principle."""
-    certificate = outcome.certificate
-    if certificate is None:
-        return "no point to judge"
-    if certificate.pmp != "satisfied":
-        return certificate.pmp.replace("_", " ")
-    return f"satisfied, {'normal' if certificate.normal else 'abnormal'}"
-
-
 def frame_data(problem: OptimalControlProblem) -> Data:
-    """Return what does not depend on a trajectory: axes, names, bounds, stopped bins and limits."""
+    """Return the parts of the picture that do not depend on a trajectory: axes, names, bounds, stopped bins, limits."""
     time, frequency = time_scale(problem), frequency_scale(problem)
+    signals, spectra = list[Data](), list[Data]()
+    for signal in _time_signals(problem):
+        # A constant bound is a single value.
+        bounds = [bound[:1] if (bound == bound[0]).all() else bound for bound in signal.bounds]
+        sides = {side: round_values(bound) for side, bound in zip(("lower", "upper"), bounds, strict=True)}
+        signals.append({"name": signal.name, "state": signal.is_state, **sides})
+    for signal in _frequency_signals(problem):
+        step, last = 2 * np.pi / signal.samples * frequency.factor, signal.samples / 2
+        stopped = [[step * max(a - 0.5, 0.0), step * min(b + 0.5, last)] for a, b in stopped_runs(signal.stop)]
+        limits = [
+            {"at": round_values(frequency.factor * line.at), "values": round_values(line.values)}
+            for line in signal.levels
+        ]
+        spectra.append({"name": signal.name, "step": step, "stopped": stopped, "limits": limits})
     return {
         "horizon": problem.horizon,
         "time": {"step": time.factor, "label": time.label},
         "frequency": {"label": frequency.label},
-        "signals": [
-            {"name": signal.name, "state": signal.is_state}
-            | {side: _bound_data(bound) for side, bound in zip(("lower", "upper"), signal.bounds, strict=True)}
-            for signal in _time_signals(problem)
-        ],
-        "spectra": [_spectrum_data(signal, frequency.factor) for signal in _frequency_signals(problem)],
+        "signals": signals,
+        "spectra": spectra,
         "vibrations": [  # the axis of each, its box of natural frequencies, and its limit
             {
                 "name": term.name,
@@ -300,32 +294,12 @@ def frame_data(problem: OptimalControlProblem) -> Data:
     }
 
 
-def _bound_data(values: Array) -> list[float | None]:
-    """Return a bound over time, as a single value where it is constant."""
-    return round_values(values[:1] if (values == values[0]).all() else values)
-
-
 def _time_signals(problem: OptimalControlProblem) -> list[ProblemSignal]:
     return [*controls_of(problem), *states_of(problem)][:MOST_SIGNALS]
 
 
-def _spectrum_data(signal: ProblemSignal, factor: float) -> Data:
-    per_bin = 2 * np.pi / signal.samples * factor
-    runs = stopped_runs(signal.stop)
-    last = signal.samples / 2
-    edges: Iterable[tuple[float, float]] = ((max(a - 0.5, 0.0), min(b + 0.5, last)) for a, b in runs)
-    return {
-        "name": signal.name,
-        "step": per_bin,
-        "stopped": [[per_bin * low, per_bin * high] for low, high in edges],
-        "limits": [
-            {"at": round_values(factor * line.at), "values": round_values(line.values)} for line in signal.levels
-        ],
-    }
-
-
 def _frequency_signals(problem: OptimalControlProblem) -> list[ProblemSignal]:
-    """Return all controls, and the states and outputs with a limit on their spectrum."""
+    """Return all controls, and the states and outputs whose spectrum is constrained."""
     limited = [state for state in states_of(problem) if state.stop.any()]
     return [*controls_of(problem), *limited, *outputs_of(problem)][:MOST_SIGNALS]
 
@@ -344,5 +318,5 @@ def trajectory_data(problem: OptimalControlProblem, trajectory: Trajectory) -> D
 
 
 def round_values(values: Array) -> list[float | None]:
-    """Return numbers with few digits; None for what is no number."""
+    """Return numbers with few digits; None for values that are not finite."""
     return [float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in map(float, values)]

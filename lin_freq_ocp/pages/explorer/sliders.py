@@ -1,6 +1,6 @@
 """Sliders: the numbers of a problem that the page moves, in notches.
 
-A slider has notches low, low + step, ..., high, of which one is the problem's own value.
+A slider has notches low, low + step, ..., high; one of them is the problem's value.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from lin_freq_ocp.problem.limits import numbers
 from lin_freq_ocp.problem.numbers import NOTCHES, Number
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-ROUNDING = 1e-9  # of a notch, by which a limit may be missed
+ROUNDING = 1e-9  # of a notch: a limit closer than this to a notch counts as that notch
 
-# The groups of sliders, and in which order their fields have them.
+# The group of the sliders of each field, in the order of the page.
 GROUP_OF = {
     "control_spectrum": "frequency",
     "state_spectrum": "frequency",
@@ -27,13 +27,13 @@ GROUP_OF = {
     "initial_state": "initial_state",
     "terminal_state": "terminal_state",
 }
-# Components of a signal with more of which a field has no sliders.
+# A field has no sliders if its signal has more components than this.
 MOST_COMPONENTS = {"control_set": 4, "state_set": 12, "initial_state": 12, "terminal_state": 12}
 
 
 @dataclass(frozen=True)
 class Slider:
-    """A value that can be moved from ``low`` to ``high`` in ``unit``; towards ``relaxed`` the problem gets easier."""
+    """A value between ``low`` and ``high`` in ``unit``; ``relaxed`` is the end at which the problem is easiest."""
 
     key: str
     group: str
@@ -42,7 +42,7 @@ class Slider:
     low: float
     high: float
     step: float
-    value: float  # the problem's own
+    value: float  # that of the problem
     relaxed: float
 
     @property
@@ -51,14 +51,20 @@ class Slider:
         return asdict(self)
 
     def notch(self, n: int) -> float:
-        """Return the value n notches from the problem's own."""
+        """Return the value n notches from that of the problem."""
         return min(max(self.value + n * self.step, self.low), self.high)
+
+    def samples(self, count: int) -> list[tuple[str, float]]:
+        """Return the key with each of ``count`` values from end to end, on notches, and with the problem's value."""
+        first, last = (round((end - self.value) / self.step) for end in (self.low, self.high))
+        notches = {round(first + (last - first) * i / (count - 1)) for i in range(count)} | {0}
+        return [(self.key, self.notch(n)) for n in sorted(notches)]
 
 
 def sliders_of_limits(problem: OptimalControlProblem) -> Iterator[Slider]:
-    """Yield the sliders of a problem, those of frequencies under different labels."""
+    """Yield the sliders of a problem; labels of frequency sliders are unique."""
     labels, order = Counter[str](), list(GROUP_OF)
-    for number in sorted(numbers(problem).values(), key=lambda one: order.index(one.field)):
+    for number in sorted(numbers(problem).values(), key=lambda number: order.index(number.field)):
         components = problem.control_dim if number.field == "control_set" else problem.state_dim
         first, last, step = notches(number)
         if components > MOST_COMPONENTS.get(number.field, inf) or not first < last:
@@ -71,15 +77,13 @@ def sliders_of_limits(problem: OptimalControlProblem) -> Iterator[Slider]:
 
 
 def notches(number: Number) -> tuple[float, float, float]:
-    """Return the first and the last notch of a number, and the step (else a round one), with a notch at its value."""
-    step = number.step or _round_step((number.high - number.low) / NOTCHES)
+    """Return the first and the last notch of a number and the step, by default a round one; its value is a notch."""
+    step = number.step
+    if not step:
+        size = (number.high - number.low) / NOTCHES
+        power = 10.0 ** floor(log10(size))
+        step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= size * (1 - ROUNDING))
     below, above = (
         floor(distance / step + ROUNDING) for distance in (number.value - number.low, number.high - number.value)
     )
     return number.value - below * step, number.value + above * step, step
-
-
-def _round_step(size: float) -> float:
-    """Return the least of 1, 2, 5 times a power of ten that is no less."""
-    power = 10.0 ** floor(log10(size))
-    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= size * (1 - ROUNDING))

@@ -1,13 +1,14 @@
-"""Figures of semi-infinite constraints, whose axis is not that of a DFT.
+"""Figures of semi-infinite constraints: residual vibrations, and spectra of signals with a zero-order hold.
 
-They are residual vibrations, over the natural frequency, with the limit within the box of modes, and spectra of held
-signals beyond the Nyquist frequency.
+A residual vibration is drawn over the natural frequency, with its limit within the box of modes; a spectrum goes on
+above the Nyquist frequency.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,12 +29,14 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 PANEL_HEIGHT = 1.15 * look.ROW_HEIGHT
 LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers
 
+Panel = Callable[[Axes], None]  # draws into the axes
+
 PER_BIN = 8  # points for each bin
 SHOWN_DECADES = 4  # below the largest value
 
 
 def moves_figure(moves: Moves) -> Figure:
-    """Return the vibration that each move leaves, one panel a control."""
+    """Return the residual vibration of each move, one panel per control."""
     boxes = boxes_of(moves.problem)
     figure, panels = look.panel_grid(len(boxes), PANEL_HEIGHT)
     for k, (ax, box) in enumerate(zip(panels, boxes, strict=True)):
@@ -41,31 +44,36 @@ def moves_figure(moves: Moves) -> Figure:
     return figure
 
 
-def vibrations_figure(data: PlotData) -> Figure | None:
-    """Return what the trajectories leave ringing in boxes of modes; None without any."""
-    terms = semi_infinite_terms(data.problem, VibrationLimit)
-    if not terms:
+def panels_figure(panels: Sequence[Panel]) -> Figure | None:
+    """Return a figure with these panels in rows; None without any."""
+    if not panels:
         return None
-    figure, panels = look.panel_grid(len(terms), PANEL_HEIGHT)
-    for ax, (term, box) in zip(panels, terms, strict=True):
-        shown = [Ringing(trace.label, box, trace.trajectory, trace.style) for trace in data.traces]
-        vibration_panel(ax, term.name.removeprefix("residual vibration of "), shown)
+    figure, axes = look.panel_grid(len(panels), PANEL_HEIGHT)
+    for ax, panel in zip(axes, panels, strict=True):
+        panel(ax)
     return figure
 
 
-def held_figure(data: PlotData) -> Figure | None:
-    """Return the spectra of held signals with a limit, images included; None without any."""
+def vibration_panels(data: PlotData) -> list[Panel]:
+    """Return a panel for each box of modes, with the residual vibrations of the trajectories."""
+    return [
+        partial(
+            vibration_panel,
+            name=term.name.removeprefix("residual vibration of "),
+            shown=[Ringing(trace.label, box, trace.trajectory, trace.style) for trace in data.traces],
+        )
+        for term, box in semi_infinite_terms(data.problem, VibrationLimit)
+    ]
+
+
+def held_panels(data: PlotData) -> list[Panel]:
+    """Return a panel for each limited spectrum of a signal with a zero-order hold, images included."""
     terms = semi_infinite_terms(data.problem, ZeroOrderHoldMask)
-    if not terms:
-        return None
-    figure, panels = look.panel_grid(len(terms), PANEL_HEIGHT)
-    for ax, (term, everywhere) in zip(panels, terms, strict=True):
-        held_spectrum_panel(ax, data, term, everywhere)
-    return figure
+    return [partial(held_spectrum_panel, data=data, term=term, everywhere=everywhere) for term, everywhere in terms]
 
 
-def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: ZeroOrderHoldMask) -> None:
-    """Draw |sinc V| of a held signal up to the highest frequency with a limit, and the limit."""
+def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: ZeroOrderHoldMask, letter: str = "") -> None:
+    """Draw |sinc V| of a signal with a zero-order hold, and its limit, up to the highest limited frequency."""
     limits, factor = everywhere.limits, data.frequency.factor
     end = max(float(limits.high.max()), 2 * np.pi)
     bins = int(np.ceil(everywhere.map.samples * end / (2 * np.pi)))
@@ -87,16 +95,19 @@ def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: ZeroOr
     top = max(top, float(levels.max()))
     ax.set_ylim(min(top / 10**SHOWN_DECADES, float(levels.min()) / 10), 2 * top)
     ax.set_xlim(0, factor * end)
-    legend_beside(ax)
+    legend_right(ax)
     short, unit = split_unit(term.name)
     look.style_axes(
-        ax, f"{short[0].upper()}{short[1:]}", data.frequency.label, "|sinc V|" + (f" [{unit}]" if unit else "")
+        ax,
+        f"{letter} {short[0].upper()}{short[1:]}".lstrip(),
+        data.frequency.label,
+        "|sinc V|" + (f" [{unit}]" if unit else ""),
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Ringing:
-    """A trajectory, the box of modes on its samples, and how its line looks."""
+    """A trajectory, the box of modes for its samples, and the style of its line."""
 
     label: str
     box: VibrationLimit
@@ -105,8 +116,8 @@ class Ringing:
 
 
 def ringing_of(moves: Moves, k: int) -> list[Ringing]:
-    """Return what the moves that were found leave of control k."""
-    shapers, found = iter(zip(look.COMPONENTS[1:], LINES * 2, strict=False)), list[Ringing]()
+    """Return the moves with a trajectory, for the vibration panel of control k."""
+    styles, lines = iter(zip(look.COMPONENTS[1:], LINES * 2, strict=False)), list[Ringing]()
     for move in moves.all:
         if move.measured is None:
             continue
@@ -114,35 +125,36 @@ def ringing_of(moves: Moves, k: int) -> list[Ringing]:
         if move.name in (OURS, UNSHAPED):
             style = replace(style, width=style.width + 0.3)
         else:
-            color, line = next(shapers)
+            color, line = next(styles)
             style = replace(style, color=color, line=line, width=1.5)
         label = f"{move.name}: {move.samples} samples, {number(move.seconds, 3)} s"
-        found.append(Ringing(label, boxes_of(move.measured.problem)[k], move.measured.trajectory, style))
-    return found
+        lines.append(Ringing(label, boxes_of(move.measured.problem)[k], move.measured.trajectory, style))
+    return lines
 
 
-def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing]) -> None:
-    """Draw the vibration over the natural frequency, and the limit within the box that all of them have."""
+def vibration_panel(ax: Axes, name: str, shown: Sequence[Ringing], letter: str = "") -> None:
+    """Draw the vibration over the natural frequency, and the limit within the box of modes."""
     box = shown[-1].box
     low, high = float(box.low[0]), float(box.high[0])
     frequencies = frequencies_around(box)
     ax.axvspan(low, high, color=look.BAND, linewidth=0, zorder=0)
     ax.hlines(box.limit, low, high, color=look.BOUND, linewidth=2.0, label="limit", zorder=4)
     notes, inside = list[look.Note](), (frequencies >= low) & (frequencies <= high)
-    for one in shown:
-        values, style = vibration(one.box, one.trajectory, frequencies), one.style
+    for line in shown:
+        values, style = vibration(line.box, line.trajectory, frequencies), line.style
         if inside.any() and values[inside].min() > HIGHEST_LIMIT * box.limit:
             times = align(float(values[inside].max()) / box.limit, 3)
-            notes.append(look.Note(f"{one.label}: leaves the picture, {times} times the limit", style.color))
-        ax.plot(frequencies, values, color=style.color, linestyle=style.line, linewidth=style.width, label=one.label)
+            notes.append(look.Note(f"{line.label}: leaves the picture, {times} times the limit", style.color))
+        ax.plot(frequencies, values, color=style.color, linestyle=style.line, linewidth=style.width, label=line.label)
     ax.set_xlim(frequencies[0], frequencies[-1])
     ax.set_ylim(0, HIGHEST_LIMIT * box.limit)
-    legend_beside(ax)
+    legend_right(ax)
     short, unit = split_unit(name)
     y_label = "vibration" + (f" [{unit}]" if unit else "")
-    look.style_axes(ax, f"Residual vibration of {short}", "natural frequency [Hz]", y_label, notes)
+    title = f"{letter} Residual vibration of {short}".lstrip()
+    look.style_axes(ax, title, "natural frequency [Hz]", y_label, notes)
 
 
-def legend_beside(ax: Axes) -> None:
-    """Explain the lines of a panel on its right."""
+def legend_right(ax: Axes) -> None:
+    """Draw the legend of a panel to its right."""
     ax.legend(fontsize=look.LABEL_SIZE, frameon=False, labelcolor=look.INK, loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -1,10 +1,10 @@
-"""Figures of a result or a comparison; they need no display and change no global setting."""
+"""Figures of a result and of a comparison; they need no display and change no global setting."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import product
-from math import ceil
 from string import ascii_lowercase
 
 import numpy as np
@@ -27,10 +27,12 @@ from lin_freq_ocp.comparison.trajectories import (
     solution_label,
 )
 from lin_freq_ocp.pages.figures import look
+from lin_freq_ocp.pages.figures.continua import PANEL_HEIGHT, Panel, held_panels, vibration_panels
 from lin_freq_ocp.pages.figures.modes import mode_legend
 from lin_freq_ocp.pages.figures.panels import (
     frequency_axis,
     phase_panel,
+    rows_panel,
     shade_stop_band,
     spectrum_panel,
     states_panel,
@@ -42,14 +44,14 @@ from lin_freq_ocp.solving.outcome import Outcome
 LEGEND_HEIGHT = 0.5  # inches for the legend above the panels
 STATE_ROW_HEIGHT = 0.78 * look.ROW_HEIGHT
 
-MOST_PANELS = 6  # up to so many states have a panel each; of more, those of the same unit share one
-SMALLEST_SHOWN = 1e-6  # stage gaps below this fraction of the largest are rounding, and drawn at the lower edge
-ROUNDING = 1e-12  # fraction of the allowed gap that counts as the largest stage gap, if all of them are smaller
+MOST_PANELS = 6  # more states than this share panels by unit
+SMALLEST_SHOWN = 1e-6  # stage gaps below this fraction of the largest are rounding; drawn at the lower edge
+ROUNDING = 1e-12  # the largest stage gap is at least this fraction of the allowed gap
 
 
 def result_figure(result: Outcome) -> Figure:
-    """Return controls, their spectra, two phase portraits and all states in time of one solution."""
-    return four_panels(result_data(result), with_states=True)
+    """Return the figure of a solution, with panels of everything that it constrains."""
+    return four_panels(result_data(result), alone=True)
 
 
 def comparison_figure(comparison: ComparisonOutcome) -> Figure:
@@ -66,7 +68,7 @@ def result_data(result: Outcome) -> PlotData:
 
 
 def comparison_data(comparison: ComparisonOutcome) -> PlotData:
-    """Return the classical, the filtered and the constrained trajectory, as far as there are any."""
+    """Return the classical, the filtered and the constrained trajectory, those that exist, as plot data."""
     filtered, solution, traces = comparison.shown_filter, comparison.constrained_solution, list[Trace]()
     if solution is None or has_frequency_constraint(comparison.problem):
         traces.append(Trace(CLASSICAL, comparison.classical_solution, look.STYLES[CLASSICAL]))
@@ -77,39 +79,52 @@ def comparison_data(comparison: ComparisonOutcome) -> PlotData:
     return PlotData(comparison.problem, tuple(traces))
 
 
-def four_panels(data: PlotData, with_states: bool = False) -> Figure:
-    """Return each control in time beside its spectrum, and two views of the states below; on request, all in time."""
+def four_panels(data: PlotData, alone: bool = False) -> Figure:
+    """Return each control over time next to its spectrum, and two views of the states below.
+
+    A solution that is shown alone also has panels of all states, the spectra of states and outputs with a limit, joint
+    rows such as rates, residual vibrations, and spectra after a zero-order hold.
+    """
     problem, states = data.problem, data.states
-    controls, groups = problem.control_dim, _groups_of_states(data) if with_states else []
-    # Two phase portraits; where there are not two, the first state in time, unless all states follow
-    views = [[states[i] for i in pair] for pair in phase_pairs(problem.state_dim)]
-    views += [] if with_states or len(views) == 2 else [states[:1]]
-    view_rows = 1 if views else 0
-    heights = [look.ROW_HEIGHT] * (controls + view_rows) + [STATE_ROW_HEIGHT] * ceil(len(groups) / 2)
-    legend = _legend_handles(data, problem.state_dim > 1, bool(problem.control_band.any()), with_bounds=True)
-    figure = look.new_figure(sum(heights) + LEGEND_HEIGHT * look.legend_rows(legend) + mode_legend(data).height)
-    grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
-    letters = (f"({''.join(one)})" for size in (1, 2) for one in product(ascii_lowercase, repeat=size))
-    for j, control in enumerate(data.controls):
-        time_panel(figure.add_subplot(grid[j, 0]), data, control, next(letters))
-        spectrum_panel(figure.add_subplot(grid[j, 1]), data, control, next(letters))
-    for column, shown in enumerate(views):
-        ax = figure.add_subplot(grid[controls, column] if len(views) == 2 else grid[controls, :])
-        if len(shown) == 2:
-            phase_panel(ax, data, shown[0], shown[1], next(letters))
-        else:
-            time_panel(ax, data, shown[0], next(letters))
-    for k, group in enumerate(groups):
-        row, alone = controls + view_rows + k // 2, k == len(groups) - 1 and not k % 2
-        ax = figure.add_subplot(grid[row, :] if alone else grid[row, k % 2])
-        states_panel(ax, data, group, next(letters))
+    limited = [*(state for state in states if state.stop.any()), *data.outputs] if alone else []
+    letters = (f"({''.join(pair)})" for size in (1, 2) for pair in product(ascii_lowercase, repeat=size))
+    rows = list[tuple[float, list[Panel]]]()  # height and panels of each row
+
+    def add_panels(height: float, panels: Sequence[Callable[..., None]], columns: int = 2) -> None:
+        for start in range(0, len(panels), columns):
+            row = panels[start : start + columns]
+            rows.append((height, [partial(panel, letter=next(letters)) for panel in row]))
+
+    for control in data.controls:
+        panels = [partial(panel, data=data, component=control) for panel in (time_panel, spectrum_panel)]
+        add_panels(look.ROW_HEIGHT, panels)
+    # Two phase portraits; without two pairs, the first state over time, unless all states follow
+    pairs = [[states[i] for i in pair] for pair in phase_pairs(problem.state_dim)]
+    views: list[Callable[..., None]] = [partial(phase_panel, data=data, pair=pair) for pair in pairs]
+    views += [] if alone or len(views) == 2 else [partial(time_panel, data=data, component=states[0])]
+    add_panels(look.ROW_HEIGHT, views)
+    if alone:
+        add_panels(
+            STATE_ROW_HEIGHT, [partial(states_panel, data=data, states=group) for group in _groups_of_states(data)]
+        )
+        add_panels(STATE_ROW_HEIGHT, [partial(rows_panel, data=data, row=row) for row in data.joint_rows])
+        add_panels(look.ROW_HEIGHT, [partial(spectrum_panel, data=data, component=signal) for signal in limited])
+        add_panels(PANEL_HEIGHT, [*vibration_panels(data), *held_panels(data)], columns=1)
+    with_band = bool(problem.control_band.any() or limited)
+    legend = _legend_handles(data, problem.state_dim > 1, with_band, with_bounds=True)
+    height = sum(height for height, _ in rows)
+    figure = look.new_figure(height + LEGEND_HEIGHT * look.legend_rows(legend) + mode_legend(data).height)
+    grid = figure.add_gridspec(len(rows), 2, height_ratios=[height for height, _ in rows])
+    for i, (_, panels) in enumerate(rows):
+        for j, panel in enumerate(panels):
+            panel(figure.add_subplot(grid[i, j] if len(panels) == 2 else grid[i, :]))
     look.legend_above(figure, legend, handlelength=2.6)
     mode_legend(data).draw(figure)
     return figure
 
 
 def _groups_of_states(data: PlotData) -> list[list[ProblemSignal]]:
-    """Return the states that share a panel: few have one each, of many those of the same unit, some at a time."""
+    """Return the states of each panel: one each if they are few, otherwise some with the same unit."""
     if len(data.states) <= MOST_PANELS or len(data.traces) > 1:
         return [[state] for state in data.states]
     of_unit: dict[str, list[ProblemSignal]] = {}
@@ -120,14 +135,14 @@ def _groups_of_states(data: PlotData) -> list[list[ProblemSignal]]:
 
 
 def phase_pairs(n: int) -> list[tuple[int, int]]:
-    """Return at most two pairs of states: i with i + n/2 (positions with their speeds) for even n, else neighbours."""
+    """Return at most two pairs of states: for even n, i and i + n/2 (positions with speeds); otherwise neighbours."""
     half = n // 2
     pairs = [(i, i + half) for i in range(half)] if n % 2 == 0 else [(i, i + 1) for i in range(n - 1)]
     return pairs[:2]
 
 
 def states_figure(data: PlotData) -> Figure:
-    """Return every state in time, within its bounds."""
+    """Return every state over time with its bounds."""
     height = LEGEND_HEIGHT + mode_legend(data).height
     figure, panels = look.panel_grid(len(data.states), STATE_ROW_HEIGHT, height, columns=2)
     for state, ax in zip(data.states, panels, strict=True):
@@ -138,7 +153,7 @@ def states_figure(data: PlotData) -> Figure:
 
 
 def spectra_figure(data: PlotData, signals: Sequence[ProblemSignal]) -> Figure:
-    """Return the spectra of some states or outputs (there must be one)."""
+    """Return the spectra of one or more states or outputs."""
     figure, panels = look.panel_grid(len(signals), look.ROW_HEIGHT, LEGEND_HEIGHT, columns=2)
     for signal, ax in zip(signals, panels, strict=True):
         spectrum_panel(ax, data, signal)
@@ -147,7 +162,7 @@ def spectra_figure(data: PlotData, signals: Sequence[ProblemSignal]) -> Figure:
 
 
 def gap_figure(data: PlotData, certificate: Certificate) -> Figure | None:
-    """Return what each stage adds to the gap between cost and global bound; None without a bound."""
+    """Return the contribution of each stage to the gap between cost and global bound; None without a bound."""
     gaps = certificate.stage_gaps
     if gaps is None or not np.isfinite(gaps).all():
         return None
@@ -180,36 +195,37 @@ def gap_figure(data: PlotData, certificate: Certificate) -> Figure | None:
 
 
 def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
-    """Return |d J* / d bin| of every removed or bounded bin over its frequency (there must be one)."""
+    """Return |d J* / d bin| of one or more removed or bounded bins over their frequency."""
     kinds = [
-        (price, [signal for signal in signals if signal.stop.any()], what, length)
-        for price, signals, what, length in (
+        (price, [signal for signal in signals if signal.stop.any()], signal_kind, length)
+        for price, signals, signal_kind, length in (
             (prices[0], data.controls, "control", data.problem.horizon),
             (prices[1], data.states, "state", data.problem.state_samples),
         )
     ]
     kinds = [kind for kind in kinds if kind[1]]
     figure, panels = look.panel_grid(len(kinds), 0.85 * look.ROW_HEIGHT)
-    for ax, (price, components, what, length) in zip(panels, kinds, strict=True):
+    for ax, (price, components, signal_kind, length) in zip(panels, kinds, strict=True):
         frequency = data.frequency.factor * 2 * np.pi * np.arange(len(price)) / length
-        for i, one in enumerate(components):
-            shade_stop_band(ax, one.stop, length, data.frequency.factor)
-            x, y = look.thin_out(frequency[one.stop], price[one.stop, one.index])  # one stem per stopped bin
+        for i, component in enumerate(components):
+            stop = component.stop
+            shade_stop_band(ax, stop, length, data.frequency.factor)
+            x, y = look.thin_out(frequency[stop], price[stop, component.index])  # one stem per stopped bin
             color, marker = look.COMPONENTS[i % len(look.COMPONENTS)], look.MARKERS[i % len(look.MARKERS)]
             ax.vlines(x, 0, y, color=color, linewidth=1.0, alpha=0.7)
-            ax.plot(x, y, label=short_name(one.name), marker=marker, linestyle="none", color=color, markersize=5)
-        highest = float(price[:, [one.index for one in components]].max())
+            ax.plot(x, y, label=short_name(component.name), marker=marker, linestyle="none", color=color, markersize=5)
+        highest = float(price[:, [component.index for component in components]].max())
         ax.set_ylim(0, 1.08 * highest or 1.0)
         if len(components) > 1:
             ax.legend(fontsize=look.LABEL_SIZE, frameon=False, labelcolor=look.INK)
-        units = {split_unit(one.name)[1] for one in components}
+        units = {split_unit(component.name)[1] for component in components}
         unit = f" [cost per {units.pop()}]" if len(units) == 1 and "" not in units else " [cost per unit]"
-        look.style_axes(ax, f"Price of each removed {what} bin", data.frequency.label, f"|dJ* / d bin|{unit}")
+        look.style_axes(ax, f"Price of each removed {signal_kind} bin", data.frequency.label, f"|dJ* / d bin|{unit}")
         frequency_axis(ax, data)
-        stopped = frequency[np.any([one.stop for one in components], axis=0)]
+        stopped = frequency[np.any([component.stop for component in components], axis=0)]
         margin = 0.12 * (stopped[-1] - stopped[0]) or 0.12 * stopped[0]
         low, high = ax.get_xlim()
-        if margin > 0:  # what is far from all stopped bins is left out
+        if margin > 0:  # frequencies far from all stopped bins are not shown
             ax.set_xlim(max(low, stopped[0] - margin), min(high, stopped[-1] + margin))
     return figure
 
@@ -222,14 +238,16 @@ def _legend_handles(
         style, label = trace.style, f"{trace.label} ({trace.detail})" if trace.detail else trace.label
         handles.append(entry(label, color=style.color, linestyle=style.line, linewidth=style.width + 0.3))
     signals = [*data.controls, *data.states, *data.outputs]
-    rows = [line for one in signals for line in one.row_bounds] if with_bounds else []
-    levels = [line for one in signals for line in one.levels] if with_band else []
-    boxes = [bound for one in [*data.controls, *data.states] for bound in one.bounds] if with_bounds else []
+    rows = [line for signal in signals for line in signal.row_bounds] if with_bounds else []
+    levels = [line for signal in signals for line in signal.levels] if with_band else []
+    boxes = [bound for signal in signals for bound in signal.bounds] if with_bounds else []
     if any((np.abs(bound) < NO_BOUND).any() for bound in boxes) or any(not line.soft for line in [*rows, *levels]):
         handles.append(entry("bound", color=look.BOUND))
     if any(line.soft for line in [*rows, *levels]):
         handles.append(entry("soft bound", color=look.BOUND, linestyle=look.SOFT))
-    if with_bounds and any(one.references for one in signals):
+    if with_bounds and any(len(data.control_levels(signal)) for signal in data.controls):
+        handles.append(entry("level", color=look.BOUND, linestyle=look.LEVEL_LINE, linewidth=0.9))
+    if with_bounds and any(signal.references for signal in signals):
         handles.append(entry("reference", color=look.REFERENCE, linestyle=look.REFERENCE_LINE))
     if with_band:
         handles.append(Patch(facecolor=look.BAND, label="stopped or bounded bins" if levels else "stop band"))

@@ -1,4 +1,4 @@
-"""How all figures look: colours, lines and sizes, titles with notes, legends, and rows of panels.
+"""The look of all figures: colours, lines and sizes, titles with notes, legends, and rows of panels.
 
 Colours are those of Okabe and Ito; each kind of trajectory has its own line and marker. Figures need no display.
 """
@@ -27,29 +27,30 @@ Numbers = NDArray[np.floating]
 
 INK, MUTED, GRID, PAPER, BAND, BOUND = "#1f2328", "#59636e", "#d6dbe1", "#ffffff", "#f4e8c9", "#8c959f"
 REFERENCE = "#8250df"
-# Classical is not quite black: SVG files leave out the default, and the page could then not replace it.
+# Classical is not quite black: SVG files omit the default colour, which the page could then not replace.
 CLASSICAL, FILTERED, CONSTRAINED = "#010101", "#d55e00", "#0072b2"
 
-# Behind the panels, by the number of the mode: light enough for the lines; neighbours differ in lightness or in blue
-# against yellow, which all readers see. Each hatch serves as many modes as there are tints.
+# Background of the panels by mode: light enough for the lines; neighbours differ in lightness, or as blue from yellow,
+# which all readers see. Each hatch serves as many modes as there are tints.
 TINTS = ("#eceff3", "#cfdcf2", "#e6bfd6", "#cdebd6", "#d8cba0", "#b4b8c4")
 HATCHES = ("", "////", "....", "xxxx")
 
-# Colours that the page replaces by its own variables, so that figures follow its light and dark scheme.
+# Colours that the page replaces by its variables, so that figures follow its light and dark scheme.
 THEMED = {INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper", BAND: "band", BOUND: "bound"}
 THEMED |= {REFERENCE: "reference", CLASSICAL: "classical", FILTERED: "filtered", CONSTRAINED: "constrained"}
 THEMED_TINTS = {tint: f"mode-{i}" for i, tint in enumerate(TINTS)}  # only on pages of problems with modes
 
-# Of the components of one signal, of soft bounds, and of references in the cost.
+# Components of one signal, soft bounds, and references in the cost.
 COMPONENTS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
 SOFT: LineStyleType = (0, (4, 2.5))
 REFERENCE_LINE: LineStyleType = (0, (6, 1.5, 1.2, 1.5))
+LEVEL_LINE: LineStyleType = (0, (1, 2))
 
 WITHOUT_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}  # backends that only write files
 NOTEBOOK_DPI = 80
 WIDTH, ROW_HEIGHT = 11.0, 3.5  # inches: width of a figure, height of a row of panels
-MOST_DRAWN = 1000  # of a longer signal, the smallest and largest value of every group of neighbours is drawn
+MOST_DRAWN = 1000  # for a longer signal, the smallest and largest value of every group of neighbours are drawn
 TITLE_SIZE, NOTE_SIZE, LABEL_SIZE, TICK_SIZE = 11, 9, 9.5, 9
 LEGEND_CHARACTERS, HANDLE_CHARACTERS = 130, 8  # width of a legend above the panels, and of a line or marker in it
 NOTE_CHARACTERS = 70  # width of a note under the title of a panel in half of a figure
@@ -67,7 +68,7 @@ class Style:
     order: int
 
     def of_line(self, part: float = 1.0) -> dict[str, object]:
-        """Return the properties of its line, as ``draw_line`` takes them, at a part of its width."""
+        """Return the properties of its line for ``draw_line``, with a part of its width."""
         return {"color": self.color, "linestyle": self.line, "linewidth": part * self.width, "zorder": self.order}
 
 
@@ -87,36 +88,36 @@ class Note:
 
 
 def plain(text: str) -> str:
-    """Return text with its dollar signs escaped: it is no formula."""
+    """Return text with its dollar signs escaped, so that Matplotlib sees no formula."""
     return text.replace("$", r"\$")
 
 
 def thin_out(x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
-    """Return what is drawn of y over x: for long signals, the extremes of every group of neighbours."""
+    """Return the points of y over x to draw: for long signals, the extremes of every group of neighbours."""
     if len(y) <= MOST_DRAWN:
         return x, y
     starts = np.linspace(0, len(y), MOST_DRAWN // 2, endpoint=False, dtype=int)
     groups = np.split(y, starts[1:])
     extremes = [(at + group.argmin(), at + group.argmax()) for at, group in zip(starts, groups, strict=True)]
-    kept = np.unique([0, len(y) - 1, *np.ravel(extremes)])
-    return x[kept], y[kept]
+    drawn = np.unique([0, len(y) - 1, *np.ravel(extremes)])
+    return x[drawn], y[drawn]
 
 
 def draw_line(ax: Axes, x: Numbers, y: Numbers, **properties: object) -> None:
-    """Draw y over x, thinned out where it is long, as a line with these properties."""
+    """Draw y over x, thinned out if it is long, as a line with these properties."""
     (line,) = ax.plot(*thin_out(x, y))
     line.set(**properties)
 
 
 def legend_line(label: str, **properties: object) -> Line2D:
-    """Return a line that a legend shows beside a label."""
+    """Return a line of a legend with its label."""
     line = Line2D([], [], linewidth=1.2, label=label)
     line.set(**properties)
     return line
 
 
 class ShownFigure(Figure):
-    """A figure that notebooks show, and that opens a window on request; pyplot manages it only then."""
+    """A figure that notebooks show and that opens a window on request; only then does pyplot manage it."""
 
     def _repr_png_(self) -> bytes:
         stream = BytesIO()
@@ -126,7 +127,7 @@ class ShownFigure(Figure):
     def show(self, warn: bool = True) -> None:
         """Open a window with the figure, and wait until it is closed, as ``matplotlib.pyplot.show`` does.
 
-        Where there is no display, a warning says so, and nothing is shown: use ``savefig``.
+        Without a display, it only warns: use ``savefig``.
         """
         from matplotlib import pyplot
 
@@ -140,7 +141,7 @@ class ShownFigure(Figure):
 
 
 def new_figure(height: float) -> Figure:
-    """Return an empty figure that makes room for its labels itself."""
+    """Return an empty figure whose layout makes room for its labels."""
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1, hspace=0.04, wspace=0.03)
     return ShownFigure(figsize=(WIDTH, height), layout=layout, facecolor=PAPER)
 
@@ -154,13 +155,13 @@ def panel_grid(count: int, height: float, extra: float = 0.0, columns: int = 1) 
 
 
 def legend_rows(handles: Sequence[Artist]) -> int:
-    """Return how many rows the explanation of lines and markers takes."""
-    length = sum(len(str(one.get_label())) + HANDLE_CHARACTERS for one in handles)
+    """Return the number of rows of a legend."""
+    length = sum(len(str(handle.get_label())) + HANDLE_CHARACTERS for handle in handles)
     return ceil(length / LEGEND_CHARACTERS)
 
 
 def legend_above(figure: Figure, handles: Sequence[Artist], handlelength: float | None = None) -> None:
-    """Explain lines and markers above the panels, in one row, or more where they are many."""
+    """Draw a legend above the panels, in as many rows as it needs."""
     figure.legend(
         handles=list(handles),
         loc="outside upper left",
@@ -183,7 +184,7 @@ def style_axes(ax: Axes, title: str, x_label: str, y_label: str, notes: Sequence
         fontsize=TITLE_SIZE,
         fontweight="bold",
         color=INK,
-        y=1.0,  # not looked for anew at every draw
+        y=1.0,  # not computed again at every draw
         pad=6 + pitch * len(lines) + (3 if lines else 0),
     )
     for i, (line, color) in enumerate(lines):
@@ -205,7 +206,7 @@ def style_axes(ax: Axes, title: str, x_label: str, y_label: str, notes: Sequence
     ax.grid(True, color=GRID, linewidth=0.6)
     ax.set_axisbelow(True)
     for axis in (ax.xaxis, ax.yaxis):
-        if axis.get_scale() == "linear":  # whole numbers on the ticks: an offset apart would lie on the title
+        if axis.get_scale() == "linear":  # ticks without an offset text, which would cover the title
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.10g}".replace("-", "\N{MINUS SIGN}")))
     if ax.get_xscale() == "linear":
         ax.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 2.5, 5, 10]))

@@ -1,4 +1,4 @@
-"""The figure of a control loop: its states and controls, their spectra over time, and the times of its steps."""
+"""The figure of a closed loop: states and controls, spectra of the controls over time, and times of the steps."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lin_freq_ocp.pages.figures import look
 
 LONGEST_WINDOW = 64  # samples of a window of the spectrogram; an eighth of the loop, if that is less
 LEAST_WINDOW = 8
-DECIBELS = 60  # below the largest value: the darkest colour
+DECIBELS = 60  # range of the colours below the largest value
 
 
 def loop_figure(loop: LoopRecord) -> Figure:
-    """Return each control in time beside its spectrogram, then all states, then the times of the steps and the gaps."""
+    """Return each control over time next to its spectrogram, all states, the times of the steps, and the gaps."""
     states, m = loop.problem.state_dim, loop.problem.control_dim
     rows = m + ceil(states / 2) + 1
     figure = look.new_figure(0.8 * look.ROW_HEIGHT * rows)
@@ -53,7 +53,7 @@ def loop_figure(loop: LoopRecord) -> Figure:
 
 
 def _clock(loop: LoopRecord, count: int) -> tuple[Array, str]:
-    """Return so many times, and the label of their axis."""
+    """Return the first times of the loop, and the label of their axis."""
     step = loop.problem.sampling_time
     if step is None:
         return np.arange(float(count)), "step"
@@ -61,25 +61,23 @@ def _clock(loop: LoopRecord, count: int) -> tuple[Array, str]:
 
 
 def _in_time(ax: Axes, loop: LoopRecord, i: int, of_state: bool = False) -> None:
-    """Draw a component with its bounds at the first time of a plan after the one that is measured."""
+    """Draw a component with its bounds at the first planned time."""
     problem = loop.problem
     if of_state:
         values, name, box = loop.states[:, i], problem.state_names[i], problem.state_boxes.at(1)
     else:
         values, name, box = loop.controls[:, i], problem.control_names[i], problem.control_tube.at(0)
     times, label = _clock(loop, len(values))
-    held = len(values) == len(loop.steps)
-    drawing = "steps-post" if held else "default"
+    drawing = "default" if of_state else "steps-post"
     look.draw_line(ax, times, values, color=look.COMPONENTS[0], linewidth=1.5, drawstyle=drawing)
     for limit in (box.lower[i], box.upper[i]):
         if abs(limit) < NO_BOUND:
             ax.axhline(float(limit), color=look.BOUND, linewidth=1.1)
-    other = np.array([source is not Source.PLAN for source in loop.sources], dtype=bool)
-    if other.any():
-        ax.plot(times[: len(other)][other], values[: len(other)][other], "x", color=look.FILTERED, markersize=5)
-    crosses = look.Note(f"crosses: {plural(int(other.sum()), 'step')} whose own problem was not solved")
+    unplanned = np.flatnonzero([source is not Source.PLAN for source in loop.sources])
+    ax.plot(times[unplanned], values[unplanned], "x", color=look.FILTERED, markersize=5)
+    crosses = look.Note(f"crosses: {plural(len(unplanned), 'step')} without a plan of the problem itself")
     ax.margins(x=0.015)
-    look.style_axes(ax, short_name(name), label, name, [crosses] if other.any() and held else [])
+    look.style_axes(ax, short_name(name), label, name, [crosses] if len(unplanned) and not of_state else [])
 
 
 def _spectrogram(ax: Axes, loop: LoopRecord, j: int) -> None:

@@ -1,4 +1,4 @@
-"""Modes in pictures: tints behind the panels, one strip for each trajectory, and the adjoint with its kinks."""
+"""Pictures of modes: tinted panels, one strip for each trajectory, and the adjoint with its kinks."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from lin_freq_ocp.pages.figures.plot_data import PlotData, Span, spans
 from lin_freq_ocp.pages.report.proof import ETA
 
 CHARACTER = 0.52 * look.NOTE_SIZE / 72  # inches: about the width of a character of a note
-# Inches: what a legend may take, and about the width of one of its characters.
+# Inches: the largest width of a legend, and about that of one of its characters.
 LEGEND_WIDTH, LEGEND_CHARACTER = look.WIDTH - 0.3, 1.12 * CHARACTER
 LONGEST_NAME = 32  # characters of a mode's name in a picture
-STRIP_HEIGHT = 0.3  # inches: height of a strip, and the room between strips
+STRIP_HEIGHT = 0.3  # inches
 BAR = 0.02  # width of the bar of an interval, relative to the time axis
-# The marker of what the adjoint equation requires.
+# The marker of the value that the adjoint equation requires.
 REQUIRED: dict[str, object] = {
     "color": look.INK,
     "markersize": 6.5,
     "markerfacecolor": look.PAPER,
     "markeredgewidth": 1.4,
 }
-MARKED = 60  # up to so many values are points on their line
+MARKED = 60  # up to so many values, each has a marker
 
 
 def shade_modes(ax: Axes, data: PlotData) -> None:
-    """Put the tint of the main trajectory's mode behind every step of a panel in time."""
+    """Tint every step of a panel over time by the main trajectory's mode."""
     for span in data.modes:
         if span.mode != NO_MODE:
             start, end = data.time.factor * span.start, data.time.factor * span.end
@@ -49,14 +49,14 @@ def shade_modes(ax: Axes, data: PlotData) -> None:
 
 @dataclass(frozen=True)
 class ModeLegend:
-    """The tints of some modes with their names, and whose modes they are; empty without any."""
+    """The tints of modes with their names, and the trajectory that they belong to; empty without modes."""
 
     modes: tuple[int, ...]
     names: tuple[str, ...]
     whose: str
 
     def _layout(self) -> tuple[int, bool]:
-        """Return how many names stand side by side, and whether all do, with whose modes they are."""
+        """Return the number of columns, and whether all names and ``whose`` fit in one row."""
         width = LEGEND_CHARACTER * max(map(len, self.names)) + 0.55
         if len(self.modes) * width + len(self.whose) * LEGEND_CHARACTER <= LEGEND_WIDTH:
             return len(self.modes), True
@@ -64,14 +64,14 @@ class ModeLegend:
 
     @property
     def height(self) -> float:
-        """Return the inches that it takes."""
+        """Return its height in inches."""
         if not self.modes:
             return 0.0
         columns, in_one_row = self._layout()
         return 0.24 * (1 if in_one_row else 1 + ceil(len(self.modes) / columns)) + 0.08
 
     def draw(self, figure: Figure) -> None:
-        """Put it below the panels."""
+        """Draw it below the panels."""
         if not self.modes:
             return
         columns, in_one_row = self._layout()
@@ -97,7 +97,7 @@ class ModeLegend:
 
 
 def mode_legend(data: PlotData) -> ModeLegend:
-    """Return the explanation of the tints behind the panels."""
+    """Return the legend of the tints of the panels."""
     whose = "mode" if len(data.traces) == 1 else f"mode of the {data.main.label} trajectory"
     return _legend_of(data, {span.mode for span in data.modes}, whose)
 
@@ -108,19 +108,19 @@ def _legend_of(data: PlotData, modes: set[int], whose: str) -> ModeLegend:
 
 
 def strip_rows(comparison: ComparisonOutcome) -> list[tuple[str, Indices | None]]:
-    """Return label and mode sequence of every trajectory of a comparison; None without a replay."""
-    return [(one.label, one.modes) for one in comparison.trajectories]
+    """Return label and mode sequence of every trajectory of a comparison; None without a simulation."""
+    return [(trajectory.label, trajectory.modes) for trajectory in comparison.trajectories]
 
 
 def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) -> Figure:
-    """Return one strip for each trajectory: label and mode sequence, or None where its states mean nothing."""
+    """Return one strip for each trajectory: label and mode sequence, None if its states mean nothing."""
     names, factor, horizon = _short_names(data.problem.dynamics.mode_names), data.time.factor, data.problem.horizon
     drawn = [(row, span) for row, (_, modes) in enumerate(rows) if modes is not None for span in spans(modes)]
     unnamed = any(span.mode != NO_MODE and not _has_room(span, names[span.mode], horizon) for _, span in drawn)
     legend = _legend_of(data, {span.mode for _, span in drawn} if unnamed else set(), "mode")
     figure = look.new_figure(STRIP_HEIGHT * 1.25 * len(rows) + 0.75 + legend.height)
     ax = figure.add_subplot()
-    for row, span in drawn:  # a box, with the name of its mode where there is room
+    for row, span in drawn:  # a box, with the name of its mode if there is room
         outside = span.mode == NO_MODE
         box = Rectangle((factor * span.start, row - 0.4), factor * (span.end - span.start), 0.8)
         if outside:
@@ -146,10 +146,10 @@ def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) ->
     return figure
 
 
-def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: float) -> Figure:
-    """Return each component of eta_t, (T, n), in time, with what the derivatives can be at kinks.
+def adjoint_figure(data: PlotData, eta: Array, kinks: Sequence[Kink], least: float) -> Figure:
+    """Return each component of eta_t, (T, n), over time, with its possible derivatives at kinks.
 
-    Smaller values than ``least`` are zero up to the tolerance of the adjoint equation.
+    Values smaller than ``least`` are zero within the tolerance of the adjoint equation.
     """
     names, height = data.problem.state_names, 0.5 + mode_legend(data).height
     figure, panels = look.panel_grid(len(names), 0.85 * look.ROW_HEIGHT, height, columns=2)
@@ -159,7 +159,7 @@ def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: flo
         times = data.time.factor * np.arange(len(eta))
         look.draw_line(ax, times, eta[:, i], marker="o" if len(eta) <= MARKED else "", zorder=4, **line)
         end = data.time.factor * data.problem.horizon
-        for kink in found:  # the interval as a bar with caps, and beside it what the adjoint equation requires
+        for kink in kinks:  # the interval as a bar with caps, and the value that the adjoint equation requires
             at, half = data.time.factor * kink.time, 0.5 * BAR * end
             low, high = float(kink.lower[i]), float(kink.upper[i])
             bar = Rectangle((at - half, low), 2 * half, high - low)
@@ -169,23 +169,23 @@ def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: flo
             (point,) = ax.plot(at, kink.required[i], "D", zorder=8)
             point.set(**REQUIRED)
         ax.set_xlim(-BAR * end, (1 + BAR) * end)
-        shown, notes = np.concatenate([eta[:, i], *(one.of(i) for one in found)]), list[look.Note]()
+        shown, notes = np.concatenate([eta[:, i], *(kink.of(i) for kink in kinks)]), list[look.Note]()
         low, high = float(shown.min()), float(shown.max())
-        if max(-low, high) <= least:  # zero up to rounding, which is not magnified
+        if max(-low, high) <= least:  # zero up to rounding, which would fill the axis
             ax.set_ylim(-1, 1)
             notes = [look.Note("zero, within the tolerance of the adjoint equation")]
         else:
             margin = 1.5 * look.AXIS_MARGIN * (high - low if high - low > least else max(-low, high))
             ax.set_ylim(low - margin, high + margin)
-            if not SMALL <= max(-low, high) < LARGE:  # the power of ten would stand where the title is
+            if not SMALL <= max(-low, high) < LARGE:  # a common power of ten would cover the title
                 ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 3)))
         short, unit = split_unit(name)
         look.style_axes(ax, f"Adjoint of {short}", data.time.label, f"{ETA} [cost per {unit or 'unit'}]", notes)
     handles: list[Artist] = [look.legend_line(f"adjoint {ETA}", marker="o", **line)]
-    if found:
+    if kinks:
         text = f"$D_x$ <{ETA}, f> over all derivatives at a kink"
         handles.append(Patch(facecolor=look.FILTERED, alpha=0.28, label=text))
-        text = "what the adjoint equation requires of it"
+        text = "its value that the adjoint equation requires"
         handles.append(look.legend_line(text, linestyle="none", marker="D", **REQUIRED))
     look.legend_above(figure, handles)
     mode_legend(data).draw(figure)
@@ -194,8 +194,8 @@ def adjoint_figure(data: PlotData, eta: Array, found: Sequence[Kink], least: flo
 
 def smallest_adjoint(certificate: Certificate) -> float:
     """Return the size below which the judge cannot tell eta from zero."""
-    scales = [one.scale * one.tolerance for one in certificate.conditions if one.name == "adjoint equation"]
-    return max(scales, default=0.0)
+    adjoint = [condition for condition in certificate.conditions if condition.name == "adjoint equation"]
+    return max((condition.scale * condition.tolerance for condition in adjoint), default=0.0)
 
 
 def _has_room(span: Span, name: str, horizon: int) -> bool:
@@ -214,6 +214,6 @@ def _paint(patch: Patch, mode: int) -> Patch:
 
 
 def _short_names(names: Sequence[str]) -> list[str]:
-    """Return names as pictures show them, ready to be drawn."""
+    """Return names cut to the length that pictures show, with escaped dollar signs."""
     end = "\N{HORIZONTAL ELLIPSIS}"
     return [look.plain(name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + end) for name in names]

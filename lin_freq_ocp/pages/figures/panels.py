@@ -1,4 +1,4 @@
-"""One panel each: a component in time, two states against each other, a spectrum."""
+"""Single panels: a component over time, a phase portrait, a spectrum."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from lin_freq_ocp.base.phrases import number, short_name, split_unit
 from lin_freq_ocp.comparison.trajectories import ProblemSignal
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import shade_modes
-from lin_freq_ocp.pages.figures.plot_data import PlotData
+from lin_freq_ocp.pages.figures.plot_data import JointRow, PlotData, view
 from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 
-LABEL_CHARACTERS = 30  # A longer name is cut off where several share a legend
-DECADES = 5  # decades of a spectrum below its largest value; what is smaller is drawn at the lower edge
-HIDDEN_LIMIT = 30  # A limit of a spectrum that is more than so many times its largest value leaves the picture
-# Up to so many bins, the zero-padded spectrum is drawn as it is; beyond, the largest value between neighbours.
+LABEL_CHARACTERS = 30  # a longer name is cut off in a legend of several
+DECADES = 5  # decades of a spectrum below its largest value; smaller values are drawn at the lower edge
+HIDDEN_LIMIT = 30  # a limit of more than so many times the largest value of the spectrum is not shown
+# Up to so many bins, the whole zero-padded spectrum is drawn; for more, the largest value between neighbours.
 FEW_BINS = 48
 
 
-def time_panel(ax: Axes, data: PlotData, signal: ProblemSignal, letter: str = "") -> None:
-    """Draw a control or state of all traces in time, within its bounds, before the modes of the main trajectory."""
+def time_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:
+    """Draw a control or state of all traces over time, with its bounds, on the tints of the main trajectory's modes."""
     shade_modes(ax, data)
-    zero_order_hold = not signal.is_state  # of controls, until the end of each step
+    zero_order_hold = not component.is_state  # each control acts until the end of its step
     drawing = "steps-post" if zero_order_hold else "default"
 
     def draw(at: Array, values: Array, **properties: object) -> None:
@@ -37,31 +37,36 @@ def time_panel(ax: Axes, data: PlotData, signal: ProblemSignal, letter: str = ""
             at, values = np.append(at, at[-1] + 1), np.append(values, values[-1])
         look.draw_line(ax, data.time.factor * at, values, drawstyle=drawing, **properties)
 
-    for bound in signal.bounds:
+    for bound in component.bounds:
         if np.isfinite(bound).any():
             values = np.where(np.isfinite(bound), bound, np.nan)
             draw(np.arange(float(len(values))), values, color=look.BOUND, linewidth=1.2, zorder=2)
-    limits = [(line, look.BOUND, look.SOFT if line.soft else "-") for line in signal.row_bounds]
-    for line, color, style in [*limits, *((one, look.REFERENCE, look.REFERENCE_LINE) for one in signal.references)]:
+    for level in data.control_levels(component):
+        ax.axhline(float(level), color=look.BOUND, linestyle=look.LEVEL_LINE, linewidth=0.9, zorder=1)
+    limits = [(line, look.BOUND, look.SOFT if line.soft else "-") for line in component.row_bounds]
+    for line, color, style in [
+        *limits,
+        *((line, look.REFERENCE, look.REFERENCE_LINE) for line in component.references),
+    ]:
         marker = "D" if np.isfinite(line.values).sum() <= 1 else ""  # of a single time
         shape: dict[str, object] = {"linestyle": style, "linewidth": 1.2, "marker": marker, "markersize": 4.5}
         draw(line.at, line.values, color=color, zorder=2, **shape)
-    for trace in data.showing(signal):
-        values = trace.of(signal)
+    for trace in data.showing(component):
+        values = trace.of(component)
         draw(np.arange(float(len(values))), values, **trace.style.of_line())
-    seen = data.view(signal)
+    seen = data.view(component)
     ax.set_ylim(seen.low, seen.high)
     ax.margins(x=0.015)
-    notes = data.notes([signal])
+    notes = data.notes([component])
     if zero_order_hold:
-        unit = split_unit(signal.name)[1]
-        largest = [f"{number(trace.measured.largest(signal), 3)} {trace.label}" for trace in data.traces]
+        unit = split_unit(component.name)[1]
+        largest = [f"{number(trace.measured.largest(component), 3)} {trace.label}" for trace in data.traces]
         notes = [look.Note(f"largest{f' [{unit}]' if unit else ''}: {', '.join(largest)}")]
-    look.style_axes(ax, f"{letter} {short_name(signal.name)}".lstrip(), data.time.label, signal.name, notes)
+    look.style_axes(ax, f"{letter} {short_name(component.name)}".lstrip(), data.time.label, component.name, notes)
 
 
-def states_panel(ax: Axes, data: PlotData, states: Sequence[ProblemSignal], letter: str) -> None:
-    """Draw some states of the main in time: one as ``time_panel`` does, more in a colour each."""
+def states_panel(ax: Axes, data: PlotData, states: Sequence[ProblemSignal], letter: str = "") -> None:
+    """Draw states of the main trajectory over time: a single one as ``time_panel`` does, several in a colour each."""
     if len(states) == 1:
         time_panel(ax, data, states[0], letter)
         return
@@ -79,11 +84,34 @@ def states_panel(ax: Axes, data: PlotData, states: Sequence[ProblemSignal], lett
     look.style_axes(ax, title, data.time.label, f"[{unit}]" if unit else "state", data.notes(states))
 
 
-def phase_panel(ax: Axes, data: PlotData, first: ProblemSignal, second: ProblemSignal, letter: str) -> None:
-    """Draw the second state over the first, with their bounds as a box, the common start and every end."""
-    pair = first, second
-    views = [data.view(one) for one in pair]
-    bounds = [one.bounds for one in pair]
+def rows_panel(ax: Axes, data: PlotData, row: JointRow, letter: str = "") -> None:
+    """Draw a joint row of all traces over time, with its bounds."""
+    shade_modes(ax, data)
+    times = data.time.factor * np.arange(data.problem.horizon + 1.0)
+
+    def draw(values: Array, **properties: object) -> None:
+        look.draw_line(ax, times, np.append(values, values[-1]), drawstyle="steps-post", **properties)
+
+    for bound in (row.lower, row.upper):
+        if np.isfinite(bound).any():
+            style = "-" if row.family.penalty is None else look.SOFT
+            draw(
+                np.where(np.isfinite(bound), bound, np.nan), color=look.BOUND, linewidth=1.2, linestyle=style, zorder=2
+            )
+    traces = [trace for trace in data.traces if trace.measured.meaningful]
+    for trace in traces:
+        draw(row.values(trace.trajectory), **trace.style.of_line())
+    seen = view([row.values(trace.trajectory) for trace in traces], [], np.concatenate([row.lower, row.upper]))
+    ax.set_ylim(seen.low, seen.high)
+    ax.margins(x=0.015)
+    name, unit = row.family.name, f" [{row.unit}]" if row.unit else ""
+    look.style_axes(ax, f"{letter} {name}".lstrip(), data.time.label, f"{name}{unit}", [look.Note(row.words)])
+
+
+def phase_panel(ax: Axes, data: PlotData, pair: Sequence[ProblemSignal], letter: str = "") -> None:
+    """Draw the second state over the first: their bounds as a box, the common start, and the end of each trace."""
+    views = [data.view(state) for state in pair]
+    bounds = [state.bounds for state in pair]
     if not any((bound != bound[0]).any() for both in bounds for bound in both):  # a box, whose open sides lie outside
         low = [max(float(lower[0]), 2 * seen.low - seen.high) for (lower, _), seen in zip(bounds, views, strict=True)]
         high = [min(float(upper[0]), 2 * seen.high - seen.low) for (_, upper), seen in zip(bounds, views, strict=True)]
@@ -93,20 +121,20 @@ def phase_panel(ax: Axes, data: PlotData, first: ProblemSignal, second: ProblemS
     shown = data.showing(pair[0])
     for trace in shown:
         style = trace.style
-        x, y = (trace.of(one) for one in pair)
+        x, y = (trace.of(state) for state in pair)
         ax.plot(x, y)[0].set(**style.of_line())
         ax.plot(x[-1], y[-1], "s", color=style.color, markersize=7, markeredgecolor=look.PAPER, zorder=style.order + 4)
-    x, y = (shown[-1].of(one)[0] for one in pair)
+    x, y = (shown[-1].of(state)[0] for state in pair)
     (start,) = ax.plot(x, y, "o", markerfacecolor=look.PAPER, markeredgecolor=look.INK, markersize=7, zorder=10)
     start.set_markeredgewidth(1.5)
     ax.set_xlim(views[0].low, views[0].high)
     ax.set_ylim(views[1].low, views[1].high)
-    title = f"{letter} {' and '.join(short_name(one.name) for one in pair)}"
-    look.style_axes(ax, title, first.name, second.name, data.notes(pair))
+    title = f"{letter} {' and '.join(short_name(state.name) for state in pair)}"
+    look.style_axes(ax, title, pair[0].name, pair[1].name, data.notes(pair))
 
 
 def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:
-    """Draw the spectrum of a component, its DFT bins as points and what lies between them as a line."""
+    """Draw the spectrum of a component: its DFT bins as points, the zero-padded spectrum between them as a line."""
     traces = data.showing(component)
     padded = [padded_spectrum(trace.of(component)[: component.samples, None]) for trace in traces]
     top = max(float(magnitude.max()) for _, magnitude in padded) or 1.0
@@ -114,7 +142,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
     length, factor = component.samples, data.frequency.factor
     shade_stop_band(ax, component.stop, length, factor)
     highest = 0.0
-    for line in component.levels:  # the limits, drawn with gaps where neighbouring bins have none
+    for line in component.levels:  # the limits, with gaps at bins without a limit
         cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
         for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
             shape: dict[str, object] = {"linewidth": 1.6, "linestyle": look.SOFT if line.soft else "-", "markersize": 9}
@@ -126,12 +154,12 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
     for trace, (omega, magnitudes) in zip(traces, padded, strict=True):
         style, magnitude = trace.style, magnitudes[:, 0]
         gaps = (len(omega) - 1) // ZERO_PADDING
-        if gaps > FEW_BINS:  # whose lobes would fill the panel: the top of every lobe
+        if gaps > FEW_BINS:  # the lobes would fill the panel: draw the top of each
             lobes = magnitude[: gaps * ZERO_PADDING].reshape(gaps, ZERO_PADDING)
             omega, magnitude = omega[np.arange(gaps) * ZERO_PADDING + lobes.argmax(1)], lobes.max(1)
         between = style.of_line(0.65) | {"linestyle": "-"}
         look.draw_line(ax, factor * omega, np.maximum(magnitude, floor), **between)
-        # The bins are points, those too small for the axis hollow triangles at its lower edge
+        # Bins are points; those too small for the axis are hollow triangles at its lower edge.
         frequency = factor * 2 * np.pi * np.arange(length // 2 + 1) / length
         bins, order = np.abs(np.fft.rfft(trace.of(component)[:length])), style.order
         low = bins < floor
@@ -145,7 +173,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
             ax, frequency[low], at_edge, marker="v", markeredgewidth=0.8, color=style.color, zorder=order + 1, **hollow
         )
         touching = component.touching(trace.trajectory)
-        if len(touching.at):  # where a spectrum reaches the limit of a mask at every frequency
+        if len(touching.at):  # frequencies at which the spectrum reaches a mask at every frequency
             at = factor * touching.at
             look.draw_line(ax, at, touching.values, marker="o", color=style.color, zorder=order + 2, **hollow)
     ax.set_yscale("log")
@@ -153,7 +181,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
     ax.set_ylim(floor / 1.6, 3 * max(top, highest))
     short, unit = split_unit(component.name)
     y_label = f"|DFT of {short}|" + (f" [{unit}]" if unit else "")
-    if component.stop.any():  # how far the stop band is from empty between its bins
+    if component.stop.any():  # the largest magnitude between the bins of the stop band
         named = [f"{number(trace.measured.stopband_peak(component), 3)} {trace.label}" for trace in traces]
         note = f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}"
     else:
@@ -171,7 +199,7 @@ def shade_stop_band(ax: Axes, stop: Mask, length: int, factor: float) -> None:
 
 
 def frequency_axis(ax: Axes, data: PlotData) -> None:
-    """Range from 0 to Nyquist; in rad/sample with fifths of pi."""
+    """Set the range of an axis from 0 to the Nyquist frequency; in rad/sample, ticks are fifths of pi."""
     nyquist = data.frequency.factor * np.pi
     ax.set_xlim(-0.012 * nyquist, 1.012 * nyquist)
     if data.problem.sampling_time is None:

@@ -10,26 +10,29 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.base.phrases import listed
+from lin_freq_ocp.base.phrases import combination, listed, short_name, split_unit
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, ProblemSignal, controls_of, outputs_of, states_of
 from lin_freq_ocp.pages.figures.look import AXIS_MARGIN, Note, Style
 from lin_freq_ocp.pages.units import Scale, frequency_scale, quantity, rough, time_scale
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-OVERLAY_REACH = 0.6  # an overlay may widen an axis by this fraction of what the others span; beyond, it is cut off
-BOUND_REACH = 0.6  # likewise for a bound far from all trajectories
+OVERLAY_REACH = 0.6  # an overlay may extend an axis by this fraction of the others' span, and is cut off there
+MOST_JOINT_ROWS, MOST_LEVELS = 6, 16  # in one figure; in one panel
+BOUND_REACH = 0.6  # the same for a bound far from all trajectories
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One trajectory as a figure shows it."""
+    """A trajectory in a figure."""
 
     label: str
     measured: MeasuredTrajectory
     style: Style
-    detail: str = ""  # beside the label in the legend
-    overlay: bool = False  # whether the axes may cut it off, so that a filtered trajectory leaves room for the others
+    detail: str = ""  # in the legend, after the label
+    overlay: bool = False  # whether the axes may cut it off: a filtered trajectory may run away
 
     @property
     def trajectory(self) -> Trajectory:
@@ -43,7 +46,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Span:
-    """A mode that holds over the steps start .. end - 1, from time ``start`` to time ``end``."""
+    """A mode over the steps start .. end - 1, from time ``start`` to time ``end``."""
 
     start: int
     end: int
@@ -67,7 +70,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class PlotData:
-    """A problem and the trajectories to show, at least one of them not an overlay."""
+    """A problem and its trajectories; at least one of them is no overlay."""
 
     problem: OptimalControlProblem
     traces: tuple[Trace, ...]
@@ -82,6 +85,19 @@ class PlotData:
         """Return the scale of the frequency axes."""
         return frequency_scale(self.problem)
 
+    @cached_property
+    def joint_rows(self) -> list[JointRow]:
+        """Return the joint rows of the problem that the main trajectory brings nearest to their limits."""
+        return sorted(joint_rows(self.problem), key=lambda row: row.margin(self.main.trajectory))[:MOST_JOINT_ROWS]
+
+    def control_levels(self, signal: ProblemSignal) -> Array:
+        """Return the levels of a control, (levels,); none if it has no or too many levels, and none of a state."""
+        if signal.is_state:
+            return np.zeros(0)
+        levels = [entry.levels_of(self.problem.control_dim) for entry in entries_of(self.problem.control_set)]
+        values = np.unique(np.concatenate([np.zeros(0), *(entry[signal.index] for entry in levels if len(entry))]))
+        return values if len(values) <= MOST_LEVELS else np.zeros(0)
+
     @property
     def main(self) -> Trace:
         """Return the trajectory that the figure is about: the last that is not an overlay."""
@@ -89,7 +105,7 @@ class PlotData:
 
     @cached_property
     def modes(self) -> tuple[Span, ...]:
-        """Return the modes of the main trajectory; nothing with fewer than two modes."""
+        """Return the modes of the main trajectory; none with fewer than two modes."""
         return () if self.main.measured.modes is None else spans(self.main.measured.modes)
 
     @cached_property
@@ -122,7 +138,7 @@ class PlotData:
         )
 
     def notes(self, signals: Sequence[ProblemSignal]) -> list[Note]:
-        """Return which trajectories are missing from a panel of these states, and which leave it."""
+        """Return notes on the trajectories that are missing from a panel of these states, or leave it."""
         outside = any(self.view(signal).outside for signal in signals)
         notes = list[Note]()
         for trace in self.traces:
@@ -132,23 +148,64 @@ class PlotData:
             elif not measured.meaningful:
                 text = f"not replayed; rounding errors would grow {rough(measured.measures.amplification)}-fold"
             elif trace.overlay and outside:
-                text = f"leaves the picture; {_end_text(trace, signals)}"
+                end = measured.end  # its distance from the terminal set; with a free end, the largest values
+                missed = [] if end is None else [signal for signal in signals if end.bounded[signal.index]]
+                if end is not None and missed:
+                    sizes = [quantity(float(end.values[signal.index]), signal.name) for signal in missed]
+                    text = f"leaves the picture; ends {listed(sizes)} away"
+                else:
+                    sizes = [quantity(measured.largest(signal), signal.name) for signal in signals]
+                    text = f"leaves the picture; goes as far as {listed(sizes)}"
             if text:
                 notes.append(Note(f"{trace.label}: {text}", trace.style.color))
         return notes
 
 
-def _end_text(trace: Trace, signals: Sequence[ProblemSignal]) -> str:
-    """Return how far from the terminal set a trajectory ends, or how far it goes where the end is free."""
-    end = trace.measured.end
-    bounded = [] if end is None else [one for one in signals if end.bounded[one.index]]
-    if end is not None and bounded:
-        return f"ends {listed([quantity(float(end.values[one.index]), one.name) for one in bounded])} away"
-    return f"goes as far as {listed([quantity(trace.measured.largest(one), one.name) for one in signals])}"
+@dataclass(frozen=True, eq=False)
+class JointRow:
+    """A stage row on several components, such as the rate of a control, with its values and bounds over time, (T,)."""
+
+    words: str  # its combination of components
+    unit: str
+    family: StageRows
+    index: int
+    lower: Array
+    upper: Array
+
+    def values(self, trajectory: Trajectory) -> Array:
+        """Return its values along a trajectory, (T,)."""
+        return self.family.values(trajectory.x, trajectory.u)[:, self.index]
+
+    def margin(self, trajectory: Trajectory) -> float:
+        """Return the least distance of its values from its bounds, relative to the largest value."""
+        values = self.values(trajectory)
+        distance = min(float((values - self.lower).min()), float((self.upper - values).min()))
+        return distance / (float(np.abs(values).max()) or 1.0)
+
+
+def joint_rows(problem: OptimalControlProblem) -> list[JointRow]:
+    """Return the stage rows on several components; a row and its negative are one row with two bounds."""
+    rows, T, names = list[JointRow](), problem.horizon, [*problem.control_names, *problem.state_names]
+    for family in problem.stage_rows:
+        matrices = [np.broadcast_to(part, (T, *part.shape[-2:])) for part in (family.D, family.C)]
+        weights, upper = np.concatenate(matrices, axis=2), np.broadcast_to(family.e, (T, family.rows))
+        pending = [i for i in range(family.rows) if (np.count_nonzero(weights[:, i], axis=1) > 1).any()]
+        while pending:
+            i = pending.pop(0)
+            opposite = [k for k in pending if np.array_equal(weights[:, k], -weights[:, i])]
+            pending = [k for k in pending if k not in opposite]
+            lower = np.max([np.full(T, -np.inf), *(-upper[:, k] for k in opposite)], axis=0)
+            components = [names[k] for k in np.flatnonzero(weights[:, i].any(axis=0))]
+            units = {split_unit(name)[1] for name in components}
+            words = combination(weights[0, i], names)
+            if (weights[:, i] != weights[0, i]).any():
+                words = f"row {i + 1}, of {', '.join(map(short_name, components))}"
+            rows.append(JointRow(words, units.pop() if len(units) == 1 else "", family, i, lower, upper[:, i]))
+    return rows
 
 
 def view(mains: Sequence[Array], overlays: Sequence[Array], bounds: Array, references: Sequence[Array] = ()) -> View:
-    """Return a range that shows all mains and references, and overlays and bounds as far as they are near."""
+    """Return a range with all mains and references, and with the overlays and bounds that are near."""
     mains = [*mains, *references]
     low, high = min(float(main.min()) for main in mains), max(float(main.max()) for main in mains)
     span = high - low or max(abs(high), 1.0)

@@ -1,4 +1,4 @@
-"""What a comparison found, in sentences made from the numbers."""
+"""The finding of a comparison in sentences, made from its numbers."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.solving.outcome import Outcome
 
 FILTERING = "Filtering afterwards"
-NAMED = 2  # components that a sentence names before it only counts the others
-MORE_EXPENSIVE = 1e-2  # relative: a smaller extra cost of a filtered control is not mentioned
-NOTABLE = 1.0  # percent: a smaller difference of two costs is shown with two digits
+NAMED = 2  # components that a sentence names; it counts the others
+MORE_EXPENSIVE = 1e-2  # smallest relative extra cost of a filtered control that is mentioned
+NOTABLE = 1.0  # percent; a smaller difference of two costs has two digits
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of a comparison, without full stops: of filtering (empty without any), and of the constraint."""
+    """The result of filtering (empty without a filter) and of the constraint, without full stops."""
 
     filtering: str
     setting: str
@@ -37,11 +37,11 @@ class Finding:
         return f"{filtering}{self.setting}: {self.solution}."
 
 
-def finding(comparison: ComparisonOutcome) -> Finding:
-    """Return what filtering afterwards does, and what the constraint in the problem does."""
+def finding_of(comparison: ComparisonOutcome) -> Finding:
+    """Return the effects of filtering afterwards and of the constraint in the problem."""
     result, shown = comparison.constrained, comparison.shown_filter
     if not has_frequency_constraint(comparison.problem):
-        solution = _without_solution(result) or f"the cost is {number(result.cost)}, {_proven(result)}"
+        solution = _without_solution(result) or f"the cost is {number(result.cost)}, {_proof_in_words(result)}"
         return Finding("", "No frequency constraint, so nothing to filter", solution)
     filtering, limits = "", filter_limits(comparison.problem)
     if shown is None and limits:
@@ -58,7 +58,7 @@ def finding(comparison: ComparisonOutcome) -> Finding:
             )
         elif not replay.meaningful:
             filtering += (
-                "; what the states would do cannot be replayed: over this horizon the dynamics amplify rounding errors "
+                "; the states cannot be replayed: over this horizon the dynamics amplify rounding errors "
                 f"{rough(comparison.classical_measures.amplification)}-fold"
             )
         filtering += f". Note: {limits}" if limits else ""
@@ -66,7 +66,7 @@ def finding(comparison: ComparisonOutcome) -> Finding:
 
 
 def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[str]:
-    """Return the constraints that a filtered control violates, and whether it is more expensive, in words."""
+    """Return in words the constraints that a filtered control violates, and its extra cost."""
     problem, controls = replay.problem, controls_of(replay.problem)
     names, terms = problem.state_names, [term.name for term in problem.terms if term.hard]
 
@@ -76,36 +76,36 @@ def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[st
         peak = quantity(replay.largest(controls[j]), controls[j].name)
         return f"the {name} bound by {size} (peaks at {peak}, {where})"
 
-    found = [
-        *_broken("exceeds", replay.controls, problem.control_names, "other control", bound_text),
-        *_broken("leaves the bounds on", replay.states, names, "other state", lambda name, size, i: name),
-        *_broken("violates", replay.terms, terms, "other constraint", lambda name, size, i: f"{name} by {size}"),
-        *_broken("misses the end by", replay.end, names, "other state", lambda name, size, i: f"{size} in {name}"),
+    sentences = [
+        *_violations("exceeds", replay.controls, problem.control_names, "other control", bound_text),
+        *_violations("leaves the bounds on", replay.states, names, "other state", lambda name, size, i: name),
+        *_violations("violates", replay.terms, terms, "other constraint", lambda name, size, i: f"{name} by {size}"),
+        *_violations("misses the end by", replay.end, names, "other state", lambda name, size, i: f"{size} in {name}"),
     ]
     measures, best = replay.measures, comparison.constrained.cost
-    for of_states, what, energy in (
+    for of_states, kind, energy in (
         (False, "control", measures.stopband_energy),
         (True, "state", measures.state_stopband_energy),
     ):
         if replay.empties_band(of_states) is False:
-            found.append(f"leaves an energy of {number(energy, 3)} at the bins of the {what} stop band")
+            sentences.append(f"leaves an energy of {number(energy, 3)} at the bins of the {kind} stop band")
     if best is not None and measures.cost is not None and comparison.constrained.primal:
         if measures.cost > best + MORE_EXPENSIVE * abs(best):
-            found.append(
+            sentences.append(
                 f"costs {number(measures.cost, 4)}, more than the {number(best, 4)} of the constrained solution"
             )
-    return found
+    return sentences
 
 
-def _broken(
+def _violations(
     verb: str, violation: Violation | None, names: Sequence[str], noun: str, text: Callable[[str, str, int], str]
 ) -> list[str]:
-    """Say which bounds are violated, by ``text`` of name, size and index of the first ones; nothing if none is."""
+    """Return a sentence with the ``text`` of name, size and index of each violated bound; none without a violation."""
     if violation is None or violation.passed.all():
         return []
-    broken = np.flatnonzero(~violation.passed).tolist()
-    parts = [text(short_name(names[i]), quantity(float(violation.values[i]), names[i]), i) for i in broken[:NAMED]]
-    others = f" (and {plural(len(broken) - NAMED, noun)})" if len(broken) > NAMED else ""
+    violated = np.flatnonzero(~violation.passed).tolist()
+    parts = [text(short_name(names[i]), quantity(float(violation.values[i]), names[i]), i) for i in violated[:NAMED]]
+    others = f" (and {plural(len(violated) - NAMED, noun)})" if len(violated) > NAMED else ""
     return [f"{verb} {listed(parts)}{others}"]
 
 
@@ -124,7 +124,7 @@ def _with_constraint(comparison: ComparisonOutcome) -> str:
         percent = 100 * (after / before - 1)
         size = f"{abs(percent):.{1 if abs(percent) >= NOTABLE else 2}f}"
         extra = f"for {size} % {'more' if percent > 0 else 'less'} cost" if float(size) else "at the same cost"
-    return f"{_holds(comparison)}, {extra}, {_proven(result)}"
+    return f"{_constraints_in_words(comparison)}, {extra}, {_proof_in_words(result)}"
 
 
 def _without_solution(result: Outcome) -> str:
@@ -135,26 +135,26 @@ def _without_solution(result: Outcome) -> str:
     return f"no solution ({result.status.replace('_', ' ')}: {result.message})"
 
 
-def _holds(comparison: ComparisonOutcome) -> str:
-    """Say whether every constraint holds, and whether a spectrum between the bins of a band is larger than without."""
-    result, own = comparison.constrained, comparison.constrained_measures
+def _constraints_in_words(comparison: ComparisonOutcome) -> str:
+    """Say whether every constraint holds, and whether a spectrum between bins is larger than without the constraint."""
+    result, constrained = comparison.constrained, comparison.constrained_measures
     if not result.primal:
         return f"not every constraint holds ({result.message or result.status.replace('_', ' ')})"
-    free, larger = comparison.classical_measures, list[str]()
-    for what, peak, before in (
-        ("control", own and own.stopband_peak, free.stopband_peak),
-        ("state", own and own.state_stopband_peak, free.state_stopband_peak),
+    classical, larger = comparison.classical_measures, list[str]()
+    for kind, peak, before in (
+        ("control", constrained and constrained.stopband_peak, classical.stopband_peak),
+        ("state", constrained and constrained.state_stopband_peak, classical.state_stopband_peak),
     ):
         if peak is not None and before is not None and peak > (1 + SAME_PEAK) * before:
             larger.append(
-                f"the spectrum of the {what} peaks at {number(peak, 3)} between the bins of its band, above the "
+                f"the spectrum of the {kind} peaks at {number(peak, 3)} between the bins of its band, above the "
                 f"{number(before, 3)} without the constraint"
             )
-    return f"every constraint holds at the bins, but {listed(larger)}" if larger else "everything holds"
+    return f"every constraint holds at the bins, but {listed(larger)}" if larger else "all constraints hold"
 
 
-def _proven(result: Outcome) -> str:
-    """Say what is proven of a solution, in the words of its status."""
+def _proof_in_words(result: Outcome) -> str:
+    """Say what is proven of a solution, in accordance with its status."""
     certificate = result.certificate
     if certificate is None or certificate.gap is None or certificate.bound is None:
         gap = "without a bound on the optimal cost"
@@ -171,7 +171,7 @@ def _proven(result: Outcome) -> str:
 
 
 def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
-    """Say which bins are zero, components with the same bins together, and what remains between them."""
+    """Say which bins are zero, for components with the same bins together, and which peak remains between them."""
     problem, sentences, scale = comparison.problem, list[str](), frequency_scale(comparison.problem)
     for stopped, names, length, field in (
         (problem.control_stop, problem.control_names, problem.horizon, "stopband_peak"),
@@ -192,14 +192,14 @@ def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
         sentences.append(
             f"On a horizon of {length} samples, these DFT bins and their mirror images are zero: {'; '.join(parts)}."
         )
-        shown, own = comparison.shown_filter, comparison.constrained_measures
+        shown, constrained = comparison.shown_filter, comparison.constrained_measures
         filtered = None if shown is None else getattr(shown.replay.measures, field)
-        peaks = [] if own is None else [f"{number(getattr(own, field), 3)} with the constraint"]
+        peaks = [] if constrained is None else [f"{number(getattr(constrained, field), 3)} with the constraint"]
         without = number(getattr(comparison.classical_measures, field), 3)
         peaks.append(f"{without} without {'it' if peaks else 'the constraint'}")
         peaks += [] if filtered is None else [f"{number(filtered, 3)} after filtering"]
         sentences.append(
-            "Zero at these bins is not zero between them: the zero-padded spectrum, which looks between, still peaks "
+            "Zero at these bins does not mean zero between them: the zero-padded spectrum between the bins still peaks "
             f"at {listed(peaks)}."
         )
     return sentences

@@ -1,14 +1,14 @@
 """Self-contained HTML pages of a comparison and of a control loop.
 
-The page of a comparison has the finding, the figures, the tables, the proof and the problem; that of a loop its signals
-and the table of its steps. A page embeds its figures, which are also written as files of their own.
+The page of a comparison contains the finding, the figures, the tables, the proof and the problem; the page of a loop
+contains its signals and the table of its steps. Figures are embedded, and also written as separate files.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -28,13 +28,13 @@ from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_
 from lin_freq_ocp.loop.record import NOT_JUDGED, LoopRecord
 from lin_freq_ocp.loop.step_problem import limits_of_plans
 from lin_freq_ocp.pages.figures import figures
-from lin_freq_ocp.pages.figures.continua import held_figure, moves_figure, vibrations_figure
+from lin_freq_ocp.pages.figures.continua import held_panels, moves_figure, panels_figure, vibration_panels
 from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS
 from lin_freq_ocp.pages.figures.loop import loop_figure
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.report import proof, tables
-from lin_freq_ocp.pages.report.findings import FILTERING, finding, stop_band_meaning
+from lin_freq_ocp.pages.report.findings import FILTERING, finding_of, stop_band_meaning
 from lin_freq_ocp.pages.templates import render_template
 from lin_freq_ocp.pages.units import rough
 from lin_freq_ocp.problem.description import problem_facts
@@ -44,54 +44,51 @@ PIXELS_PER_INCH = 150
 
 CAPTION = (
     "Spectrograms show the magnitude of the DFT of short windows over the time of their middle. Crosses mark steps "
-    "whose problem had no solution, or no plan in time."
+    "whose problem had no solution, or none in time."
 )
 
 
 def save_report(comparison: ComparisonOutcome, folder: str | Path) -> Path:
     """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
-    drawings = draw(comparison)
-    return save_page(Path(folder), render(comparison, drawings), drawings)
+    drawings = tuple(draw_figures(comparison))
+    return save_page(Path(folder), render_page(comparison, drawings), drawings)
 
 
-def draw(comparison: ComparisonOutcome) -> tuple[Drawing, ...]:
-    """Return all figures that the comparison has something to show in."""
-    return tuple(drawing_of(*parts) for parts in _figures(comparison))
-
-
-def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Figure]]:
-    """Yield name, title, caption and figure."""
+def draw_figures(comparison: ComparisonOutcome) -> Iterator[Drawing]:
+    """Yield all figures that apply to the comparison."""
     data, result = figures.comparison_data(comparison), comparison.constrained
     shown = comparison.shown_filter
     caption = (
-        "Spectra: points are the bins of the DFT, hollow triangles at the lower edge those too small for the axis; "
-        "lines are the zero-padded spectrum, which looks between the bins (for many bins, its largest value between "
-        "neighbours)."
+        "Spectra: points are the bins of the DFT; hollow triangles at the lower edge are bins too small for the axis. "
+        "Lines are the zero-padded spectrum between the bins (for many bins, its largest value between neighbours)."
     )
-    filtered = "" if shown is None else f" Filtered: {shown.description}."
-    yield "comparison", "Controls, their spectra, and the states", caption + filtered, figures.four_panels(data)
+    caption += "" if shown is None else f" Filtered: {shown.description}."
+    yield drawing_of("comparison", "Controls, their spectra, and the states", caption, figures.four_panels(data))
     stopped = [state for state in data.states if state.stop.any()]
-    if stopped:
-        yield "state_spectra", "Spectra of the states with a stop band", "", figures.spectra_figure(data, stopped)
-    if data.outputs:
-        yield "output_spectra", "Spectra of the outputs with a band", "", figures.spectra_figure(data, data.outputs)
+    for kind, title, signals in (("state", "states with a stop band", stopped), ("output", "outputs", data.outputs)):
+        if signals:
+            figure = figures.spectra_figure(data, signals)
+            yield drawing_of(f"{kind}_spectra", f"Spectra of the {title}", "", figure)
     if comparison.moves is not None:
         title, caption = tables.moves_title(comparison.moves), tables.moves_caption(comparison.moves)
-        yield "vibration", title, caption, moves_figure(comparison.moves)
-    held, vibrations = held_figure(data), vibrations_figure(data) if comparison.moves is None else None
+        yield drawing_of("vibration", title, caption, moves_figure(comparison.moves))
+    held = panels_figure(held_panels(data))
+    vibrations = panels_figure(vibration_panels(data)) if comparison.moves is None else None
     if held is not None:
         caption = (
-            "What the plant sees of a signal that is held between its samples: |sinc(f h) V(2 pi f h)|, images above "
-            "the Nyquist frequency included (for many bins, its largest value between neighbours)."
+            "The spectrum of a signal after its zero-order hold, as the plant receives it: |sinc(f h) V(2 pi f h)|, "
+            "images above the Nyquist frequency included (for many bins, its largest value between neighbours)."
         )
-        yield "held_spectra", "Spectra of held signals below their limits", caption, held
+        yield drawing_of("held_spectra", "Spectra after the zero-order hold, with their limits", caption, held)
     if vibrations is not None:
-        caption = "The amplitude that is left in a mode of this natural frequency, the largest over the damping ratios."
-        yield "vibration", "Residual vibration over the natural frequency, with its limit", caption, vibrations
+        caption = "Residual amplitude of a mode with this natural frequency, the largest over the damping ratios."
+        yield drawing_of(
+            "vibration", "Residual vibration over the natural frequency, with its limit", caption, vibrations
+        )
     if data.modes:
         rows = strip_rows(comparison)
-        yield "modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows)
-    yield "states", "Every state in time", "", figures.states_figure(data)
+        yield drawing_of("modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows))
+    yield drawing_of("states", "Every state in time", "", figures.states_figure(data))
     certificate, multipliers = result.certificate, result.multipliers
     if certificate is None or multipliers is None:
         return
@@ -99,19 +96,19 @@ def _figures(comparison: ComparisonOutcome) -> Iterator[tuple[str, str, str, Fig
     if borders is not None and data.main.trajectory is result.trajectory:
         solution = PlotData(data.problem, (data.main,))
         figure = adjoint_figure(solution, multipliers.eta, comparison.kinks, smallest_adjoint(certificate))
-        yield "adjoint", "Adjoint, and its choice at kinks", proof.adjoint_caption(borders), figure
+        yield drawing_of("adjoint", "Adjoint, and its choice at kinks", proof.adjoint_caption(borders), figure)
     gap = figures.gap_figure(data, certificate)
     if gap is not None:
-        yield "gap", "Gap per stage", proof.parts_of_the_gap(certificate), gap
+        yield drawing_of("gap", "Gap per stage", proof.parts_of_the_gap(certificate), gap)
     if comparison.prices is not None:
         text = (
-            "What the optimal cost would lose, per unit, if a removed bin were allowed to be a little above zero, "
-            "or the limit of a bin a little higher (its mirror image with it): the magnitude of its multiplier."
+            "Decrease of the optimal cost per unit, if a removed bin (with its mirror image) may be slightly above "
+            "zero, or its limit is slightly higher: the magnitude of the bin's multiplier."
         )
-        yield "price", "Price of each bin", text, figures.price_figure(data, comparison.prices)
+        yield drawing_of("price", "Price of each bin", text, figures.price_figure(data, comparison.prices))
 
 
-def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
+def render_page(comparison: ComparisonOutcome, drawings: Iterable[Drawing]) -> str:
     """Return the page."""
     problem, certificate = comparison.problem, comparison.constrained.certificate
     constrained, result = has_frequency_constraint(problem), comparison.constrained
@@ -119,7 +116,7 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
         "report",
         "page.html.jinja",
         title=problem.name or "Optimal control problem",
-        finding=finding(comparison),
+        finding=finding_of(comparison),
         tiles=tiles(comparison),
         drawings={drawing.name: drawing for drawing in drawings},
         table=tables.comparison_rows(comparison),
@@ -142,17 +139,17 @@ def render(comparison: ComparisonOutcome, drawings: tuple[Drawing, ...]) -> str:
         constrained=constrained,
         filters=comparison.filtered if can_be_filtered(problem) else (),
         solves=[
-            *([_how("without the frequency constraint", comparison.classical)] if constrained else []),
-            _how("with the constraint" if constrained else "the problem", result),
+            *([_solve_row("without the frequency constraint", comparison.classical)] if constrained else []),
+            _solve_row("with the constraint" if constrained else "the problem", result),
         ],
         sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
     )
 
 
-def _how(what: str, result: Outcome) -> tuple[str, str, str, str, str]:
+def _solve_row(problem: str, result: Outcome) -> tuple[str, str, str, str, str]:
     times = ", ".join(f"{stage} {number(seconds, 3)} s" for stage, seconds in result.seconds.items())
     status = f"{result.status.replace('_', ' ')}{': ' if result.message else ''}{result.message}"
-    return what, status, result.method, result.backend or "none needed", times
+    return problem, status, result.method, result.backend or "none needed", times
 
 
 def tiles(comparison: ComparisonOutcome) -> list[tuple[str, str, str]]:
@@ -196,7 +193,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         ]
     statuses = [NOT_JUDGED if status is None else str(status) for status in loop.statuses]
     counts = Counter((status, str(step.source), step.method) for status, step in zip(statuses, loop.steps, strict=True))
-    # The largest excess of each softened constraint, and at how many steps there was one
+    # The largest violation of each softened constraint, and the number of steps with one
     violations = list[tuple[str, str, int]]()
     for name in dict.fromkeys(name for step in loop.steps for name in step.excess):
         amounts = [step.excess.get(name, 0.0) for step in loop.steps]
@@ -210,7 +207,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         tiles=headline,
         drawing=drawing,
         counts=[(*key, count) for key, count in counts.most_common()],
-        excess=violations,
+        violations=violations,
         facts=problem_facts(loop.problem, loop.problem.gap),
         problem=loop.problem,
     )
@@ -229,7 +226,7 @@ class Drawing:
 
     @property
     def inline(self) -> Markup:
-        """Return the figure as an element of a page: no header, own ids, and the page's colours."""
+        """Return the figure as an element of a page: without header, with unique ids and the page's colours."""
         body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
         view_box = re.search(r'viewBox="[^"]*"', body)
         content = body[body.index(">") + 1 :].replace("xlink:href", "href")
@@ -241,12 +238,12 @@ class Drawing:
 
 
 def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
-    """Return a figure as text and as an image."""
+    """Return a figure as SVG text and as a PNG image."""
     figure.set_dpi(PIXELS_PER_INCH)
     svg, png = BytesIO(), BytesIO()
     FigureCanvasAgg(figure).print_png(png)
     figure.set_layout_engine("none")  # keeps the layout that was found
-    # Names of shapes do not change from run to run, and text looks the same on every machine.
+    # Names of shapes are the same in every run, and text looks the same on every machine.
     with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
     return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())

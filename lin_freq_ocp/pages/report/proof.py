@@ -1,4 +1,4 @@
-"""What is proven of a solution, in sentences: maximum principle, global bound, switching, search over modes."""
+"""The proof of a solution in sentences: maximum principle, global bound, switching, search over modes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.phrases import listed, number, plural
-from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet
+from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, facts_where_modes_meet
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.trajectories import NO_MODE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 
-NAMED_TIMES = 4  # times that a text describes before it only counts the others
-RIGOROUS = "rigorous"  # the kind of a bound that holds for every trajectory; any other says nothing global
+NAMED_TIMES = 4  # times that a text describes; it counts the others
+RIGOROUS = "rigorous"  # the kind of a bound that holds for every trajectory; no other kind is global
 
 ETA, XI, ALPHA = "\N{GREEK SMALL LETTER ETA}", "\N{GREEK SMALL LETTER XI}", "\N{GREEK SMALL LETTER ALPHA}"
 
@@ -32,7 +32,7 @@ def bound_kind(certificate: Certificate) -> str:
 
 
 def verdict(certificate: Certificate, problem: OptimalControlProblem | None = None) -> list[str]:
-    """Return what a certificate, of that problem, proves: the maximum principle and the bound, which are two facts."""
+    """Return what a certificate of the problem proves: the maximum principle and, separately, the bound."""
     if certificate.pmp == "satisfied":
         kind = f"normal ({ETA}_C = 1)" if certificate.normal else "abnormal (no cost enters)"
         first = (
@@ -40,29 +40,29 @@ def verdict(certificate: Certificate, problem: OptimalControlProblem | None = No
         )
     elif certificate.pmp == "violated":
         failed = listed([f"{condition.label} ({condition.name})" for condition in certificate.failed])
-        first = f"The maximum principle is violated. What does not hold: {failed}."
+        first = f"The maximum principle is violated. Violated conditions: {failed}."
     elif certificate.borders is not None:
         first = "The maximum principle does not apply: it needs dynamics without jumps."
     else:
-        first = "The maximum principle was not judged: there are no multipliers."
+        first = "The maximum principle was not checked: there are no multipliers."
     borders = facts_where_modes_meet(certificate)
     switching = [] if borders is None else switching_sentences(borders)
     if problem is not None and not problem.dynamics.affine and certificate.bound is None:
         bound = ["There is no global lower bound: the dynamics are not affine, and none was found."]
     else:
-        bound = _global_bound(certificate)
+        bound = _bound_in_words(certificate)
     return [first, *switching, *bound]
 
 
-def _global_bound(certificate: Certificate) -> list[str]:
+def _bound_in_words(certificate: Certificate) -> list[str]:
     if certificate.bound is None or certificate.lower_bound is None or certificate.gap is None:
         if certificate.borders is not None:
-            return ["There is no global lower bound: with modes, it takes a search over their sequences."]
+            return ["There is no global lower bound: with modes, it needs a search over their sequences."]
         return ["There is no global lower bound: the cost is not convex, or the multipliers give none."]
     rigorous = certificate.bound.kind == RIGOROUS
-    kind = "the bound is rigorous, with rounding errors counted in"
+    kind = "the bound is rigorous and includes rounding errors"
     if not rigorous:
-        kind = "the bound is numerical: valid for trajectories of a similar size, and no proof for all others"
+        kind = "the bound is numerical: it holds for trajectories of a similar size, and proves nothing about others"
     sentence = (
         f"The cost {number(certificate.cost, 9)} is within {number(abs(certificate.gap), 2)} (relative) of the "
         f"{bound_kind(certificate)} lower bound {number(certificate.lower_bound, 9)}; {kind} "
@@ -74,75 +74,81 @@ def _global_bound(certificate: Certificate) -> list[str]:
 
 
 def parts_of_the_gap(certificate: Certificate) -> str:
-    """Return what the difference of cost and global bound consists of."""
+    """Return the parts of the difference between cost and global bound."""
     bound = certificate.bound
     if bound is None or bound.stage_gaps is None:
         return ""
     residuals = -bound.dynamics_term - bound.frequency_term + bound.stage_term
     return (
-        f"Where the cost exceeds the {bound_kind(certificate)} lower bound. "
-        f"The stages add up to {number(float(bound.stage_gaps.sum()), 2)}; "
-        f"residuals of the constraints count {number(residuals, 2)}, "
-        f"and rounding errors are allowed for with {number(bound.rounding, 2)}. "
+        f"Parts of the gap between the cost and the {bound_kind(certificate)} lower bound. "
+        f"The stages add up to {number(float(bound.stage_gaps.sum()), 2)}, "
+        f"residuals of the constraints to {number(residuals, 2)}; "
+        f"the allowance for rounding errors is {number(bound.rounding, 2)}. "
         "Hollow triangles: too small for the axis, or negative."
     )
 
 
 def switching_sentences(borders: SwitchingFacts) -> list[str]:
-    """Return what the judge found where the dynamics have no single derivative."""
+    """Return the facts that the judge verified where the dynamics have no single derivative."""
     sentences = list[str]()
     if borders.jumping is not None:
         first, second = (_quote(borders.mode_names[i]) for i in (borders.jumping.first, borders.jumping.second))
         sentences.append(
-            f"The map jumps at the border between {first} and {second}, so the maximum principle makes no statement "
-            "there; what follows was looked at all the same."
+            f"The map jumps at the switching boundary between {first} and {second}, so the maximum principle makes no "
+            "statement there; the following was checked nevertheless."
         )
     if borders.gaps:
         sentences.append(
-            f"At {_times(borders.gaps)} the trajectory lies on the rim of a gap between the regions, where the "
-            "dynamics are not defined, so the maximum principle makes no statement; what follows was looked at all the "
-            "same."
+            f"At {_times(borders.gaps)} the trajectory lies at the edge of a gap between the regions, where the "
+            "dynamics are not defined, so the maximum principle makes no statement; the following was checked "
+            "nevertheless."
         )
     if not borders.times and not borders.norms:
-        what = "No two modes meet along this trajectory" if len(borders.mode_names) > 1 else "No kink lies on it"
-        return [*sentences, f"{what}: the dynamics have one derivative at every step, and nothing had to be chosen."]
+        fact = "No two modes meet along this trajectory" if len(borders.mode_names) > 1 else "No kink lies on it"
+        return [*sentences, f"{fact}: the dynamics have a unique derivative at every step."]
     places = list[str]()
     if borders.times:
         places.append(f"modes meet{' or end' if borders.gaps else ''} at {_times(borders.times)}")
-    for norm in dict.fromkeys(one.norm for one in borders.norms):
-        places.append(f"{norm} is zero at {_times([one.time for one in borders.norms if one.norm == norm])}")
+    for norm in dict.fromkeys(kink.norm for kink in borders.norms):
+        places.append(f"{norm} is zero at {_times([kink.time for kink in borders.norms if kink.norm == norm])}")
     where = listed(places)
     where = f"{where[0].upper() if borders.times else where[0]}{where[1:]}"
     chosen = "; ".join(_choices(borders))
     joint = (  # Clarke's joint inclusion, with the elements that were chosen
-        "The necessary condition holds (joint inclusion, Clarke's rule): with one choice of the derivative for "
-        f"states and controls alike, the adjoint equation and stationarity in u are satisfied, {chosen}."
+        "The necessary condition holds (joint inclusion, Clarke's rule): one choice of the derivative for states and "
+        f"controls together satisfies the adjoint equation and stationarity in u, {chosen}."
     )
     if not borders.joint:
         joint = (
-            "The necessary condition fails with these multipliers (joint inclusion, Clarke's rule): no one choice of "
-            f"the derivative satisfies every condition. The nearest is, {chosen}."
+            "The necessary condition fails with these multipliers (joint inclusion, Clarke's rule): no choice of the "
+            f"derivative satisfies every condition. The nearest choice is, {chosen}."
         )
     function = f"\N{MINUS SIGN}<{ETA}, f>"
     holds = "holds, too" if borders.joint and borders.printed else "holds" if borders.printed else "does not hold"
     regular = "is" if borders.regular else "is not"
     printed = (
-        f"The form that the paper prints, with one inclusion for the states and one for the controls, {holds}; it is "
-        f"meant for {function} regular in Clarke's sense, which it {regular} here."
+        f"The form in the paper, with one inclusion for the states and one for the controls, {holds}; it requires "
+        f"{function} to be regular in Clarke's sense, which it {regular} here."
     )
-    return [*sentences, f"{where}. There the dynamics have no single derivative.", joint, _flips(borders), printed]
+    return [
+        *sentences,
+        f"{where}. There the dynamics have no single derivative.",
+        joint,
+        _flips_in_words(borders),
+        printed,
+    ]
 
 
 def search_sentences(result: Outcome) -> list[str]:
-    """Return what a search over mode sequences proves; nothing where there was none."""
-    found = tree_of(result)
-    if found is None:
+    """Return what a search over mode sequences proves; nothing without a search."""
+    evidence = tree_of(result)
+    if evidence is None:
         return []
-    proof = found.bound
+    proof = evidence.bound
     leaves = "1 is a leaf" if proof.leaves == 1 else f"{proof.leaves} are leaves"
-    size = f"{plural(len(found.tree.nodes), 'node')}, of which {leaves}"
+    size = f"{plural(len(evidence.tree.nodes), 'node')}; {leaves}"
     if not proof.covers:
-        return [f"The search over mode sequences has {size}. They do not cover all sequences, so nothing is bounded."]
+        return [f"The search over mode sequences has {size}. They do not cover all sequences, so there is no bound."]
     if np.isposinf(proof.value):
         bound = "no leaf can contain a trajectory"
     elif np.isneginf(proof.value):
@@ -151,24 +157,24 @@ def search_sentences(result: Outcome) -> list[str]:
         bound = f"the least of their bounds is {number(proof.value, 9)}"
     return [
         f"The search over mode sequences has {size}. The leaves cover all sequences, and the multipliers of each were "
-        f"checked apart from the search: {bound}."
+        f"checked independently of the search: {bound}."
     ]
 
 
 def modes_caption(rows: Sequence[tuple[str, Indices | None]], main: str) -> str:
-    """Say what the strips show; ``main`` is the trajectory whose modes are behind the panels."""
+    """Describe the strips; the modes of the trajectory ``main`` tint the panels."""
     whose = "these" if len(rows) == 1 else f"those of the {main} trajectory"
-    text = f"The mode at t holds from t to t + 1. The tints behind the panels in time are {whose}."
+    text = f"The mode at t is active from t to t + 1. The tints of the panels over time are {whose}."
     if any(sequence is not None and (sequence == NO_MODE).any() for _, sequence in rows):
         text += " Dashed: outside the regions of all modes."
     return text
 
 
 def adjoint_caption(borders: SwitchingFacts) -> str:
-    """Say what the bars are, with the weights or selections of each."""
+    """Describe the bars, with the weights or selections of each."""
     text = (
-        f"{ETA} at t is the price of the state at t + 1: by how much, to first order, the cost falls per unit that "
-        "something pushes it up there."
+        f"{ETA} at t is the price of the state at t + 1: the first-order decrease of the cost per unit by which the "
+        "state is pushed up there."
     )
     values, choices = list[str](), list[str]()
     if borders.times:
@@ -181,16 +187,16 @@ def adjoint_caption(borders: SwitchingFacts) -> str:
     if not values:
         return text
     return text + (
-        f" Bars: all values that this component of D_x <{ETA}, f> takes {' and '.join(values)}. Diamonds: the value "
-        "that the adjoint equation requires. It must lie within the bar, and for all components of x and u by the same "
-        f"{' and '.join(choices)}: {'; '.join(_choices(borders))}."
+        f" Bars: all values of this component of D_x <{ETA}, f> {' and '.join(values)}. Diamonds: the value that the "
+        "adjoint equation requires. It must lie within the bar, with the same "
+        f"{' and '.join(choices)} for all components of x and u: {'; '.join(_choices(borders))}."
     )
 
 
 def _choices(borders: SwitchingFacts) -> list[str]:
-    """Return the weights and the selections, time by time."""
+    """Return the weights and selections at each time."""
     parts = list[str]()
-    for t, alpha in zip(borders.times, borders.weights, strict=True):  # those that are not zero, with their modes
+    for t, alpha in zip(borders.times, borders.weights, strict=True):  # nonzero weights with their modes
         used = [f"{number(float(alpha[i]), 3)} {_quote(borders.mode_names[i])}" for i in np.flatnonzero(alpha)]
         parts.append(f"at t = {t}: {ALPHA} = {listed(used or ['0'])}")
     for kink in borders.norms:
@@ -199,20 +205,27 @@ def _choices(borders: SwitchingFacts) -> list[str]:
     return [*parts[:NAMED_TIMES], *([f"{len(parts) - NAMED_TIMES} more"] if len(parts) > NAMED_TIMES else [])]
 
 
-def _flips(borders: SwitchingFacts) -> str:
+def _flips_in_words(borders: SwitchingFacts) -> str:
     if borders.flip_stationary:
         return (
-            "The trajectory is flip-stationary: to first order, nothing is gained by passing to any other mode that "
-            "meets there, or by leaving the kink."
+            "The trajectory is flip-stationary: to first order, a switch to another mode that meets there, or a step "
+            "away from the kink, does not reduce the cost."
         )
-    rising = [one for one in borders.norms if one.rate > 0]
+    rising = [kink for kink in borders.norms if kink.rate > 0]
     flips = borders.flips if borders.elsewhere else tuple(flip for flip in borders.flips if flip.improves)
     if not flips and not rising:
-        return "Whether another mode at a border would be better was not established (not flip-stationary)."
-    parts = [_flip(flip, borders) for flip in flips[:NAMED_TIMES]]
-    parts += [
-        f"away from {one.norm} = 0 at t = {one.time} (rate {number(one.rate, 2)})" for one in rising[:NAMED_TIMES]
-    ]
+        return "It is open whether another mode at a switching boundary would be better (not flip-stationary)."
+    effects = {
+        True: ", and the cost does fall there, which was verified",
+        False: ", where the cost does not fall: that sequence has other multipliers",
+        None: "",
+    }
+    parts = list[str]()
+    for flip in flips[:NAMED_TIMES]:
+        rate = f"(rate {number(flip.rate, 2)}{effects[flip.improves]})"
+        parts.append(f"towards {_quote(borders.mode_names[flip.mode])} at t = {flip.time} {rate}")
+    for kink in rising[:NAMED_TIMES]:
+        parts.append(f"away from {kink.norm} = 0 at t = {kink.time} (rate {number(kink.rate, 2)})")
     hidden = max(len(flips) - NAMED_TIMES, 0) + max(len(rising) - NAMED_TIMES, 0)
     more = f", and {hidden} more" if hidden else ""
     text = f"It is not flip-stationary: with these multipliers the Hamiltonian rises {', '.join(parts)}{more}."
@@ -221,18 +234,8 @@ def _flips(borders: SwitchingFacts) -> str:
     return text
 
 
-def _flip(flip: Flip, borders: SwitchingFacts) -> str:
-    known = {
-        True: ", and the cost does fall there, which was verified",
-        False: ", where the cost does not fall: that sequence has other multipliers",
-        None: "",
-    }
-    mode = _quote(borders.mode_names[flip.mode])
-    return f"towards {mode} at t = {flip.time} (rate {number(flip.rate, 2)}{known[flip.improves]})"
-
-
 def _quote(name: str) -> str:
-    """Return a mode's name in quotation marks: it may have commas."""
+    """Return a mode's name in quotation marks, as it may contain commas."""
     return f"\N{LEFT DOUBLE QUOTATION MARK}{name}\N{RIGHT DOUBLE QUOTATION MARK}"
 
 

@@ -1,4 +1,4 @@
-"""Tables as rows of text, for the page and for the terminal alike: comparisons, certificates, sweeps and moves."""
+"""Tables as rows of text, for the page and the terminal: comparisons, certificates, sweeps and moves."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from lin_freq_ocp.pages.report.proof import bound_kind
 from lin_freq_ocp.pages.units import align
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-NOT_MEANINGFUL = "not meaningful"  # in place of numbers that need a replay, where there is no meaningful one
-KEY = "\N{BALLOT X} marks what a constraint of the problem does not allow"
+NOT_MEANINGFUL = "not meaningful"  # instead of numbers of a replay that is not meaningful
+KEY = "\N{BALLOT X} marks values that violate a constraint of the problem"
 
-# Conditions whose component is a control (that of the others is a state), a joint row, or a mode.
+# Conditions whose component is a control, a joint row or a mode; that of the others is a state.
 OF_CONTROL, OF_ROWS, OF_MODES = ("C-v", "C-vii", "S-u", "N-u"), ("S-z", "N-z"), ("S-f", "N-f")
 IN_FREQUENCY = ("C-vi", "C-vii", "N-xhat", "N-uhat", "S-yhat", "N-yhat")  # conditions whose worst violation is at a bin
 
-CONDITION_DIGITS = {"residual": 3, "scale": 4, "relative": 3, "tolerance": 3}  # the figures of a condition
-COST_DIGITS = 5  # costs differ less than the other figures do
-SWEEP_DIGITS = 6  # neighbours in a grid differ less than a filter and a solution do
+CONDITION_DIGITS = {"residual": 3, "scale": 4, "relative": 3, "tolerance": 3}  # digits of each number of a condition
+COST_DIGITS = 5  # costs differ less than the other numbers
+SWEEP_DIGITS = 6  # costs of neighbouring points differ little
 
-Columns = Sequence[MeasuredTrajectory | None]  # None: no trajectory was found
+Columns = Sequence[MeasuredTrajectory | None]  # None: there is no trajectory
 
 
 @dataclass(frozen=True)
 class TableCell:
-    """A text, and whether a constraint holds there; None where none is concerned."""
+    """A text, and whether the constraint on its value holds; None without a constraint."""
 
     text: str
     passed: bool | None = None
@@ -44,7 +44,7 @@ class TableCell:
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: its label and unit, and a cell per trajectory."""
+    """One quantity: its label and unit, and a cell per trajectory."""
 
     label: str
     unit: str
@@ -61,16 +61,16 @@ class Group:
 
 @dataclass(frozen=True)
 class ComparisonRows:
-    """A comparison: one column per trajectory, one row per figure."""
+    """A comparison: one column per trajectory, one row per quantity."""
 
     columns: tuple[str, ...]
     groups: tuple[Group, ...]
 
 
 def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
-    """Return what was measured of every trajectory, where it applies to the problem."""
-    problem, found = comparison.problem, comparison.trajectories
-    columns, labels = list[MeasuredTrajectory | None](found), [one.label for one in found]
+    """Return the measurements of every trajectory that apply to the problem."""
+    problem, measured = comparison.problem, comparison.trajectories
+    columns, labels = list[MeasuredTrajectory | None](measured), [trajectory.label for trajectory in measured]
     if comparison.constrained_solution is None:
         columns.append(None)
         labels.append(comparison.constrained_label)
@@ -78,24 +78,24 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
     only_rows = all(term.kind.is_rows for term in hard)
     of_terms = "Beyond the joint rows by" if only_rows else "Beyond other constraints by"
     groups = [
-        _group("", ["cost"], columns, lambda one, _: _measured_cell(one, one.measures.cost, digits=COST_DIGITS)),
+        _group("", ["cost"], columns, lambda line, _: _measured_cell(line, line.measures.cost, digits=COST_DIGITS)),
         _group(
             "Largest magnitude",
             problem.control_names,
             columns,
-            lambda one, j: TableCell(align(one.largest(controls[j]))),
+            lambda line, j: TableCell(align(line.largest(controls[j]))),
         ),
-        _violation_group("Beyond the control bounds by", problem.control_names, columns, lambda one: one.controls),
-        _violation_group("Beyond the state bounds by", problem.state_names, columns, lambda one: one.states),
-        _violation_group(of_terms, [term.name for term in hard], columns, lambda one: one.terms),
-        _violation_group("Misses the end state by", problem.state_names, columns, lambda one: one.end),
+        _violation_group("Beyond the control bounds by", problem.control_names, columns, lambda line: line.controls),
+        _violation_group("Beyond the state bounds by", problem.state_names, columns, lambda line: line.states),
+        _violation_group(of_terms, [term.name for term in hard], columns, lambda line: line.terms),
+        _violation_group("Misses the end state by", problem.state_names, columns, lambda line: line.end),
         _stop_band_group(problem, columns, of_states=False),
         _stop_band_group(problem, columns, of_states=True),
     ]
-    if not all(one.meaningful for one in found):
+    if not all(trajectory.meaningful for trajectory in measured):
         title = "Misses the next planned state, in one step, by"
         groups.append(
-            _group(title, problem.state_names, columns, lambda one, i: TableCell(align(one.one_step_residual[i])))
+            _group(title, problem.state_names, columns, lambda line, i: TableCell(align(line.one_step_residual[i])))
         )
     return ComparisonRows(tuple(labels), tuple(group for group in groups if group.rows))
 
@@ -111,7 +111,7 @@ def _group(
     return Group(
         title,
         tuple(
-            Row(*split_unit(names[i]), tuple(TableCell(NOTHING) if one is None else cell(one, i) for one in columns))
+            Row(*split_unit(names[i]), tuple(TableCell(NOTHING) if line is None else cell(line, i) for line in columns))
             for i in (range(len(names)) if shown is None else shown)
         ),
     )
@@ -129,25 +129,23 @@ def _violation_group(
     """Return one row per component that has a bound."""
 
     def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
-        found = violation(trajectory)
-        return (
-            TableCell(NOT_MEANINGFUL)
-            if found is None
-            else TableCell(align(float(found.values[i])), bool(found.passed[i]))
-        )
+        measured = violation(trajectory)
+        if measured is None:
+            return TableCell(NOT_MEANINGFUL)
+        return TableCell(align(float(measured.values[i])), bool(measured.passed[i]))
 
-    found = [violation(one) for one in columns if one is not None]
-    bounded = np.any([one.bounded for one in found if one is not None], axis=0)
+    violations = [violation(trajectory) for trajectory in columns if trajectory is not None]
+    bounded = np.any([measured.bounded for measured in violations if measured is not None], axis=0)
     return _group(title, names, columns, cell, map(int, np.flatnonzero(bounded)))
 
 
 def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:
     def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
-        found = trajectory.measures
+        measures = trajectory.measures
         if of_states:
-            values = found.state_stopband_energy, found.state_stopband_peak
+            values = measures.state_stopband_energy, measures.state_stopband_peak
         else:
-            values = found.stopband_energy, found.stopband_peak
+            values = measures.stopband_energy, measures.stopband_peak
         return _measured_cell(trajectory, values[i], None if i else trajectory.empties_band(of_states))
 
     rows = ["energy at its bins", "peak between its bins"]
@@ -156,7 +154,7 @@ def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states
 
 
 def worst_location(problem: OptimalControlProblem, condition: Condition) -> str:
-    """Return where a condition is worst; nothing where it holds exactly."""
+    """Return the time or bin at which a condition is worst; an empty cell if it holds exactly."""
     if condition.time is None or condition.residual == 0:
         return NOTHING
     if condition.label in OF_ROWS:
@@ -203,11 +201,11 @@ def certificate_table(problem: OptimalControlProblem, certificate: Certificate) 
     table = Table(title=Text(verdict))
     for heading in ("", "condition", *CONDITION_DIGITS, "", "worst at"):
         table.add_column(heading, justify="right" if heading in CONDITION_DIGITS else "left")
-    for one in certificate.conditions:
-        holds = Text("holds", style="green") if one.passed else Text("fails", style="bold red")
-        numbers = [number(getattr(one, name), digits) for name, digits in CONDITION_DIGITS.items()]
-        texts = [Text(cell) for cell in (one.label, one.name, *numbers)]
-        table.add_row(*texts, holds, Text(worst_location(problem, one)))
+    for condition in certificate.conditions:
+        holds = Text("holds", style="green") if condition.passed else Text("fails", style="bold red")
+        numbers = [number(getattr(condition, name), digits) for name, digits in CONDITION_DIGITS.items()]
+        texts = [Text(cell) for cell in (condition.label, condition.name, *numbers)]
+        table.add_row(*texts, holds, Text(worst_location(problem, condition)))
     return table
 
 
@@ -235,7 +233,7 @@ def sweep_table(sweep: SweepOutcome) -> Table:
 
 
 def moves_rows(moves: Moves) -> ComparisonRows:
-    """Return one column per move: its length, and the vibration that it leaves."""
+    """Return one column per move: its length and its residual vibration."""
     columns, ours = list[tuple[TableCell, ...]](), moves.ours
     for move in moves.all:
         at_least = "" if move.measured is not None else "> "
@@ -253,32 +251,32 @@ def moves_rows(moves: Moves) -> ComparisonRows:
 
 
 def moves_sentence(moves: Moves) -> str:
-    """Say how long the moves of the shapers are, and that of the problem."""
+    """Compare the lengths of the shapers' moves with that of the problem in words."""
     known = [f"{move.name} {move.samples}" for move in moves.shaped if move.measured is not None]
     unknown = [f"{move.name} more than {move.samples}" for move in moves.shaped if move.measured is None]
     ours = moves.ours
     if ours.measured is None:
-        own = f"{ours.samples} samples are not known to be enough for any control"
+        optimum = f"{ours.samples} samples are not known to be enough for any control"
     else:
-        own = f"{ours.samples} samples are enough" + (
+        optimum = f"{ours.samples} samples are enough" + (
             f", and {ours.samples - 1} are proven not to be" if moves.proof and ours.samples > 1 else ""
         )
-    found = listed(known + unknown)
-    return f"with the profiles tried, input shapers of the same robustness need {found} samples; {own}"
+    lengths = listed(known + unknown)
+    return f"with the profiles tried, input shapers of the same robustness need {lengths} samples; {optimum}"
 
 
 def moves_caption(moves: Moves) -> str:
     """Describe the figure of the vibration, and the impulses."""
     impulses = "; ".join(f"{move.name}: {move.description}" for move in moves.shaped)
     return (
-        "The amplitude that each move leaves ringing in a mode of this natural frequency, the largest over the damping "
-        "ratios of the box; within the shaded frequencies it must not exceed the limit. Every move but the unshaped "
-        f"is the shortest found of its kind that keeps all constraints, '{OURS}' that of the problem. Impulses: "
+        "Residual amplitude of a mode with this natural frequency after each move, the largest over the damping ratios "
+        "of the box; within the shaded frequencies it must not exceed the limit. Every move except the unshaped one is "
+        f"the shortest of its kind found to satisfy all constraints; '{OURS}' is that of the problem. Impulses: "
         f"{impulses}."
     )
 
 
 def moves_title(moves: Moves) -> str:
-    """Return the title of the figure, which is also its description where it cannot be seen."""
+    """Return the title of the figure, which is also its description for screen readers."""
     within = [move.name for move in moves.all if move.keeps_everything]
     return f"Residual vibration over the natural frequency: {listed(within)} stay below the limit over the whole box"

@@ -5,12 +5,13 @@ const BADGES = {
   numerical_error: ["broken", "no accurate solution"], error: ["broken", "not a problem"],
 };
 const KINDS = ["classical", "filtered", "constrained"]; // drawn in this order
-const REST = 150; // milliseconds without a move, before what takes longer is asked for
+const REST = 150; // milliseconds without a move, before the page asks for answers that take longer
+const BUSY = 150; // milliseconds of a solve, after which the page says that it computes
 const PAGE = String(Math.random()).slice(2);
 const byId = (id) => document.getElementById(id);
 const sliders = new Map(DATA.sliders.map((slider) => [slider.key, { ...slider, own: slider.value }]));
 const live = DATA.points === null;
-let order = 0, answer = null, beside = null, solved = null, waiting = false;
+let order = 0, answer = null, compared = null, solved = null, waiting = false;
 
 /* Sliders. */
 
@@ -79,11 +80,13 @@ async function solve() {
   let asked = -1;
   while (asked !== order) {
     asked = order;
-    const given = values();
+    const given = values(), stop = startClock();
     try {
       const found = await ask("answer");
+      stop();
       if (found !== null) showAnswer(found, asked, given);
     } catch (error) {
+      stop();
       const message = live && error instanceof TypeError ? "lin-freq-ocp explore has ended." : error.message;
       showAnswer({ status: "error", message }, asked, given);
     }
@@ -92,23 +95,37 @@ async function solve() {
   setTimeout(() => order === asked && afterwards(asked), REST);
 }
 
-/* What takes longer than the answer: the other trajectories, and what would help. */
+/* Grey out badge and figures while a solve takes longer than BUSY, with its seconds; return the function that ends it. */
+function startClock() {
+  const begun = performance.now(), results = byId("results");
+  const timer = setInterval(() => {
+    const seconds = Math.floor((performance.now() - begun) / 1000);
+    results.setAttribute("aria-busy", "true");
+    byId("badge").textContent = seconds ? `solving, ${seconds} s` : "solving";
+  }, BUSY);
+  return () => {
+    clearInterval(timer);
+    results.setAttribute("aria-busy", "false");
+  };
+}
+
+/* Answers that take longer: the other trajectories, and the smallest relaxations. */
 async function afterwards(asked) {
   try {
     if (answer.frame) {
-      const found = await ask("beside");
+      const found = await ask("compare");
       if (order !== asked || found === null) return;
-      showBeside(found);
+      showCompared(found);
     }
     if (answer.status !== "infeasible") return;
-    byId("curing").textContent = "Looking for the least change that helps …";
+    byId("curing").textContent = "Looking for the smallest relaxation …";
     for (const slider of sliders.values()) {
       if (slider.value === slider.relaxed) continue;
       const found = await ask("cure", { slider: slider.key });
       if (order !== asked || found === null) return;
       if (found.value !== null) addCure({ [slider.key]: found.value });
     }
-    byId("curing").textContent = byId("cures").childElementCount ? "" : "No single slider helps alone.";
+    byId("curing").textContent = byId("cures").childElementCount ? "" : "No single slider restores feasibility.";
   } catch (error) {
     if (order === asked) byId("finding").textContent = error.message;
   }
@@ -123,7 +140,7 @@ function showAnswer(found, asked = order, given = values()) {
   badge.dataset.status = found.status;
   for (const what of ["cost", "gap", "bound"]) byId(what).textContent = text[what] || "–";
   byId("theorem").textContent = found.theorem || "–";
-  byId("solver").textContent = text.solver ? `${text.solver}, solved and judged in ${text.seconds} ms` : found.message;
+  byId("solver").textContent = text.solver ? `${text.solver}, solved and certified in ${text.seconds} ms` : found.message;
   byId("sentences").replaceChildren(...(found.proof || []).map(paragraph));
   const infeasible = found.status === "infeasible";
   byId("conflict").hidden = !infeasible;
@@ -138,8 +155,8 @@ function showAnswer(found, asked = order, given = values()) {
   byId("controls").dataset.order = asked;
 }
 
-function showBeside(found) {
-  beside = found;
+function showCompared(found) {
+  compared = found;
   const names = new Map(found.trajectories.map((one) => [one.name, one]));
   for (const kind of ["classical", "filtered"]) {
     byId(`show-${kind}`).parentElement.hidden = !names.has(kind);
@@ -192,7 +209,7 @@ function show(point) {
   }
   showAnswer(point.answer);
   if (point.answer.trajectory) solved = point.values;
-  showBeside(point.beside);
+  showCompared(point.compared);
   if (point.answer.status !== "infeasible") return;
   for (const slider of sliders.values()) {
     const alone = DATA.points.filter((other) => other.answer.trajectory
@@ -209,7 +226,7 @@ function show(point) {
 
 function trajectories() {
   const T = answer.frame.horizon, fits = (one) => one.signals[0].length === T;
-  const all = [...(beside ? beside.trajectories : []).filter(fits)];
+  const all = [...(compared ? compared.trajectories : []).filter(fits)];
   if (answer.trajectory) all.push({ name: "constrained", meaningful: true, ...answer.trajectory });
   return KINDS.flatMap((kind) => all.filter((one) => one.name === kind && byId(`show-${kind}`).checked));
 }
