@@ -202,6 +202,11 @@ def closed_loop(
     oversampling : int
         Points of the grid per bin of the window.
 
+    Returns
+    -------
+    Spectrogram
+        A hard constraint; ``RecedingHorizon(soft={"control_spectrum": price})`` relaxes it where there is no plan.
+
     Raises
     ------
     ProblemError
