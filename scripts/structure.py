@@ -40,8 +40,8 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 38_292,
-    "code lines, linear part": 19_067,
+    "code lines": 38_294,
+    "code lines, linear part": 19_069,
     "code lines, hybrid": 7_908,
     SHARE_SAID: 19.2,  # at least
     "files": 289,

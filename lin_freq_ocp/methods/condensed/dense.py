@@ -8,16 +8,16 @@ from scipy.linalg import qr_delete, solve_triangular
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.condensed.tables import (
-    DEPENDENT,
+    GRADIENT_DEPENDENCE,
     INFEASIBLE,
     LIMIT,
-    ROUNDING,
+    ROW_TOLERANCE,
     SOLVED,
-    TOLERANCE,
+    STUCK_VIOLATION,
     CondensedTables,
 )
 
-CORRECTIONS = 3  # of rounding in active rows, before another row enters
+ROW_CORRECTIONS = 3  # of rounding in active rows, before another row enters
 
 
 class DenseKernel:
@@ -84,20 +84,20 @@ class DenseKernel:
         while status == LIMIT and self.changes <= self.tables.most_changes:
             y = y_0 + self.gradients @ xi
             missed = self._distance(y)[self._active]
-            if corrections < CORRECTIONS and (np.abs(missed) > TOLERANCE / 4 * self._size[self._active]).any():
+            if corrections < ROW_CORRECTIONS and (np.abs(missed) > ROW_TOLERANCE / 4 * self._size[self._active]).any():
                 corrections += 1
                 xi = self._correct(xi, missed)
                 continue
             violation = np.where(rounded, 0.0, self._violations(y) / self._size)
             row = int(np.argmax(violation)) if len(violation) else -1
-            if row < 0 or violation[row] <= TOLERANCE:
+            if row < 0 or violation[row] <= ROW_TOLERANCE:
                 status = SOLVED
                 break
             corrections, before = 0, self.changes
             found = self._enter(row, float(y[row]), xi)
             if found is not None:
                 xi = found
-            elif violation[row] > ROUNDING * TOLERANCE:
+            elif violation[row] > STUCK_VIOLATION * ROW_TOLERANCE:
                 status = INFEASIBLE
             rounded[row] = found is None
             if found is not None and self.changes > before:
@@ -166,7 +166,7 @@ class DenseKernel:
             again = self._Q.T @ z
             z, along = z - self._Q @ again, along + again
             rho = float(np.linalg.norm(z))
-            independent = rho > DEPENDENT * self._lengths[row] and len(self._active) < len(xi)
+            independent = rho > GRADIENT_DEPENDENCE * self._lengths[row] and len(self._active) < len(xi)
             rate = -sigma * solve_triangular(self._R, along) if len(along) else along
             full = abs(y - bound) / rho**2 if independent else np.inf
             blocking, step, rest = self._first_block(rate, min(full, limit - moved))

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.methods.condensed.tables import DEPENDENT, TOLERANCE, CondensedTables
+from lin_freq_ocp.methods.condensed.tables import GRADIENT_DEPENDENCE, ROW_TOLERANCE, CondensedTables
 
 NONE = 1e30  # LFO_NONE of kernel.h: no bound, or no limit of a multiplier
 FAMILIES, STATES = 64, 64  # LFO_FAMILIES, LFO_STATES of kernel.h
@@ -110,7 +110,7 @@ class NativeKernel:
         rows = count * (T + 1)
         most = min(r, rows)
         integers = dict(zip(INTEGERS, (T, n, m, n + 1, r, count, most, tables.most_changes), strict=True))
-        self._model = Model(**integers, tolerance=TOLERANCE, dependent=DEPENDENT)
+        self._model = Model(**integers, tolerance=ROW_TOLERANCE, dependent=GRADIENT_DEPENDENCE)
         for name, array in self._arrays.items():
             setattr(self._model, name, array.ctypes.data)
         self._memory, model = Memory(), ctypes.byref(self._model)

@@ -22,7 +22,7 @@ from lin_freq_ocp.methods.spectral.spaces import bin_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-BLOCK = 200  # plans whose multipliers are computed at once: the arrays stay in the cache of a processor
+PLANS_AT_ONCE = 200  # plans whose multipliers are computed at once: the arrays stay in the cache of a processor
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ class CondensedSolver:
 def batch_of(plans: Mapping[int, Plan], interrupted: bool = False) -> PlanBatch:
     """Return plans of one solver by their numbers as arrays with their multipliers, in the user's units."""
     numbers, each = np.array(list(plans), dtype=np.intp), list(plans.values())
-    parts = [_extremals(each[first : first + BLOCK]) for first in range(0, len(each), BLOCK)]
+    parts = [_extremals(each[first : first + PLANS_AT_ONCE]) for first in range(0, len(each), PLANS_AT_ONCE)]
     x, u, eta, mu, nu = (np.concatenate([signals[k] for signals, _ in parts]) for k in range(5))
     return PlanBatch(numbers, x, u, eta, mu, nu, np.concatenate([rho for _, rho in parts]), interrupted)
 

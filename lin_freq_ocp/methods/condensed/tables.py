@@ -21,7 +21,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral.model import Bounds, Lti
 
-RANK_TOLERANCE = 1e-11
+EQUATION_RANK = 1e-11
 """Singular values of the equations below this part of the largest count as zero: the equations then depend on each
 other up to the rounding of their coefficients."""
 
@@ -32,9 +32,9 @@ DEFINITE = 1e-12
 
 SMALL_WEIGHT = 1e-6  # of the feedback's cost, relative to the mean weight, where the problem has none
 
-TOLERANCE = 1e-9  # of a row's value, relative to the size of its family
-ROUNDING = 100  # a dependent row that is violated by this many tolerances contradicts the active ones
-DEPENDENT = 1e-7  # a gradient with less than this part of its length outside of the active ones depends on them
+ROW_TOLERANCE = 1e-9  # of a row's value, relative to the size of its family
+STUCK_VIOLATION = 100  # a dependent row that is violated by this many tolerances contradicts the active ones
+GRADIENT_DEPENDENCE = 1e-7  # a gradient with less than this part of its length outside the active ones depends on them
 SOLVED, LIMIT, INFEASIBLE = range(3)  # statuses of a step
 
 MOST_UNKNOWNS = 600  # controls times steps: the tables grow with the square of it, and the set-up with the cube
@@ -289,7 +289,7 @@ def _solve_equations(loop: Loop, E: Array) -> tuple[Array, Array]:
     if not len(E):
         return np.zeros((E.shape[1], 0)), np.eye(E.shape[1])
     left, sigma, right = np.linalg.svd(E, full_matrices=True)
-    rank = int((sigma > RANK_TOLERANCE * sigma[0]).sum())
+    rank = int((sigma > EQUATION_RANK * sigma[0]).sum())
     if rank < len(E):
         n, data = loop.shape[1], np.eye(loop.shape[1] + 1)[-1]
         still = loop.plans(np.zeros((E.shape[1], n + 1)))
