@@ -40,8 +40,8 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 38_294,
-    "code lines, linear part": 19_069,
+    "code lines": 38_422,
+    "code lines, linear part": 19_098,
     "code lines, hybrid": 7_908,
     SHARE_SAID: 19.2,  # at least
     "files": 289,
@@ -51,16 +51,16 @@ LIMITS: dict[str, float] = {
     "names in __all__": 53,
     "lines of a file": 535,
     "lines of a function": 80,
-    "functions used once [%]": 13.7,
+    "functions used once [%]": 13.1,
     "files entered by a solve": 46,
-    "functions entered by a solve": 386,
-    "calls of a solve": 802,
+    "functions entered by a solve": 385,
+    "calls of a solve": 801,
     "imports through the door": 0,
     "files in circles": 0,
     "class names used twice": 1,
     "constants of several values": 3,
     "file stems used three times": 4,
-    "names of a lone participle": 39,
+    "names of a lone participle": 28,
     "isinstance on dynamics": 4,
     "isinstance on terms": 5,
     "Any": 24,
