@@ -1,4 +1,4 @@
-"""The JSON Schemas in docs/: what the package writes and prints is valid, and they know the keys that it knows."""
+"""The JSON Schemas of the package: what the package writes and prints is valid, and they know the keys that it knows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jsonschema import Draft202012Validator
 import lin_freq_ocp as lfo
 from helpers.every_table import GOOD, PIECEWISE, changed
 from helpers.random.mixed import problem_of, random_model
-from helpers.schemas import DOCS, MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, printed
+from helpers.schemas import MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, printed
 from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.rays import Conflict
@@ -31,6 +31,7 @@ from lin_freq_ocp.files.summary import comparison_summary, failed_comparison_sum
 from lin_freq_ocp.problem.measures import Measures
 
 PARTS = PROBLEM["$defs"]
+PAGE = Path(__file__).parents[2] / "docs" / "problem_file.md"
 
 
 def assert_valid_file(path: Path) -> None:
@@ -73,14 +74,14 @@ def test_the_template_is_valid():
 
 
 def test_the_example_of_the_page_is_valid_and_has_an_optimum(tmp_path):
-    page = (DOCS / "problem_file.md").read_text(encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
     (tmp_path / "example.toml").write_text(page.split("```toml")[1].split("```")[0])
     assert_valid_file(tmp_path / "example.toml")
     assert lfo.solve(lfo.read_problem(tmp_path / "example.toml")).certificate.globally_optimal
 
 
 def test_the_page_names_every_key():
-    page = (DOCS / "problem_file.md").read_text(encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
     told = set(re.findall(r"\w+", page)) | {f"{edge}_hz" for edge in ("lower", "upper", "centre", "width")}
     assert {key for key, _ in properties(PROBLEM)} - told == set()
 
