@@ -45,7 +45,7 @@ def test_problems_whose_answers_were_wrong(seed):
     assert not outcome.wrong, outcome
 
 
-@pytest.mark.parametrize("seed", [409, 1139, 2212, 2275, 2348, 2858, 3175, 4045, 4366, 4575])
+@pytest.mark.parametrize("seed", [409, 1139, 2212, 2275, 2348, 2858, 3175, 3757, 4045, 4366, 4575])
 def test_problems_that_need_a_further_answer(seed):
     """Zeros that were rounding, bounds far away that alone bound the cost, points without a slope."""
     outcome = linear.check(seed)

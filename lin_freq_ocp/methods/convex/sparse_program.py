@@ -142,7 +142,8 @@ def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterato
     def own(attempt: Attempt, per_time: bool) -> Scaling | None:
         return None if attempt.z is None else own_scaling(linear, attempt.z, natural.columns, per_time)
 
-    # each from the best attempt so far; units that need its point come last
+    # units that need a point come last, and take the best point so far: the residual of a ray says nothing about it
+    best_point = best if best.z is not None else replace(best, error=np.inf)
     others: list[Callable[[Attempt], Scaling | None]] = [
         lambda _: plain_scaling(linear),
         lambda _: stated_scaling(linear),
@@ -155,7 +156,7 @@ def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterato
         for solve in (solves.complete, solves.near):
             if solves.over:
                 return
-            scaling = units(best)
+            scaling = units(best_point)
             attempt = None if scaling is None else solve(scaling)
             if attempt is None:
                 continue
@@ -166,7 +167,7 @@ def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterato
             if attempt.z is not None or attempt.candidate.status in ("infeasible", "unbounded"):
                 yield attempt.candidate
             yield from _versions(solves, natural, attempt)
-            best = better_of(best, attempt)
+            best_point = best_point if attempt.z is None else better_of(best_point, attempt)
 
 
 def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
