@@ -120,9 +120,10 @@ class LinearProgram:
 
     def matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
         """Return the coefficients of all variables in chosen ones of the rows."""
-        signals, slacks = [(rows.signals, 0) for rows in chosen], self.slack_matrix(chosen)
-        of_signals = stack_rows(signals, self.variables)
-        return sp.csr_array(of_signals + slacks) if slacks.nnz else of_signals
+        of_signals = stack_rows([(rows.signals, 0) for rows in chosen], self.variables)
+        if not any(len(rows.prices) for rows in chosen):
+            return of_signals
+        return sp.csr_array(of_signals + self.slack_matrix(chosen))
 
     def slack_matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
         """Return the coefficients of slacks among all variables in chosen ones of the rows."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.sparse as sp
@@ -135,6 +135,7 @@ def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, ta
         yield ProgramRows(block, block.value, shape, *at, right, right, *_no_slacks(len(pairs)))
 
 
+@lru_cache(maxsize=64)  # a sparse matrix takes as long to make as the other arrays of a stop band
 def _no_slacks(rows: int) -> tuple[sp.csr_array, Array, Indices, Indices]:
     """Return the slacks of rows without any, their prices and what they measure, and no cones."""
     return sp.csr_array((rows, 0)), np.zeros(0), np.zeros((0, 1), dtype=int), np.zeros((0, 2), dtype=int)

@@ -83,12 +83,16 @@ def stage_rows(program: LinearProgram, given: Mask, fixed: Mask) -> StageRowList
     chosen, numbers = np.flatnonzero(kept), np.cumsum(kept) - 1
     # slacks of rows that couple times are not negative
     of_slacks, slacks = np.concatenate(slack_times), np.flatnonzero(np.concatenate(loose))
-    ones = np.ones(len(slacks)), program.signals + slacks, np.arange(len(slacks) + 1)
-    signs = sp.csr_array(ones, shape=(len(slacks), program.variables))
+    if len(chosen) < len(kept):
+        matrix = sp.csr_array(matrix[chosen])
+    if len(slacks):
+        ones = np.ones(len(slacks)), program.signals + slacks, np.arange(len(slacks) + 1)
+        signs = sp.csr_array(ones, shape=(len(slacks), program.variables))
+        matrix = stack_rows([(matrix, 0), (signs, 0)], program.variables)
     return StageRowList(
         np.append(np.concatenate([rows.targets for rows in parts])[chosen], np.full(len(slacks), -1)),
         np.append(np.concatenate(times)[chosen], of_slacks[slacks]),
-        stack_rows([(sp.csr_array(matrix[chosen]), 0), (signs, 0)], program.variables),
+        matrix,
         np.append(lower[chosen], np.zeros(len(slacks))),
         np.append(upper[chosen], np.full(len(slacks), np.inf)),
         cones - cones[:, :1] + numbers[cones[:, :1]],
@@ -200,13 +204,17 @@ def stage_equations(rows: StageRowList, chosen: Indices, columns: Columns) -> Co
 
 def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -> Iterator[CoupledPart]:
     """Yield the families of rows that couple times."""
-    # of a spectrum, the slacks alone are sparse
-    sparse = columns.of_variables(program.matrix([rows]) if rows.spectrum is None else program.slack_matrix([rows]))
+    sparse: sp.csr_array | None = None
+    if rows.spectrum is None:
+        sparse = columns.of_variables(program.matrix([rows]))
+    elif len(rows.prices):  # of a spectrum, the slacks alone are sparse
+        sparse = columns.of_variables(program.slack_matrix([rows]))
 
     def family_rows(chosen: Indices, sign: float = 1.0) -> Rows:
-        if rows.spectrum is None:
-            return SparseRows(sp.csr_array(sign * sparse[chosen]))
-        return _spectrum_rows(rows, rows.spectrum, chosen, sign, columns.width)
+        if rows.spectrum is not None:
+            return _spectrum_rows(rows, rows.spectrum, chosen, sign, columns.width)
+        assert sparse is not None
+        return SparseRows(sp.csr_array(sign * sparse[chosen]))
 
     weights = np.ones(len(rows.lower)) if rows.weights is None else rows.weights
     # rows that say only that a slack is not negative are rows of stages
@@ -224,10 +232,11 @@ def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -
     sizes = rows.cones[:, 1] - rows.cones[:, 0]
     for size in np.unique(sizes):
         members = rows.cones[sizes == size, :1] + np.arange(size)
-        radius, offset, heads = -rows.lower[members[:, 0]], -rows.lower[members[:, 1:]], sparse[members[:, 0]]
+        radius, offset = -rows.lower[members[:, 0]], -rows.lower[members[:, 1:]]
         if rows.spectrum is not None and (rows.entries[members[:, 0]] >= 0).any():
             raise _unfit_error(rows)
-        of_slacks = SparseRows(sp.csr_array(heads)) if heads.nnz else None
+        heads = None if sparse is None else sp.csr_array(sparse[members[:, 0]])
+        of_slacks = SparseRows(heads) if heads is not None and heads.nnz else None
         ball = Balls(family_rows(members[:, 1:].ravel()), radius, of_slacks, offset)
         yield CoupledPart(ball, rows.targets[members], -weights[members])
 
