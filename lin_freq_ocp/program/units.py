@@ -2,7 +2,7 @@
 
 Magnitudes come from the optimum without bounds and bands; bounds only cap them, as they say what is allowed, not what
 happens. Variables are deviations from the references. Once there is a trajectory, its own magnitudes are the units: a
-solution is measured in them (``own_scaling``), and solved again in them if its units were very different.
+solution is measured in them (``point_scaling``), and solved again in them if its units were very different.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def natural_scaling(linear: LinearProgram) -> Scaling:
             np.clip(size, TERM_SHARE * stated, stated / TERM_SHARE) for size, stated in zip((x, u), guess, strict=True)
         )
     columns = linear.column_units(x, u)
-    return _scaling_of_units(linear, columns, columns)
+    return _scale_rows_and_cost(linear, columns, columns)
 
 
 def scaled_program(problem: OptimalControlProblem) -> tuple[LinearProgram, Scaling, Program]:
@@ -57,16 +57,16 @@ def common_scaling(programs: Sequence[LinearProgram]) -> Scaling:
     stated = first.column_units(*stated_sizes(first.problem))
     largest = np.max([natural_scaling(linear).columns for linear in programs], axis=0)
     columns = np.clip(largest, TERM_SHARE * stated, stated / TERM_SHARE)
-    return _scaling_of_units(first, columns, columns)
+    return _scale_rows_and_cost(first, columns, columns)
 
 
-def own_scaling(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
-    """Return the units in which a point z (in the program's own units) is of order 1 (see ``own_columns``)."""
-    columns = own_columns(linear, z, fallback, per_time)
-    return _scaling_of_units(linear, columns, np.maximum(np.abs(z), UNNOTICED * columns))
+def point_scaling(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
+    """Return the units in which a point z (in the program's own units) is of order 1 (see ``point_units``)."""
+    columns = point_units(linear, z, fallback, per_time)
+    return _scale_rows_and_cost(linear, columns, np.maximum(np.abs(z), UNNOTICED * columns))
 
 
-def own_columns(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Array:
+def point_units(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Array:
     """Return the units of variables in which a point z (in the program's own units) is of order 1, (variables,).
 
     ``fallback`` (variables,) are the units of variables that are zero. With ``per_time``, a component has another unit
@@ -79,7 +79,7 @@ def own_columns(linear: LinearProgram, z: Array, fallback: Array, per_time: bool
     return linear.column_units(*(np.where(size > UNIT_ROUNDING * unit, size, unit) for size, unit in pairs))
 
 
-def own_sizes(linear: LinearProgram, z: Array) -> Array:
+def point_sizes(linear: LinearProgram, z: Array) -> Array:
     """Return the magnitudes of the variables of a point, (variables,), with those of signals bounded below."""
     return np.concatenate([*(signal.ravel() for signal in _noticeable_sizes(linear, z)), np.abs(z[linear.signals :])])
 
@@ -87,7 +87,7 @@ def own_sizes(linear: LinearProgram, z: Array) -> Array:
 def stated_scaling(linear: LinearProgram) -> Scaling:
     """Return the units from the sizes in the data of a problem."""
     columns = linear.column_units(*stated_sizes(linear.problem))
-    return _scaling_of_units(linear, columns, columns)
+    return _scale_rows_and_cost(linear, columns, columns)
 
 
 def plain_scaling(linear: LinearProgram) -> Scaling:
@@ -107,12 +107,12 @@ def bounds_scaling(linear: LinearProgram, natural: Scaling) -> Scaling:
     ]
     units = natural.columns[: linear.signals]
     far = float((np.concatenate([side.ravel() for side in sides]) / units).max(initial=1.0))
-    return _scaling_of_units(linear, far * natural.columns, far * natural.columns)
+    return _scale_rows_and_cost(linear, far * natural.columns, far * natural.columns)
 
 
 def revised_scaling(linear: LinearProgram, scaling: Scaling, z: Array) -> Scaling | None:
     """Return units from a solution z (in the program's own units), or None if they differ little from its own."""
-    revised = own_scaling(linear, z, scaling.columns)
+    revised = point_scaling(linear, z, scaling.columns)
     return revised if is_revision(revised.columns / scaling.columns, revised.cost / scaling.cost) else None
 
 
@@ -130,7 +130,7 @@ def cost_factor(slopes: Array, priced: Mask) -> float:
     return COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
 
 
-def _scaling_of_units(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:
+def _scale_rows_and_cost(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:
     """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
     program = linear.sparse
     # a dynamics or bound row is divided by its component's unit, any other likewise

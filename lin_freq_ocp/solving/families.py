@@ -104,7 +104,7 @@ def require_shorthand(name: str) -> None:
         raise UnsupportedError(f"method: got {name!r}; expected {known} or {names[-1]!r}. {hint}".rstrip())
 
 
-def chosen(problem: OptimalControlProblem, method: str | Method, given: Mapping[str, object]) -> Method:
+def choose_method(problem: OptimalControlProblem, method: str | Method, given: Mapping[str, object]) -> Method:
     """Return the method for a problem with the given keywords of ``solve`` (None: not given) as its options.
 
     UnsupportedError if there is no such method, it is not for these dynamics, or it does not know an option.

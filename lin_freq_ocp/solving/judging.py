@@ -29,7 +29,7 @@ def allowed_residual(tolerance: float | None) -> float:
     return min(max(CONDITION_TOLERANCE, tolerance or 0.0), LARGEST_TOLERANCE)
 
 
-def judged(
+def judge_candidate(
     problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
 ) -> Outcome:
     """Judge the point, ray or direction of a candidate, from which its status follows."""
@@ -117,7 +117,7 @@ def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfal
     return replace(outcome, certificate=after.raised(inverse.cost), status=status, message=message)
 
 
-def with_few_fractional(outcome: Outcome, tolerance: float | None) -> Outcome:
+def reduce_fractional_samples(outcome: Outcome, tolerance: float | None) -> Outcome:
     """Return the outcome of an optimum of the same cost with few samples between levels, or the outcome itself.
 
     The judge decides.
@@ -128,7 +128,7 @@ def with_few_fractional(outcome: Outcome, tolerance: float | None) -> Outcome:
     candidate = None if inverse is None else inverse.recover(candidate_of(outcome))
     if candidate is None or candidate.trajectory is outcome.trajectory:
         return outcome
-    found = judged(outcome.problem, candidate, outcome.method, outcome.backend, tolerance)
+    found = judge_candidate(outcome.problem, candidate, outcome.method, outcome.backend, tolerance)
     if found.status != Status.OPTIMAL:
         return outcome
     seconds = {**outcome.seconds, "certify": outcome.seconds.get("certify", 0.0) + found.seconds["certify"]}

@@ -18,20 +18,20 @@ from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradictio
 from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import (
     convex_candidates,
-    free_of_cost,
-    free_of_slope,
     solve_convex,
     structured_first,
+    trajectory_without_cost,
+    trajectory_without_slope,
 )
-from lin_freq_ocp.methods.structured.solver import Prepared, solve_again, solve_structured
+from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.judging import judged
-from lin_freq_ocp.solving.kept import solve_spectral
+from lin_freq_ocp.solving.judging import judge_candidate
 from lin_freq_ocp.solving.method import Method, Request, seconds_left
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solver_cache import solve_spectral
 
 PROVER = "clarabel"  # The backend that proves infeasibility and unboundedness, whichever backend met it
 
@@ -71,7 +71,7 @@ class _Trial:
 
     def judge(self, candidate: Candidate) -> Outcome:
         """Judge a candidate as it stands."""
-        return judged(self.problem, candidate, self.method, self.backend, self.tolerance)
+        return judge_candidate(self.problem, candidate, self.method, self.backend, self.tolerance)
 
     def judge_point(self, candidate: Candidate) -> Outcome:
         """Judge a candidate, and a direction of descent in its place where its trajectory is far beyond the data.
@@ -117,7 +117,10 @@ class _Trial:
         problem, near = self.problem, outcome.trajectory
         if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
             return outcome
-        for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, seconds_left(self.end))):
+        for candidate in (
+            trajectory_without_cost(problem, near),
+            trajectory_without_slope(problem, near, seconds_left(self.end)),
+        ):
             if candidate is not None:
                 found = self.judge(candidate)
                 if found.status == Status.OPTIMAL and not _violates_more(found, outcome):
@@ -212,9 +215,9 @@ class Spectral(_Linear):
     shorthand: ClassVar[str] = "spectral"
 
     def _solve(self, trial: _Trial, request: Request) -> Outcome:
-        if request.again is None:
+        if request.cached is None:
             return trial.judge_point(solve_spectral(trial.problem, trial.options))
-        kept, change = request.again
+        kept, change = request.cached
         return trial.judge_point(kept.spectral(trial.problem, change, trial.options))
 
 
@@ -240,19 +243,19 @@ class Structured(_Linear):
 
     def _solve(self, trial: _Trial, request: Request) -> Outcome:
         problem, first, doubtful, certified = trial.problem, None, False, 0.0
-        prepared = Prepared() if request.again is None else request.again[0].prepared
-        again = solve_again(problem, prepared, trial.options)
+        stage_cache = StageCache() if request.cached is None else request.cached[0].stage_cache
+        again = solve_from_warm_start(problem, stage_cache, trial.options)
         if again is not None:
             outcome = trial.judge(again)
             if outcome.status == Status.OPTIMAL and _final(outcome):  # what is not proven is solved from scratch
-                prepared.near = outcome.trajectory
+                stage_cache.warm_start = outcome.trajectory
                 return outcome
 
-        def excludes(ray: Multipliers) -> bool:  # rigorously, and not by a margin of rounding
+        def accept_ray(ray: Multipliers) -> bool:  # rigorously, and not by a margin of rounding
             proof = prove_infeasible(problem, ray)
             return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
 
-        for candidate in solve_structured(problem, trial.options, excludes, prepared=prepared):
+        for candidate in solve_structured(problem, trial.options, accept_ray, stage_cache=stage_cache):
             doubtful = candidate.status in ("unbounded", "numerical_error")
             outcome = trial.judge_point(candidate)
             certified += outcome.seconds["certify"]
@@ -262,7 +265,7 @@ class Structured(_Linear):
                 break
         assert first is not None  # there is an answer
         if first.status == Status.OPTIMAL:
-            prepared.near = first.trajectory
+            stage_cache.warm_start = first.trajectory
         first = replace(first, seconds=first.seconds | {"certify": certified})
         if doubtful and _rank(first) < 2 and not first.interrupted:  # such as a direction that is not exactly flat
             first = trial.with_proof(first)
@@ -299,7 +302,7 @@ class LinearAuto:
         refusals = list[str]()
         for method in self._in_turn(problem):
             try:
-                outcome = method.solve(problem, request.until(end))
+                outcome = method.solve(problem, request.with_end(end))
             except UnsupportedError as error:
                 refusals += [] if str(error) in refusals else [str(error)]
                 continue

@@ -12,8 +12,8 @@ from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
-from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
 
 Report = Callable[[Progress], None]
 
@@ -31,10 +31,10 @@ class Request:
     tolerance: float | None = None
     progress: Report | None = None
     start: Start | None = None
-    again: tuple[Kept, Change] | None = None
+    cached: tuple[SolverCache, Change] | None = None
     tree: SearchCache | None = None
 
-    def until(self, end: float) -> Request:
+    def with_end(self, end: float) -> Request:
         """Return the same with the time that is left until the end, by ``clock.now``."""
         left = seconds_left(end)
         return self if left is None else replace(self, time_limit=left)

@@ -32,8 +32,14 @@ from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import backend as solver_named
 from lin_freq_ocp.program.backends.base import names
-from lin_freq_ocp.solving.families import chosen, require_shorthand, saved_options
-from lin_freq_ocp.solving.judging import allowed_residual, candidate_of, judged, recover_outcome, with_few_fractional
+from lin_freq_ocp.solving.families import choose_method, require_shorthand, saved_options
+from lin_freq_ocp.solving.judging import (
+    allowed_residual,
+    candidate_of,
+    judge_candidate,
+    recover_outcome,
+    reduce_fractional_samples,
+)
 from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -58,13 +64,13 @@ def solve_judged(
     limits = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit}
     require_options(method, backend, time_limit=time_limit, **limits)
     options = {**limits, "executor": executor, "start": start, "global_bound": global_bound}
-    found = chosen(problem, method, {"backend": None if backend == "auto" else backend, **options})
+    found = choose_method(problem, method, {"backend": None if backend == "auto" else backend, **options})
     begin = None if start is None else start_of(problem, start)
     allowed = tolerance or getattr(found, "tolerance", None)
     request = Request(np.inf if time_limit is None else time_limit, allowed, progress, begin)
     translation = translation_of(problem)
-    outcome = with_few_fractional(solve_translated(found, translation, request), tolerance)
-    outcome = restored_outcome(translation, outcome, allowed)
+    outcome = reduce_fractional_samples(solve_translated(found, translation, request), tolerance)
+    outcome = restore_outcome(translation, outcome, allowed)
     saved = saved_options(problem, method, found) | ({} if begin is None else {"start": begin.saved})
     return replace(outcome, options=saved | {"time_limit": time_limit})
 
@@ -102,7 +108,7 @@ def solve_translated(method: Method, translation: Translation, request: Request)
     return solve_at_every_frequency(problem, method, request)
 
 
-def restored_outcome(translation: Translation, outcome: Outcome, tolerance: float | None = None) -> Outcome:
+def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float | None = None) -> Outcome:
     """Return an outcome of the translated problem as one of the given problem.
 
     Its states are rounded to the digits that the given coordinates have. The certificate is that of the rounded
@@ -147,14 +153,14 @@ class _Round(NamedTuple):
 
 def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, request: Request) -> Outcome:
     """Solve a problem with masks at every frequency by any method, and judge the answer."""
-    request = replace(request, again=None, tree=None)
+    request = replace(request, cached=None, tree=None)
     end = now() + request.time_limit
     masks = [(term, term.everywhere) for term in problem.terms if term.everywhere is not None]
     frequencies = {term.name: term.map.places for term, _ in masks}
     seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
         inverse = sampled_masks(problem, frequencies)
-        found = method.solve(inverse.problem, request.until(end))
+        found = method.solve(inverse.problem, request.with_end(end))
         seconds |= {what: seconds.get(what, 0.0) + value for what, value in found.seconds.items()}
         if found.trajectory is None or found.multipliers is None:
             rounds.append(_Round(inverse, found, np.inf))
@@ -187,4 +193,6 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         shortfall = f"at the frequencies of {plural(len(masks), 'mask')} only"
         return recover_outcome(best.inverse, found, CONDITION_TOLERANCE, shortfall)
     candidate = best.inverse.recover(candidate_of(found))
-    return replace(judged(problem, candidate, found.method, found.backend, request.tolerance), reason=found.reason)
+    return replace(
+        judge_candidate(problem, candidate, found.method, found.backend, request.tolerance), reason=found.reason
+    )

@@ -14,7 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.reductions import INFEASIBLE, REDUCTIONS, UNBOUNDED, Entry, random_problem
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.reductions import Chain, Inverse, Reduction, reduce_problem
-from lin_freq_ocp.solving.judging import candidate_of, judged
+from lin_freq_ocp.solving.judging import candidate_of, judge_candidate
 from lin_freq_ocp.solving.solve import solve_judged
 
 CASES = [(name, case) for name, entry in REDUCTIONS.items() for case in entry.problems]
@@ -36,7 +36,7 @@ def recovered(entry: Entry, inverse: Inverse) -> lfo.results.Outcome:
         )
 
     ray, multipliers = candidate.ray and shaped(candidate.ray), candidate.multipliers and shaped(candidate.multipliers)
-    return judged(given, replace(candidate, ray=ray, multipliers=multipliers), "", None, None)
+    return judge_candidate(given, replace(candidate, ray=ray, multipliers=multipliers), "", None, None)
 
 
 @pytest.mark.parametrize(("name", "case"), CASES, ids=[", ".join(case) for case in CASES])

@@ -14,7 +14,7 @@ from helpers.rounded_products import exact_optimum
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.solving import linear
-from lin_freq_ocp.solving.judging import judged
+from lin_freq_ocp.solving.judging import judge_candidate
 from lin_freq_ocp.solving.solve import solve_judged
 
 SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
@@ -129,7 +129,7 @@ def test_no_answer_is_replaced_by_one_that_violates_more(monkeypatch):
     x = first.trajectory.x.copy()
     x[10:] += [3e-7, 0.0]
     beside = Candidate("optimal", lfo.Trajectory(x, first.trajectory.u), first.multipliers)
-    second = judged(problem, beside, "structured", None, None)
+    second = judge_candidate(problem, beside, "structured", None, None)
     assert second.certificate.feasible
 
     def ending(outcome):

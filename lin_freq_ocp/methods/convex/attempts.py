@@ -13,7 +13,7 @@ from lin_freq_ocp.methods.convex.polish import nearest_recession, polish_point
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Program, Residuals, Scaling
-from lin_freq_ocp.program.units import own_scaling, own_sizes
+from lin_freq_ocp.program.units import point_scaling, point_sizes
 
 ACCURATE_ANSWER = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units
 DIVERGED_SIZE = 1e100  # size, in expected units, of a diverged point
@@ -39,7 +39,7 @@ class Attempt:
 
 
 @dataclass(frozen=True, eq=False)
-class Solves:
+class ScaledSolver:
     """A program with a solver and its limits, to be solved in several units."""
 
     linear: LinearProgram
@@ -71,17 +71,17 @@ class Solves:
         complete = self._solve(program, scaling, tolerance)
         return complete if attempt.candidate.status == "unbounded" else better_of(attempt, complete)
 
-    def complete(self, scaling: Scaling) -> Attempt:
+    def solve_with_all_bounds(self, scaling: Scaling) -> Attempt:
         """Solve in the given units with all bounds, and measure."""
         return self._solve(self.linear.sparse.scaled(scaling), scaling, None)
 
-    def near(self, scaling: Scaling) -> Attempt | None:
+    def solve_without_far_bounds(self, scaling: Scaling) -> Attempt | None:
         """Solve without far bounds, and measure with all; None if no bound is far, or the program is then unbounded."""
         near = self.linear.sparse.scaled(scaling).without_bounds_beyond(FAR_BOUND)
         attempt = None if near is None else self._solve(near, scaling, None)
         return None if attempt is None or attempt.candidate.status == "unbounded" else attempt
 
-    def recovered(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
+    def recover(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
         """Return the trajectory and multipliers of a solver's answer, which is in the units of ``scaling``."""
         z, y, claim = solution.z, solution.y, solution.claim
         late = claim is Claim.TIME_LIMIT
@@ -109,8 +109,8 @@ class Solves:
         point, duals = scaling.primal(z), scaling.dual(y)
         residuals = Residuals(np.inf, np.inf, np.inf)
         if (np.abs(point) < DIVERGED_SIZE * scaling.columns).all():  # in the units of the point
-            own = own_scaling(self.linear, point, scaling.columns)
-            at, sizes = own.scaled_primal(point), own.scaled_primal(own_sizes(self.linear, point))
+            own = point_scaling(self.linear, point, scaling.columns)
+            at, sizes = own.scaled_primal(point), own.scaled_primal(point_sizes(self.linear, point))
             residuals = self.linear.sparse.scaled(own).residuals(at, own.scaled_dual(duals), sizes)
         if late or claim in (Claim.LIMIT, Claim.INTERRUPTED):
             status = "limit"
@@ -131,7 +131,7 @@ class Solves:
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
         solution = self.solver(program, tolerance or self.asked, self.left)
-        attempt = self.recovered(scaling, program, solution)
+        attempt = self.recover(scaling, program, solution)
         if attempt.z is None or attempt.ended or attempt.error <= self.target or program.cones or self.over:
             return attempt
         assert solution.z is not None
@@ -140,7 +140,7 @@ class Solves:
         if better is None:
             return attempt
         claimed = replace(solution, claim=Claim.SOLVED, z=better[0], y=better[1])
-        return better_of(attempt, self.recovered(scaling, program, claimed))
+        return better_of(attempt, self.recover(scaling, program, claimed))
 
 
 def better_of(one: Attempt, other: Attempt) -> Attempt:

@@ -74,7 +74,7 @@ def _solve_active(
     return z, found
 
 
-def without_rounding(values: Array, units: Array, level: float) -> Array:
+def zero_rounding(values: Array, units: Array, level: float) -> Array:
     """Return values with exact zeros where they are below this part of their units."""
     return np.where(np.abs(values) <= level * units, 0.0, values)
 

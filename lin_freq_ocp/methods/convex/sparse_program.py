@@ -20,8 +20,8 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.methods.candidate import DEFAULTS, SOLVED_TOLERANCE, Candidate, SolveOptions, require_convex
-from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, Solves, better_of
-from lin_freq_ocp.methods.convex.polish import polish_point, without_rounding
+from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, ScaledSolver, better_of
+from lin_freq_ocp.methods.convex.polish import polish_point, zero_rounding
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import reduce_problem
 from lin_freq_ocp.problem.simulation import simulate
@@ -33,8 +33,8 @@ from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import (
     bounds_scaling,
     natural_scaling,
-    own_scaling,
     plain_scaling,
+    point_scaling,
     revised_scaling,
     scaled_program,
     stated_scaling,
@@ -94,12 +94,12 @@ def convex_candidates(
     interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
     target = max(ACCURATE_ANSWER if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
     asked = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, DEFAULT_TOLERANCE) if interior else tolerance
-    solves = Solves(linear, solver, tolerance, asked, end, target)
+    solves = ScaledSolver(linear, solver, tolerance, asked, end, target)
     best = _revise_units(solves, solves.attempt(scaling))
     # other units where it is not accurate, each from the best attempt so far
     ways: list[Callable[[Attempt], Attempt]] = [
         lambda best: solves.attempt(
-            scaling if best.z is None else own_scaling(linear, best.z, scaling.columns, per_time=True)
+            scaling if best.z is None else point_scaling(linear, best.z, scaling.columns, per_time=True)
         ),
         lambda best: solves.attempt(stated_scaling(linear)),
         lambda best: solves.attempt(plain_scaling(linear)),
@@ -116,7 +116,7 @@ def convex_candidates(
         yield replace(candidate, seconds={**seconds, "solve": now() - ready})
 
 
-def _revise_units(solves: Solves, attempt: Attempt) -> Attempt:
+def _revise_units(solves: ScaledSolver, attempt: Attempt) -> Attempt:
     """Return the attempt, or a better one in units of its own answer."""
     best = attempt
     for _ in range(REVISIONS):
@@ -132,7 +132,7 @@ def _revise_units(solves: Solves, attempt: Attempt) -> Attempt:
     return best
 
 
-def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
+def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
     """Yield other candidates than the best attempt until the time limit or Ctrl-C; ``natural``: the expected units."""
     if best.ended:
         return
@@ -140,7 +140,7 @@ def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterato
     linear = solves.linear
 
     def own(attempt: Attempt, per_time: bool) -> Scaling | None:
-        return None if attempt.z is None else own_scaling(linear, attempt.z, natural.columns, per_time)
+        return None if attempt.z is None else point_scaling(linear, attempt.z, natural.columns, per_time)
 
     # units that need a point come last, and take the best point so far: the residual of a ray says nothing about it
     best_point = best if best.z is not None else replace(best, error=np.inf)
@@ -153,7 +153,7 @@ def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterato
         lambda attempt: own(attempt, per_time=True),
     ]
     for units in others:
-        for solve in (solves.complete, solves.near):
+        for solve in (solves.solve_with_all_bounds, solves.solve_without_far_bounds):
             if solves.over:
                 return
             scaling = units(best_point)
@@ -170,7 +170,7 @@ def other_candidates(solves: Solves, natural: Scaling, best: Attempt) -> Iterato
             best_point = best_point if attempt.z is None else better_of(best_point, attempt)
 
 
-def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
+def _versions(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
     """Yield a point with exact zeros for rounding, polished, and both."""
     if attempt.z is None or attempt.y is None or attempt.error > LARGEST_ERROR:
         return
@@ -181,28 +181,28 @@ def _versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Ca
     scaling = attempt.scaling
     found = polish_point(program, scaling.scaled_primal(attempt.z), scaling.scaled_dual(attempt.y))
     if found is not None:
-        better = solves.recovered(scaling, program, Solution(Claim.SOLVED, *found, "polished"))
+        better = solves.recover(scaling, program, Solution(Claim.SOLVED, *found, "polished"))
         if better.z is not None and better.error <= LARGEST_ERROR:
             yield better.candidate
             yield from _rounded_versions(solves, natural, better)
 
 
-def _rounded_versions(solves: Solves, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
+def _rounded_versions(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
     """Yield a point with exact zeros for what is rounding in the natural units, if that changes it."""
     assert attempt.z is not None
     assert attempt.y is not None
     program, before = solves.linear.sparse.scaled(natural), (attempt.z, attempt.y)
     for level in ROUNDING_LEVELS:
-        z = without_rounding(attempt.z, natural.columns, level)
-        y = without_rounding(attempt.y, natural.rows / natural.cost, level)
+        z = zero_rounding(attempt.z, natural.columns, level)
+        y = zero_rounding(attempt.y, natural.rows / natural.cost, level)
         if np.array_equal(z, before[0]) and np.array_equal(y, before[1]):
             continue
         before = z, y
         scaled = natural.scaled_primal(z), natural.scaled_dual(y)
-        yield solves.recovered(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
+        yield solves.recover(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
 
 
-def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
+def trajectory_without_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
     """Return the trajectory of controls at their references, with multipliers of zero; None if it diverges.
 
     Controls without a cost, and the first state, are those of ``near``.
@@ -220,7 +220,9 @@ def free_of_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate 
     return Candidate("optimal", trajectory, none, message="controls at their references")
 
 
-def free_of_slope(problem: OptimalControlProblem, near: Trajectory, time_limit: float | None) -> Candidate | None:
+def trajectory_without_slope(
+    problem: OptimalControlProblem, near: Trajectory, time_limit: float | None
+) -> Candidate | None:
     """Return a trajectory that satisfies all constraints and P z + q = 0, with multipliers of zero, or None.
 
     It is computed where the slope at ``near`` is small.

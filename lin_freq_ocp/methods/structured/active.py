@@ -41,10 +41,13 @@ MOST_NUMBERS = 5e6  # that are cached: 40 MB
 
 def solve_active(system: System, responses: RowResponses, targets: Targets, start: Array) -> Answer | None:
     """Return the answer from the active rows of y (T+1, n+k) near it; None if pivoting does not find it."""
-    limits, present = flat(system.b), np.concatenate([cone.present.ravel() for cone in system.cones.values()])
+    limits, present = (
+        flatten_inequalities(system.b),
+        np.concatenate([cone.present.ravel() for cone in system.cones.values()]),
+    )
     y, z = responses.step.solve(-system.stages.h, system.b, False)  # without inequalities
-    alone = flat(system.rows(y)) - limits
-    active = present & (limits - flat(system.rows(start)) <= TIGHT)
+    alone = flatten_inequalities(system.rows(y)) - limits
+    active = present & (limits - flatten_inequalities(system.rows(start)) <= TIGHT)
     # Rows of controls enter all at once; of the rows of states alone, the peaks
     of_controls = np.concatenate(
         [
@@ -98,7 +101,7 @@ def _refine(
         left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
         s = {i: np.maximum(left[i], 0.0) * cone.present for i, cone in system.cones.items()}
         positive = [np.maximum(part, 0.0) if i in s else part for i, part in enumerate(z)]
-        errors = embedding.measured(EmbeddedPoint(y, positive, s, 1.0, 0.0)).errors
+        errors = embedding.measure(EmbeddedPoint(y, positive, s, 1.0, 0.0)).errors
         if errors.merit(targets) <= 1:
             return y, positive, errors
     return None
@@ -112,7 +115,7 @@ class RowResponses:
         for cone in system.cones.values():
             cone.leave_out()
         self.step.factor()
-        self._slots = np.full(len(flat(system.b)), -1)
+        self._slots = np.full(len(flatten_inequalities(system.b)), -1)
         self._answers, self._values = np.empty((0, 0)), np.empty((0, len(self._slots)))
         self._count = 0
 
@@ -134,10 +137,10 @@ class RowResponses:
             if now() > end:
                 return False
             unit = [np.zeros(shape) for shape in shapes]
-            _add(unit, np.array([row]), np.ones(1))
+            _add_multipliers(unit, np.array([row]), np.ones(1))
             y, z = self.step.solve(-self._system.adjoint(unit), [np.zeros(shape) for shape in shapes], False)
             self._answers[self._count] = np.concatenate([y.ravel(), z[DYNAMICS].ravel(), z[INITIAL], z[EQUATIONS]])
-            self._values[self._count] = flat(self._system.rows(y))
+            self._values[self._count] = flatten_inequalities(self._system.rows(y))
             self._slots[row] = self._count
             self._count += 1
         return True
@@ -152,20 +155,22 @@ class RowResponses:
         """Change (y, z) that ``step`` solves without inequalities to the solution with these rows as equations."""
         if not len(rows):
             return
-        found, _ = self.multipliers(rows, flat(self._system.rows(y))[rows] - flat(of_z)[rows])
+        found, _ = self.multipliers(
+            rows, flatten_inequalities(self._system.rows(y))[rows] - flatten_inequalities(of_z)[rows]
+        )
         change = found @ self._answers[self._slots[rows]]
         ends = np.cumsum([y.size, *(z[i].size for i in (DYNAMICS, INITIAL))])
         for part, more in zip((y, z[DYNAMICS], z[INITIAL], z[EQUATIONS]), np.split(change, ends), strict=True):
             part += more.reshape(part.shape)
-        _add(z, rows, found)
+        _add_multipliers(z, rows, found)
 
 
-def flat(values: Values) -> Array:
+def flatten_inequalities(values: Values) -> Array:
     """Return the values of inequalities, those of stages first."""
     return np.concatenate([values[STAGES].ravel(), values[INEQUALITIES].ravel()])
 
 
-def _add(z: Values, rows: Indices, multipliers: Array) -> None:
+def _add_multipliers(z: Values, rows: Indices, multipliers: Array) -> None:
     """Add multipliers of inequalities to z."""
     count = z[STAGES].size
     of_stages = rows < count

@@ -36,7 +36,7 @@ from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Scaling
-from lin_freq_ocp.program.units import is_revision, own_columns
+from lin_freq_ocp.program.units import is_revision, point_units
 
 WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")  # of the quadratic cost: all but its references
 
@@ -97,7 +97,7 @@ class Assembly:
         """Return the same in the units of a solution y, or None if they differ little from its own."""
         old = self.units
         columns = self._variables(old.columns)
-        own = own_columns(self.program, self._variables(old.primal(y)), columns)
+        own = point_units(self.program, self._variables(old.primal(y)), columns)
         ratio = self._on_stages(own / columns, 1.0)
         stages, change = scale_stages(self.stages, ratio, self.priced, y)
         if not is_revision(ratio, change.cost):
@@ -158,9 +158,9 @@ class Assembly:
         return y.ravel()[self.positions]
 
 
-def stages_of(problem: OptimalControlProblem) -> Assembly:
+def assemble_stages(problem: OptimalControlProblem) -> Assembly:
     """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit."""
-    origin, fixed = origin_of(problem)
+    origin, fixed = choose_origin(problem)
     program, (T, m), n = LinearProgram(problem, origin), fixed.shape, problem.state_dim
     ends, fixed_ends = _ends(problem)
     given = np.zeros((T + 1, n), dtype=bool)
@@ -192,7 +192,7 @@ def stages_of(problem: OptimalControlProblem) -> Assembly:
     return Assembly(stages, program, fixed, positions, used, priced, scaled, targets, weights)
 
 
-def origin_of(problem: OptimalControlProblem) -> tuple[Trajectory, Mask]:
+def choose_origin(problem: OptimalControlProblem) -> tuple[Trajectory, Mask]:
     """Return the origin of a problem, and which controls are fixed to its values, (T, m)."""
     n, m, tube = problem.state_dim, problem.control_dim, problem.control_tube
     # controls in rows that couple times are not fixed

@@ -184,7 +184,7 @@ class Embedding:
             last = now() - clock  # a step takes about as long
             for step in count():
                 clock = now()
-                measures = self.measured(point)
+                measures = self.measure(point)
                 self._refined |= measures.left > EXPECTED * self._expected + self.targets.residual * point.tau
                 if best is None or measures.errors.merit(self.targets) < best.errors.merit(self.targets):
                     best, progress = _answer(End.STALLED, point, measures, step, point.tau), step
@@ -216,7 +216,7 @@ class Embedding:
             z[i] = part
         return EmbeddedPoint(y, z, s)
 
-    def measured(self, point: EmbeddedPoint) -> _Measures:
+    def measure(self, point: EmbeddedPoint) -> _Measures:
         """Return the residuals of a point."""
         system, tau, kappa, h, b = self.system, point.tau, point.kappa, self._h, self._b
         Py, Atz, Ay = system.curvature(point.y), system.adjoint(point.z), system.rows(point.y)

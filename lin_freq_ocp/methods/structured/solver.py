@@ -13,7 +13,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.methods.candidate import DEFAULTS, Candidate, SolveOptions, require_convex
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
-from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
+from lin_freq_ocp.methods.structured.assembly import Assembly, assemble_stages
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds
 from lin_freq_ocp.methods.structured.embedding import Answer, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
@@ -30,12 +30,12 @@ RESIDUAL, GAP = 1e-10, 1e-9  # relative, unless a tolerance is asked for
 def solve_structured(
     problem: OptimalControlProblem,
     options: SolveOptions = DEFAULTS,
-    excludes: Callable[[Multipliers], bool] = lambda ray: False,
-    prepared: Prepared | None = None,
+    accept_ray: Callable[[Multipliers], bool] = lambda ray: False,
+    stage_cache: StageCache | None = None,
 ) -> Iterator[Candidate]:
     """Solve a problem with linear dynamics and a convex cost; yield the answer, then those in units of the answer.
 
-    ``excludes`` says of a ray that is still rough whether it proves infeasibility; ``prepared`` is the solver cache of
+    ``accept_ray`` says of a ray that is still rough whether it proves infeasibility; ``stage_cache`` is the solver cache of
     like problems. UnsupportedError if the cost is not convex, or the problem has a term that does not fit, or too many
     rows that couple times.
     """
@@ -47,8 +47,8 @@ def solve_structured(
     require_memory(what, size, "Choose a shorter horizon or a longer sampling time.")
     started = now()
     targets = _targets(options)
-    end, assembly = targets.end, (prepared or Prepared()).assembly(problem)
-    recursions = loops(options.compiled, patient=time_limit is None)
+    end, assembly = targets.end, (stage_cache or StageCache()).assembly(problem)
+    recursions = loops(options.compiled, wait=time_limit is None)
     setup = now() - started
     needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)
     if time_limit is not None and now() + needed > end:
@@ -58,7 +58,7 @@ def solve_structured(
         system = System(assembly.stages, recursions)
         step = StepSystem(system, choose_kkt_solver(assembly.stages, recursions))
         answer = Embedding(
-            system, step, targets, lambda z, assembly=assembly: excludes(assembly.multipliers(z, 0.0))
+            system, step, targets, lambda z, assembly=assembly: accept_ray(assembly.multipliers(z, 0.0))
         ).run()
         seconds = {"setup": setup, "solve": now() - started - setup}
         yield _candidate(answer, assembly, seconds)
@@ -68,35 +68,35 @@ def solve_structured(
         assembly = revised
 
 
-def solve_again(
-    problem: OptimalControlProblem, prepared: Prepared, options: SolveOptions = DEFAULTS
+def solve_from_warm_start(
+    problem: OptimalControlProblem, stage_cache: StageCache, options: SolveOptions = DEFAULTS
 ) -> Candidate | None:
     """Return the answer from the active rows of a trajectory near it; None without one, or where rows are in cones.
 
     Raises what ``solve_structured`` raises.
     """
-    known = prepared.near is not None
+    known = stage_cache.warm_start is not None
     if not known:
         return None
     require_convex(problem)
     time_limit, started, targets = options.time_limit, now(), _targets(options)
-    assembly, recursions = prepared.assembly(problem), loops(options.compiled, patient=time_limit is None)
-    stages, near = assembly.stages, prepared.near
+    assembly, recursions = stage_cache.assembly(problem), loops(options.compiled, wait=time_limit is None)
+    stages, near = assembly.stages, stage_cache.warm_start
     if near is None or stages.cones or stages.coupling.balls:
         return None
     if time_limit is not None and LATE * step_seconds(stages, recursions) > time_limit:
         return None
-    responses, system = prepared.responses(assembly, recursions), System(stages, recursions)
+    responses, system = stage_cache.responses(assembly, recursions), System(stages, recursions)
     answer = solve_active(system, responses, targets, assembly.point(near))
     seconds = {"setup": 0.0, "solve": now() - started}
     return None if answer is None else _candidate(answer, assembly, seconds)
 
 
-class Prepared:
+class StageCache:
     """The solver cache of like problems: stages and responses of rows, made when needed and reused while valid."""
 
     def __init__(self):
-        self.near: Trajectory | None = None  # a trajectory near the next answer, from which rows are active
+        self.warm_start: Trajectory | None = None  # a trajectory near the next answer, from which rows are active
         self._assembly: Assembly | None = None
         self._rows: tuple[Assembly, bool, RowResponses] | None = None
 
@@ -104,8 +104,8 @@ class Prepared:
         """Return the stages of a problem, with the numbers of the last exchanged if no more differs."""
         exchanged = None if self._assembly is None else self._assembly.exchanged(problem)
         if self._assembly is None or exchanged is None or not exchanged.same_matrices(self._assembly):
-            self.near = None  # responses are worth finding for many solves only
-        self._assembly = exchanged or stages_of(problem)
+            self.warm_start = None  # responses are worth finding for many solves only
+        self._assembly = exchanged or assemble_stages(problem)
         return self._assembly
 
     def responses(self, assembly: Assembly, loops: Loops) -> RowResponses:

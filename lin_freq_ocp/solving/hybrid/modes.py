@@ -34,10 +34,10 @@ from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
-from lin_freq_ocp.solving.hybrid.smooth import judged_outcome
-from lin_freq_ocp.solving.kept import SearchCache
+from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
+from lin_freq_ocp.solving.solver_cache import SearchCache
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ def tree_of(outcome: Outcome) -> TreeEvidence | None:
     return outcome.evidence if isinstance(outcome.evidence, TreeEvidence) else None
 
 
-class KeptTree(SearchCache):
+class TreeCache(SearchCache):
     """The relaxations of a search, and a cover of the sequences of the next step."""
 
     def __init__(self):
@@ -85,7 +85,7 @@ class KeptTree(SearchCache):
         self._base: OptimalControlProblem | None = None
         self.solved = 0
 
-    def begins(self, base: OptimalControlProblem | None) -> None:
+    def set_base(self, base: OptimalControlProblem | None) -> None:
         """Say from which problem the next differs in its start alone; None if in more."""
         self._base = base
 
@@ -166,7 +166,7 @@ class BranchAndBound(_Search):
         first = None if request.start is None else request.start.sequence
         if self.executor is not None:
             return search_in_parts(problem, limits, self.executor, request.progress, first)
-        if isinstance(request.tree, KeptTree):
+        if isinstance(request.tree, TreeCache):
             return request.tree.search(problem, limits, request.progress, first)
         return TreeSearch(problem, limits, progress=request.progress).run(first)
 
@@ -272,7 +272,7 @@ def _judge_search(
     found = None if certificate is None or point is None else (*point[:2], certificate)
     ending, seconds = _status(outcome, certificate, proof, gap), {**seconds, "certify": now() - clock}
     evidence = TreeEvidence(outcome.tree, proof)
-    return judged_outcome(problem, method, found, ending, seconds, outcome.interrupted, outcome.sequence, evidence)
+    return outcome_of_search(problem, method, found, ending, seconds, outcome.interrupted, outcome.sequence, evidence)
 
 
 def _point(

@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.solving.hybrid.smooth import judged_outcome, polished
+from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search, refine_optimum
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -153,7 +153,7 @@ class _TrainSearch:
     def outcome(self, message: str, interrupted: bool) -> Outcome:
         """Return the refined answer with its bound, or why there is none."""
         solved, problem = now(), self._problem
-        found = None if self._best is None else polished(problem, self._local(*self._best))
+        found = None if self._best is None else refine_optimum(problem, self._local(*self._best))
         if found is not None:
             trajectory, multipliers, certificate = found
             certificate = replace(certificate, bound=Bound(self._bound.value, RIGOROUS, sets=ANGLES))
@@ -163,4 +163,4 @@ class _TrainSearch:
             status, message = (Status.INFEASIBLE, EXCLUDED_BY_BOXES) if excluded else (Status.LIMIT, message)
         ending = status, "" if status == Status.OPTIMAL else message
         seconds = {"setup": 0.0, "solve": solved - self._started, "certify": now() - solved}
-        return judged_outcome(problem, Angles.shorthand, found, ending, seconds, interrupted)
+        return outcome_of_search(problem, Angles.shorthand, found, ending, seconds, interrupted)

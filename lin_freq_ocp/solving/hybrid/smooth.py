@@ -84,7 +84,7 @@ class Nonsmooth:
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
         solved = now()
         best = search.best
-        found = None if best is None or not best.feasible else polished(problem, best)
+        found = None if best is None or not best.feasible else refine_optimum(problem, best)
         found = found if request.start is None else _not_above(problem, request.start, found)
         status, message = _status(search, found)
         if self.global_bound:
@@ -98,10 +98,10 @@ class Nonsmooth:
             elif found is None and not search.message and left > 0 and _is_excluded(problem, left):
                 status, message = Status.INFEASIBLE, EXCLUDED_BY_INTERVALS
         seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
-        return judged_outcome(problem, "nonsmooth", found, (status, message), seconds, search.interrupted)
+        return outcome_of_search(problem, "nonsmooth", found, (status, message), seconds, search.interrupted)
 
 
-def judged_outcome(
+def outcome_of_search(
     problem: OptimalControlProblem,
     method: str,
     found: Judged | None,
@@ -132,7 +132,7 @@ def judged_outcome(
     )
 
 
-def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
+def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves both."""
     affine = problem.affine_at(local.trajectory)
     first = weighted(affine, local.trajectory, local.sequence, local.multipliers)
@@ -225,7 +225,7 @@ class _Bounding:
                 continue
             self._known.add(level.sequence.tobytes())
             if self.search.look_near(level.path, level.sequence) and self.search.best is not None:
-                better = polished(self.search.problem, self.search.best)
+                better = refine_optimum(self.search.problem, self.search.best)
                 if better[2].pmp == "satisfied":
                     self.found = better
                     return True

@@ -95,16 +95,16 @@ class Loops(Protocol):
         ...
 
 
-def loops(compiled: bool | None = None, patient: bool = True) -> Loops:
+def loops(compiled: bool | None = None, wait: bool = True) -> Loops:
     """Return the compiled loops or those by NumPy and LAPACK.
 
-    By default the first, if numba is installed. Who is not patient takes them only if nothing remains to be compiled.
+    By default the first, if numba is installed. Who is not wait takes them only if nothing remains to be compiled.
     """
     if compiled is False or (compiled is None and find_spec("numba") is None):
         return BandedLoops()
     from lin_freq_ocp.methods.structured.kkt.kernels import KERNELS, CompiledLoops
 
-    if compiled is None and not patient and not KERNELS.ready:
+    if compiled is None and not wait and not KERNELS.ready:
         return BandedLoops()
     KERNELS.prepare()
     return CompiledLoops()

@@ -14,7 +14,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.spectral.recovery import Together
-from lin_freq_ocp.methods.structured.solver import Prepared
+from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Chain, reduce_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
@@ -35,7 +35,7 @@ class Change:
         """Whether no more changes than the initial state."""
         return self.terminal_state is None and self.references is None and not self.bounds
 
-    def of(self, problem: OptimalControlProblem) -> OptimalControlProblem:
+    def apply(self, problem: OptimalControlProblem) -> OptimalControlProblem:
         """Return the changed problem."""
         if self.bounds:
             problem = replace(problem, **known_entries("bounds", self.bounds, ("state_set", "control_set")))
@@ -59,7 +59,7 @@ def solve_spectral(problem: OptimalControlProblem, options: SolveOptions) -> Can
     return reduced.recover(solver.solve(tolerance=options.tolerance, time_limit=options.time_limit))
 
 
-class Kept:
+class SolverCache:
     """A problem, its Fourier-domain solver with the last solution, and its stages; each is made when it is needed."""
 
     def __init__(self, problem: OptimalControlProblem):
@@ -68,7 +68,7 @@ class Kept:
         self._solver: SpectralSolver | None = None
         self._refusal: UnsupportedError | None = None
         self._last: SpectralSolution | None = None
-        self.prepared = Prepared()
+        self.stage_cache = StageCache()
 
     def spectral(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""
@@ -136,5 +136,5 @@ class SearchCache(ABC):
     solved: int
 
     @abstractmethod
-    def begins(self, base: OptimalControlProblem | None) -> None:
+    def set_base(self, base: OptimalControlProblem | None) -> None:
         """Say from which problem the next differs in its start alone; None if in more."""
