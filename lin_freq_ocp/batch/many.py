@@ -282,7 +282,7 @@ def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict
     if located.kept is None:
         return {}, False
     translation, starts = located.translation, np.array(states, dtype=np.float64) - located.origin
-    found = located.kept.together(starts)
+    found = located.kept.solve_batch(starts)
     which = np.zeros(0, dtype=np.intp) if found is None else np.flatnonzero(found.found)
     if found is None or not len(which):
         return {}, found is not None and found.interrupted

@@ -101,7 +101,7 @@ def test_an_object_is_its_shorthand_with_keywords(kind, name):
 
 def test_options_beside_an_object_are_refused():
     with pytest.raises(
-        lfo.errors.UnsupportedError, match=r"tolerance: got 0.1 beside .* belong to it: lfo.solvers.Convex\(...\)"
+        lfo.errors.UnsupportedError, match=r"tolerance: got 0.1 with .* belong to it: lfo.solvers.Convex\(...\)"
     ):
         lfo.solve(PROBLEMS["linear"], lfo.solvers.Convex(), tolerance=0.1)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"gap: got 0.1 without a global bound"):

@@ -8,6 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.structured import active
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
@@ -200,7 +201,7 @@ def test_an_answer_that_is_not_proven_is_solved_from_scratch(monkeypatch):
     wrong = replace(expected.trajectory, u=1.01 * expected.trajectory.u)
     monkeypatch.setattr(
         "lin_freq_ocp.solving.linear.solve_from_warm_start",
-        lambda *given: Candidate("optimal", wrong, expected.multipliers),
+        lambda *given: Candidate(Status.OPTIMAL, wrong, expected.multipliers),
     )
     found = again(kept, Change())
     assert found.status == "optimal"
