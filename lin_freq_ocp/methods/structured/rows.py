@@ -4,12 +4,12 @@ Rows on the state and the control of single times are
 
     lower_i <= m_i'(x_t, u_t) + (slacks of time t) <= upper_i,   or rows less their lower limits in second-order cones.
 
-A stage has the same number of slots at every time: first the single inequalities, then cones by their size. Rows fill
-them in their order; the slots that remain have no limit. The slacks of rows that couple times are spread over the
-stages, where they are not negative.
+Every stage has the same number of slots: first for single inequalities, then for cones by their size. Rows fill the
+slots in their order; the remaining slots have no limit. The slacks of rows that couple times are spread over the
+stages; rows of these stages keep them from being negative.
 
-Rows that couple times are on all entries of y at first, and on the channels only in the end (``on_channels``); a
-spectrum stays a spectrum. All are in the problem's own units.
+Rows that couple times are first formulated on all entries of y, and then restricted to the channels
+(``restrict_to_channels``); a spectrum stays a spectrum. All rows are in the units of the problem.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from lin_freq_ocp.program.program_rows import ProgramRows, cone_members
 class StageRowList:
     """Rows of single times one after the other; ``slack_times`` are those of all slacks of the program."""
 
-    targets: Indices  # (rows,): the multiplier that a row's dual belongs to; -1: none
+    targets: Indices  # (rows,): the multiplier of the dual of each row; -1: none
     times: Indices  # (rows,)
     matrix: sp.csr_array  # (rows, variables of the program)
     lower: Array  # (rows,)
@@ -49,10 +49,10 @@ class StageRowList:
     slack_times: Indices  # (slacks,)
 
 
-def stage_rows(program: LinearProgram, given: Mask, fixed: Mask) -> StageRowList:
-    """Return the rows of single times, without 0 = 0 and 0 <= limit where they hold.
+def stage_rows(program: LinearProgram, fixed: Mask, absent: Mask) -> StageRowList:
+    """Return the rows of single times, without rows 0 = 0 and 0 <= limit that are satisfied.
 
-    Signals that are ``given`` (signals,) need no bounds; the deviations of those that are ``fixed`` are zero.
+    ``fixed`` signals (signals,) need no bounds; those that are ``absent`` from the stages have the deviation zero.
     """
     parts = [rows for rows in program.rows if rows.times is not None]
     times, slack_times, loose = list[Indices](), list[Indices](), list[Mask]()
@@ -66,24 +66,24 @@ def stage_rows(program: LinearProgram, given: Mask, fixed: Mask) -> StageRowList
             slack_times.append(of_slacks)
         loose.append(np.full(len(rows.prices), rows.times is None))
     matrix = program.matrix(parts)
-    if fixed.any():
-        matrix.data[np.append(fixed, np.zeros(len(program.prices), dtype=bool))[matrix.indices]] = 0.0
+    if absent.any():
+        matrix.data[np.append(absent, np.zeros(len(program.prices), dtype=bool))[matrix.indices]] = 0.0
         matrix.eliminate_zeros()
     lower, upper = np.concatenate([rows.lower for rows in parts]), np.concatenate([rows.upper for rows in parts])
     firsts = np.cumsum([0, *(len(rows.lower) for rows in parts)])
     cones = np.concatenate([rows.cones + first for rows, first in zip(parts, firsts, strict=False)])
-    kept = ~np.concatenate(
-        [given[rows.entries] if rows.map is None else np.full(len(rows.lower), False) for rows in parts]
+    needed = ~np.concatenate(
+        [fixed[rows.entries] if rows.map is None else np.full(len(rows.lower), False) for rows in parts]
     )
     empty = np.diff(matrix.indptr) == 0
     empty[cone_members(cones)[0]] = False
     if empty.any():
         rounding = np.concatenate([rows.rounding(program.origin) for rows in parts])
-        kept &= ~(empty & (lower <= rounding) & (upper >= -rounding))
-    chosen, numbers = np.flatnonzero(kept), np.cumsum(kept) - 1
-    # slacks of rows that couple times are not negative
+        needed &= ~(empty & (lower <= rounding) & (upper >= -rounding))
+    chosen, numbers = np.flatnonzero(needed), np.cumsum(needed) - 1
+    # rows that keep the slacks of rows that couple times from being negative
     of_slacks, slacks = np.concatenate(slack_times), np.flatnonzero(np.concatenate(loose))
-    if len(chosen) < len(kept):
+    if len(chosen) < len(needed):
         matrix = sp.csr_array(matrix[chosen])
     if len(slacks):
         ones = np.ones(len(slacks)), program.signals + slacks, np.arange(len(slacks) + 1)
@@ -116,7 +116,7 @@ def _row_times(rows: ProgramRows, of_values: Indices) -> tuple[Indices, Indices]
     np.maximum.at(times, row, slack_times[slack])
     split = (of_values >= 0) & (of_values != times)
     if split.any() or (times[row] != slack_times[slack]).any() or (times < 0).any() or (slack_times < 0).any():
-        raise UnsupportedError(f"method 'structured': the slacks or cones of {rows.name!r} join several times.")
+        raise UnsupportedError(f"method 'structured': the slacks or cones of {rows.name!r} couple several times.")
     return times, slack_times
 
 
@@ -162,7 +162,7 @@ def assign_slots(rows: StageRowList) -> StageSlots:
 
 
 def _ranks(keys: Indices) -> Indices:
-    """Return how many equal keys stand before each."""
+    """Return the number of equal keys before each key."""
     order = np.argsort(keys, kind="stable")
     in_order = keys[order]
     ranks = np.empty(len(keys), dtype=int)
@@ -175,11 +175,11 @@ Family = Equations | Inequalities | Balls
 
 @dataclass(frozen=True, eq=False)
 class CoupledPart:
-    """A family of rows, each with one value times a weight, plus slacks, and the multipliers of these (-1: none)."""
+    """A family of rows, each of them one value times a weight, plus slacks, with the multipliers of the values."""
 
     family: Family
-    targets: Indices  # one for each entry of its dual: rows, or (balls, 1 + dim)
-    weights: Array  # of these duals in the multipliers
+    targets: Indices  # the multiplier of each entry of the dual, (rows,) or (balls, 1 + dim); -1: none
+    weights: Array  # by which each dual counts in its multiplier
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +217,7 @@ def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -
         return SparseRows(sp.csr_array(sign * sparse[chosen]))
 
     weights = np.ones(len(rows.lower)) if rows.weights is None else rows.weights
-    # rows that say only that a slack is not negative are rows of stages
+    # rows that only keep a slack from being negative are rows of stages
     alone = (rows.entries >= 0) | (np.diff(rows.slacks.indptr) != 1) | (rows.lower != 0) | np.isfinite(rows.upper)
     alone[cone_members(rows.cones)[0]] = False
     equal = alone & (rows.lower == rows.upper)
@@ -242,7 +242,7 @@ def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -
 
 
 def _spectrum_rows(rows: ProgramRows, form: SpectrumForm, chosen: Indices, sign: float, width: int) -> SpectrumRows:
-    """Return chosen rows times a sign as a spectrum of y_t."""
+    """Return chosen rows times a sign as a spectrum of signals on y."""
     entries = rows.entries[chosen]
     if (entries < 0).any() or (np.diff(entries) <= 0).any() or np.diff(rows.slacks.indptr)[chosen].any():
         raise _unfit_error(rows)
@@ -257,11 +257,13 @@ def _spectrum_rows(rows: ProgramRows, form: SpectrumForm, chosen: Indices, sign:
 
 
 def _unfit_error(rows: ProgramRows) -> UnsupportedError:
-    return UnsupportedError(f"method 'structured': {rows.name!r} is no band, mask or energy of a spectrum.")
+    return UnsupportedError(f"method 'structured': {rows.name!r} is not a stop band, mask or energy of a spectrum.")
 
 
-def on_channels(parts: Sequence[CoupledPart], width: int, terminal: Indices, terminal_state: Array) -> Coupling:
-    """Return all parts on the entries of y that they depend on."""
+def restrict_to_channels(
+    parts: Sequence[CoupledPart], width: int, terminal: Indices, terminal_state: Array
+) -> Coupling:
+    """Return all parts on the channels: the entries of y that they depend on."""
     used = np.zeros(width, dtype=bool)
     for part in parts:
         used |= part.family.used(width)

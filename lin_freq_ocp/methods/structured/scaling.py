@@ -20,9 +20,8 @@ from lin_freq_ocp.program.units import UNIT_ROUNDING, UNNOTICED, cost_factor
 def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None = None) -> tuple[Stages, Scaling]:
     """Return the stages with y in units ``columns`` (T+1, n+k), and the change of units.
 
-    Its rows are, flat, those of x_0, of stages, equations, inequalities and balls.
-
-    The cost is measured by its slopes in the priced entries of y, at y or else where all are one unit.
+    Its factors of rows are flat: x_0, stages, equations, inequalities, balls. The cost is scaled by its slopes in the
+    priced entries at y; without y, at the point whose entries are one unit.
     """
     n = stages.states
     G = stages.G * columns[:, None]
@@ -30,7 +29,7 @@ def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None =
     coupling, of_coupling = _scale_coupling(stages.coupling, columns)
     H, h = stages.H * columns[:, :, None] * columns[:, None, :], stages.h * columns
     typical = np.ones(h.shape)
-    if y is not None:  # in the new units; a component that moves at all, no smaller than the change others would notice
+    if y is not None:  # in the new units; a component that moves is floored at the smallest change that affects others
         size = np.abs(y)
         typical = np.where(size.max(axis=0) > UNIT_ROUNDING, np.maximum(size / columns, UNNOTICED), 0.0)
     slopes = np.einsum("tij,tj->ti", np.abs(H), typical) + np.abs(h)
@@ -60,7 +59,7 @@ def scale_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array,
 
 
 def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
-    """Return the factor of every row, (T+1, p): its limit, or that of its cone, becomes 1 unless its norm is larger."""
+    """Return the factor of every row, (T+1, p), that makes the larger one of its norm and its (cone's) limit 1."""
     norms, limits = np.sqrt((G**2).sum(2)), np.where(np.isfinite(g), np.abs(g), 0.0)
     sizes, first = np.maximum(norms, limits), g.shape[1] - sum(cones)
     for size in cones:
@@ -72,6 +71,7 @@ def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
 
 
 def _scale_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array]:
+    """Return the coupling with y in units ``columns``, and the factors of its rows, flat."""
     units, end = columns[:, coupling.channels], columns[-1, coupling.terminal]
     equations = [part.scaled(units) for part in coupling.equations]
     inequalities = [part.scaled(units) for part in coupling.inequalities]
@@ -87,7 +87,7 @@ def _scale_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array
 
 
 def fix_unused_entries(stages: Stages, used: Mask) -> Stages:
-    """Return the stages with Hessian 1 for the entries of y that are not used at a time, (T+1, n+k)."""
+    """Return the stages with the Hessian 1 in place of 0 for unused entries of y; ``used`` is (T+1, n+k)."""
     H, (time, entry) = stages.H.copy(), np.nonzero(~used)
     H[time, entry, entry] = 1.0
     return replace(stages, H=H)

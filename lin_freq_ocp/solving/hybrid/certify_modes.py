@@ -1,4 +1,4 @@
-"""certify() for dynamics with modes: multipliers at switching boundaries, and changes of a mode (flips) that improve."""
+"""certify() for dynamics with modes: multipliers where modes meet, and changes of one mode (flips) that improve."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, BlockRegula
 
 @jit
 def cholesky(M: Array, size: int) -> None:
-    """Replace the leading block by its lower factor; a pivot of a zero row is set by the largest diagonal entry."""
+    """Replace the leading block by its lower factor; the largest diagonal entry sets the pivot of a zero row."""
     largest = 0.0
     for j in range(size):
         largest = max(largest, M[j, j])
@@ -380,7 +380,7 @@ class CompiledRegulator(BlockRegulator):
         return solve(self._A, self._B, self._K, self._L, self._Ac, self._P, self._P0, self._free, r, c, x0)
 
     def gains(self) -> Gains:
-        """Return what the Riccati recursion found."""
+        """Return the gains and factors of the Riccati recursion."""
         return Gains(self._B, self._K, self._L, self._Ac, self._P[0], self._fixed)
 
 

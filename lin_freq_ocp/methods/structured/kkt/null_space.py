@@ -6,9 +6,9 @@ control without a stop band are its samples, t <= T. Vectors are the rows of arr
 contiguous memory.
 
 Slacks, on which only their own stage depends, are eliminated first. The unknowns v are z, free entries of x_0, and
-starts: open loop diverges on unstable dynamics, and so the simulation starts anew at break times (multiple shooting).
-The rows E on v are, in this order, starts - ends of the simulations before them, x_T, and coupling rows that are no
-stop band. This leaves the reduced system, which ``Reduced`` solves:
+starts: as open loop diverges for unstable dynamics, the simulation starts anew at break times (multiple shooting). The
+rows E on v are, in this order, starts - ends of the simulations before them, x_T, and coupling rows other than stop
+bands. ``Reduced`` solves the remaining system:
 
     M v + E'nu = r,   E v - C nu = e,   M the Hessian of 1/2 y'Phi y in v
 """
@@ -34,7 +34,7 @@ class Reduced(Protocol):
     """A way to solve the reduced system."""
 
     def factor(self, Phi: Array, C: Array) -> bool:
-        """Prepare for Phi (T+1, nz, nz) without slacks, and C (rows, rows); return whether M is seen to be definite."""
+        """Factor for Phi (T+1, nz, nz) without slacks, and C (rows, rows); return whether M is known to be definite."""
         ...
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
@@ -43,7 +43,7 @@ class Reduced(Protocol):
 
 
 class NullSpaceSolver:
-    """The solver that satisfies stop bands exactly; ``reduced`` solves the system that they leave."""
+    """The solver that satisfies stop bands exactly; ``reduced`` solves the remaining system."""
 
     indefinite: ClassVar[bool] = True
 
@@ -55,11 +55,11 @@ class NullSpaceSolver:
         self._reduced = reduced(self._space)
 
     def exchanged(self, stages: Stages) -> NullSpaceSolver:
-        """Return the same for stages with other dynamics and Hessians."""
+        """Return the solver for stages with other dynamics and Hessians."""
         return NullSpaceSolver(stages, self._loops, self._solved_by)
 
     def factor(self, Phi: Array, compliance: Compliance) -> bool:
-        """Prepare for Phi (T+1, n+k, n+k) and C."""
+        """Factor for Phi (T+1, n+k, n+k) and C."""
         space = self._space
         C = np.zeros((space.row_count, space.row_count))
         compliance.add_to(C, space.chosen[space.chosen < len(compliance.rows)])
@@ -73,12 +73,12 @@ class NullSpaceSolver:
         y = np.zeros_like(core)
         y[0, :n] = np.where(space.fixed, x0, 0.0)
         y[:, n:] = space.coefficients.particular(f)
-        y, ends = space.simulated(np.zeros(space.size), y, c)
+        y, ends = space.simulate(np.zeros(space.size), y, c)
         of_v = space.gradient(core + self._loops.times(self._Phi, y))
         right = np.concatenate([np.zeros(space.continuity), f[space.chosen]])
         v, nu = self._reduced.solve(-of_v, right - space.values(y, ends))
-        y, _ = space.simulated(v, y, c)
-        of_y, prices = space.priced(nu)
+        y, _ = space.simulate(v, y, c)
+        of_y, prices = space.price_rows(nu)
         of_y += core + self._loops.times(self._Phi, y)
         p, gw, _ = self._loops.backward(space.A, space.B, of_y, space.breaks, prices)
         coupling = np.zeros(len(f))
@@ -91,25 +91,25 @@ class NullSpaceSolver:
 
 
 class Slacks:
-    """Elimination of entries of w that only their own stage sees: slacks, and u_T of controls with stop bands.
+    """Elimination of entries of w that only their own stage contains: slacks, and u_T of controls with stop bands.
 
-    Of the core (x, u) of a stage and its slacks s, Phi_ss s + Phi_sc (x, u) + gradient_s = 0 gives s, and leaves on the
-    core Phi_cc - Phi_cs Phi_ss^-1 Phi_sc. All of this is local in time.
+    For the core (x, u) of a stage and its slacks s, Phi_ss s + Phi_sc (x, u) + gradient_s = 0 gives s, and leaves
+    Phi_cc - Phi_cs Phi_ss^-1 Phi_sc on the core. All of this is local in time.
     """
 
     def __init__(self, stages: Stages, banded: Sequence[int]):
         """Find the slacks; ``banded`` are the entries of w with stop bands."""
         n = stages.states
-        own: Mask = ~np.any(stages.B, axis=(0, 1))
-        own[[entry - n for entry in stages.coupling.channels if entry >= n]] = False
-        self.controls = np.flatnonzero(~own)
+        undriven: Mask = ~np.any(stages.B, axis=(0, 1))
+        undriven[[entry - n for entry in stages.coupling.channels if entry >= n]] = False
+        self.controls = np.flatnonzero(~undriven)
         self.core = np.concatenate([np.arange(n), n + self.controls])
-        self._slacks = n + np.flatnonzero(own)
+        self._slacks = n + np.flatnonzero(undriven)
         self._last = np.union1d(self._slacks, n + np.array(banded, dtype=np.intp))
         self._left = np.flatnonzero(~np.isin(self.core, self._last))
 
     def reduced(self, Phi: Array) -> Array:
-        """Return Phi (T+1, n+k, n+k) on the core, with 1 for entries that are not left at T."""
+        """Return Phi (T+1, n+k, n+k) on the core, with 1 for entries that are eliminated at T."""
         self._inner = _Elimination(Phi[:-1], self.core, self._slacks)
         self._end = _Elimination(Phi[-1:], self.core[self._left], self._last)
         end = np.eye(len(self.core))[None]
@@ -129,7 +129,7 @@ class Slacks:
 
 
 class _Elimination:
-    """Schur complements of some entries of all stages."""
+    """The elimination of some entries of all stages, by Schur complements."""
 
     def __init__(self, Phi: Array, kept: Indices, gone: Indices):
         self._kept, self._gone = kept, gone
@@ -141,7 +141,7 @@ class _Elimination:
             self.left -= across.swapaxes(1, 2) @ self._gain
 
     def gradient(self, gradient: Array) -> Array:
-        """Return the gradient on the entries that are kept."""
+        """Return the gradient on the remaining entries."""
         left = gradient[:, self._kept]
         if len(self._gone):
             left = left - np.einsum("tsc,ts->tc", self._gain, gradient[:, self._gone])
@@ -169,7 +169,7 @@ class StopBand:
 
 @dataclass(frozen=True, eq=False)
 class Remaining:
-    """A family of rows that fixes no coefficients, and its rows of F."""
+    """A family of coupling rows other than stop bands, and its rows of F."""
 
     rows: Rows
     at: Indices
@@ -192,7 +192,7 @@ def sort_rows(stages: Stages) -> tuple[list[StopBand], list[Remaining]]:
 
 
 def _stop_band(stages: Stages, rows: Rows, at: Indices) -> StopBand | None:
-    """Return the stop band that rows are, if they are the plain DFT of a single control."""
+    """Return rows as a stop band if they are the plain DFT of a single control, otherwise None."""
     if not isinstance(rows, SpectrumRows) or rows.points != stages.horizon:
         return None
     used, T, n = np.flatnonzero(rows.coefficients), stages.horizon, stages.states
@@ -240,27 +240,27 @@ class Coefficients:
         """Return N'w, (m, count), for signals (T+1, controls, m)."""
         z = np.empty((w.shape[2], self.count))
         for j, kept in enumerate(self._kept):
-            own = z[:, self._ends[j] : self._ends[j + 1]]
+            part = z[:, self._ends[j] : self._ends[j + 1]]
             if kept is None:
-                own[:] = w[:, j].T
+                part[:] = w[:, j].T
             else:
                 signals = np.ascontiguousarray(w[:-1, j].T)
-                np.multiply(self._transform(signals)[:, kept], self._scale[kept], out=own)
+                np.multiply(self._transform(signals)[:, kept], self._scale[kept], out=part)
         return z
 
     def synthesis(self, z: Array) -> Array:
         """Return N z, (T+1, controls, m), for coefficients (m, count)."""
         w = np.zeros((self.horizon + 1, len(self._kept), len(z)))
         for j, kept in enumerate(self._kept):
-            own = z[:, self._ends[j] : self._ends[j + 1]]
+            part = z[:, self._ends[j] : self._ends[j + 1]]
             if kept is None:
-                w[:, j] = own.T
+                w[:, j] = part.T
             else:
-                w[:-1, j] = self._signals(kept, own).T
+                w[:-1, j] = self._signals(kept, part).T
         return w
 
     def particular(self, f: Array) -> Array:
-        """Return u_p (T+1, controls), which has no kept coefficient and satisfies the stop bands, F u_p = f."""
+        """Return u_p (T+1, controls), which satisfies the stop bands, F u_p = f, and has no free coefficients."""
         w = np.zeros((self.horizon + 1, len(self._kept)))
         for j, band in self._bands:
             values = f[band.rows] / band.gain
@@ -275,7 +275,7 @@ class Coefficients:
             nu[band.rows] = -pairs[band.coefficients] * self._scale[band.coefficients] / band.gain
 
     def stopped(self, j: int, signals: Array) -> Array:
-        """Return signals (m, T) of a control without their kept coefficients."""
+        """Return signals (m, T) of a control without their free coefficients."""
         kept = self._kept[j]
         if kept is None:
             return np.zeros_like(signals)
@@ -316,7 +316,7 @@ class NullSpace:
         self.zero = np.zeros((len(self.breaks), self.states))
         self._still = np.zeros_like(stages.d)
 
-    def simulated(self, v: Array, y: Array | None = None, c: Array | None = None) -> tuple[Array, Array]:
+    def simulate(self, v: Array, y: Array | None = None, c: Array | None = None) -> tuple[Array, Array]:
         """Add the controls of v to y (T+1, nz), write its states, and return it with the ends (K, n)."""
         n, kept = self.states, self.coefficients.count
         if y is None:
@@ -335,16 +335,16 @@ class NullSpace:
 
     def curvature(self, Phi: Array, v: Array) -> Array:
         """Return the gradient in v of 1/2 y'Phi y."""
-        y, _ = self.simulated(v)
+        y, _ = self.simulate(v)
         return self.gradient(self.loops.times(Phi, y))
 
     def values(self, y: Array, ends: Array) -> Array:
-        """Return what y adds to the rows when its simulations start from zero."""
+        """Return the values of the rows for y whose simulations start from zero."""
         signals = y[:, self._channels, None] if self._rest else y[:, :0, None]
         rest = [part.rows.forward(signals)[:, 0] for part in self._rest]
         return np.concatenate([-ends.ravel(), y[-1, self.terminal], *rest])
 
-    def priced(self, nu: Array) -> tuple[Array, Array]:
+    def price_rows(self, nu: Array) -> tuple[Array, Array]:
         """Return the gradient in y (T+1, nz), and the prices (K, n), of multipliers of the rows."""
         prices, terminal, rest = np.split(nu, np.cumsum(self.counts[:2]))
         of_y = np.zeros((self.horizon + 1, self.states + self.controls))
@@ -360,20 +360,20 @@ class NullSpace:
 
     def rows(self) -> Array:
         """Return the rows as a matrix (rows, size)."""
-        found = np.empty((self.row_count, self.size))
+        matrix = np.empty((self.row_count, self.size))
         for i in range(self.row_count):
-            of_y, prices = self.priced(np.eye(1, self.row_count, i)[0])
-            found[i] = self.gradient(of_y, prices)
-        return found
+            of_y, prices = self.price_rows(np.eye(1, self.row_count, i)[0])
+            matrix[i] = self.gradient(of_y, prices)
+        return matrix
 
 
 def break_times(A: Array, growth: float) -> Indices:
-    """Return the times within 1 .. T-1 before which a product of transition matrices has grown so far."""
-    found: list[int] = []
+    """Return the times within 1 .. T-1 before which a product of transition matrices exceeds the growth."""
+    times: list[int] = []
     product = np.eye(A.shape[1])
     for t in range(len(A) - 2):
         product = A[t] @ product
         if np.abs(product).max() > growth:
-            found.append(t + 1)
+            times.append(t + 1)
             product = np.eye(A.shape[1])
-    return np.array(found, dtype=np.intp)
+    return np.array(times, dtype=np.intp)

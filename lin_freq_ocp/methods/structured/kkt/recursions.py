@@ -6,9 +6,9 @@ and B_T are zero, so that w_T is eliminated like every other. A regulator is the
     minimise sum_t 1/2 y_t'Phi_t y_t + r_t'y_t   subject to   x_{t+1} = A_t x_t + B_t w_t + c_t,  x_0 given where fixed,
     Phi_t y_t + r_t + (eta_{t-1}, 0) - (A_t, B_t)'eta_t + [t = 0] (lam0, 0) = 0,   lam0 = 0 where x_0 is free.
 
-By LAPACK, a single solution comes from the LU factors of the banded matrix of all stages; its unknowns are, stage by
-stage, lam_t, x_t and w_t, where lam_0 = lam0 and lam_t = eta_{t-1}. Many responses at once come from the Riccati
-recursion. Sweeps in open loop for many columns are those of ``OpenLoop`` (dense.py) in both implementations.
+LAPACK computes a single solution by the LU factors of the banded matrix of all stages, whose unknowns are, stage by
+stage, lam_t, x_t and w_t, with lam_0 = lam0 and lam_t = eta_{t-1}; the Riccati recursion gives many responses at once.
+In both implementations, ``OpenLoop`` (dense.py) does the open-loop sweeps for many columns.
 """
 
 from __future__ import annotations
@@ -96,9 +96,10 @@ class Loops(Protocol):
 
 
 def loops(compiled: bool | None = None, wait: bool = True) -> Loops:
-    """Return the compiled loops or those by NumPy and LAPACK.
+    """Return the compiled loops, or those by NumPy and LAPACK.
 
-    By default the first, if numba is installed. Who is not wait takes them only if nothing remains to be compiled.
+    By default, the loops are compiled if numba is installed. Without ``wait``, they are the compiled ones only if
+    nothing remains to be compiled.
     """
     if compiled is False or (compiled is None and find_spec("numba") is None):
         return BandedLoops()
@@ -122,18 +123,18 @@ class BandedLoops:
     def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
         """Whether all pivots of the Riccati recursion are above rounding."""
         AB, n = np.concatenate([A, B], axis=2), A.shape[1]
-        P, own = np.zeros((n, n)), CURVED * np.abs(np.einsum("tii->ti", Phi))
+        P, least = np.zeros((n, n)), CURVED * np.abs(np.einsum("tii->ti", Phi))
         for t in range(len(A) - 1, -1, -1):
             M = Phi[t] + AB[t].T @ (P @ AB[t])
             L, info = lapack.dpotrf(M[n:, n:], lower=1, clean=1)
-            if info or not (np.diag(L) ** 2 > own[t, n:]).all():
+            if info or not (np.diag(L) ** 2 > least[t, n:]).all():
                 return False
             K = lapack.dtrtrs(L, M[n:, :n], lower=1)[0]
             P = M[:n, :n] - K.T @ K
         if fixed.all():
             return True
         L, info = lapack.dpotrf(P[np.ix_(~fixed, ~fixed)], lower=1, clean=1)
-        return not info and bool((np.diag(L) ** 2 > own[0, :n][~fixed]).all())
+        return not info and bool((np.diag(L) ** 2 > least[0, :n][~fixed]).all())
 
     def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
         """Return H + G'W^-2 G."""
@@ -197,16 +198,16 @@ def simulate(A: Array, breaks: Indices, right: Array, transposed: bool) -> Array
 
 
 class BandedRegulator(BlockRegulator):
-    """LU factors of all stages, and the gains of the Riccati recursion when they are first needed."""
+    """LU factors of all stages; the Riccati recursion runs when its gains are first needed."""
 
     def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):
         """Factor the stages."""
         self._A, self._B, self._Phi, self._fixed = A, B, Phi, fixed
-        self._found: Gains | None = None
+        self._gains: Gains | None = None
         self._band = 2 * A.shape[1] + B.shape[2] - 1
         matrix = banded_matrix(A, B, Phi, fixed)
         self._lu, self._pivots, info = lapack.dgbtrf(matrix, self._band, self._band)
-        if info > 0:  # diagonal entries of y are raised to what rounding leaves of the others
+        if info > 0:  # diagonal entries of y are raised to the rounding errors of the others
             diagonal = matrix.T.reshape(len(A), -1, 3 * self._band + 1)[:, A.shape[1] :, 2 * self._band]
             diagonal += PIVOT * np.where(diagonal > 0, diagonal, diagonal.max(initial=0.0) or 1.0)
             self._lu, self._pivots, _ = lapack.dgbtrf(matrix, self._band, self._band)
@@ -216,15 +217,15 @@ class BandedRegulator(BlockRegulator):
         stages, n = c.shape
         right = np.empty((stages, 2 * n + self._B.shape[2]))
         right[0, :n], right[1:, :n], right[:, n:] = x0, c[:-1], -r
-        found, _ = lapack.dgbtrs(self._lu, self._band, self._band, right.ravel(), self._pivots)
-        found = found.reshape(right.shape)
+        unknowns, _ = lapack.dgbtrs(self._lu, self._band, self._band, right.ravel(), self._pivots)
+        unknowns = unknowns.reshape(right.shape)
         eta = np.zeros((stages, n))
-        eta[:-1] = found[1:, :n]
-        return found[:, n:].copy(), eta, np.where(self._fixed, found[0, :n], 0.0)
+        eta[:-1] = unknowns[1:, :n]
+        return unknowns[:, n:].copy(), eta, np.where(self._fixed, unknowns[0, :n], 0.0)
 
     def gains(self) -> Gains:
-        """Return what the Riccati recursion of kernels.py finds."""
-        if self._found is None:
+        """Return the gains of the Riccati recursion, which kernels.py derives."""
+        if self._gains is None:
             B, Phi, AB = self._B, self._Phi, np.concatenate([self._A, self._B], axis=2)
             stages, n, k = B.shape
             P, root = np.zeros((n, n)), np.concatenate([np.eye(n), np.zeros((k, n))])
@@ -236,12 +237,12 @@ class BandedRegulator(BlockRegulator):
                 closed = AB[t] @ root
                 P = root.T @ (Phi[t] @ root) + closed.T @ (P @ closed)
                 P = (P + P.T) / 2
-            self._found = Gains(B, K, L, self._A + B @ K, P, self._fixed)
-        return self._found
+            self._gains = Gains(B, K, L, self._A + B @ K, P, self._fixed)
+        return self._gains
 
 
 def banded_matrix(A: Array, B: Array, Phi: Array, fixed: Mask) -> Array:
-    """Return the matrix of all stages as LAPACK stores it for an LU factorisation, with 2n + k - 1 diagonals a side."""
+    """Return the matrix of all stages in LAPACK's banded form for LU factors, with 2n + k - 1 diagonals a side."""
     stages, n, k = B.shape
     nz, size = n + k, 2 * n + k
     band = size - 1
@@ -264,7 +265,7 @@ def banded_matrix(A: Array, B: Array, Phi: Array, fixed: Mask) -> Array:
 
 
 def cholesky(S: Array) -> Array:
-    """Return the lower factor of a positive semidefinite matrix; a pivot below the rounding is raised."""
+    """Return the lower factor of a positive semidefinite matrix; pivots below rounding errors are raised."""
     L, info = lapack.dpotrf(S, lower=1, clean=1)
     if info:
         diagonal = np.diag(S)
