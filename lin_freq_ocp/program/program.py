@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
@@ -114,11 +114,11 @@ class Program:
 
     P: sp.csc_array
     q: Array
-    constant: float
     A: sp.csc_array
     lower: Array
     upper: Array
-    rows: Mapping[Block, slice]
+    constant: float = 0.0
+    rows: Mapping[Block, slice] = field(default_factory=dict[Block, slice])
     cones: tuple[slice, ...] = ()
     binaries: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
@@ -130,7 +130,7 @@ class Program:
     @cached_property
     def in_cones(self) -> Indices:
         """The rows of all cones, one cone after the other."""
-        return np.concatenate([np.arange(cone.start, cone.stop) for cone in self.cones] or [np.zeros(0, dtype=int)])
+        return rows_of(self.cones)
 
     @cached_property
     def alone(self) -> Mask:
@@ -229,10 +229,6 @@ class Program:
             gap=wrong / total if total > 0 else wrong,
         )
 
-    def dual_objective(self, z: Array, y: Array) -> float:
-        """Return -1/2 z'P z - (support of y) + constant: a lower bound if P z + q + A'y = 0."""
-        return float(-0.5 * z @ (self.P @ z) - y @ self._bound_of(y)[0] + self.constant)
-
     def _bound_of(self, y: Array) -> tuple[Array, Mask]:
         """Return the bound that each dual belongs to, 0 if it is infinite, and whether it is finite."""
         bound = np.where((y > 0) & self.alone, self.upper, self.lower)
@@ -295,6 +291,11 @@ class Scaling:
     def scaled_dual(self, y: Array) -> Array:
         """Return y, in the program's own units, in the new ones."""
         return y * self.cost / self.rows
+
+
+def rows_of(slices: Sequence[slice]) -> Indices:
+    """Return the indices in slices, one after the other."""
+    return np.concatenate([np.arange(0), *(np.arange(part.start, part.stop) for part in slices)])
 
 
 def scale_matrix(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_array:

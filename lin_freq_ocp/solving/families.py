@@ -50,24 +50,17 @@ class Family:
 RESIDUALS = {"tolerance": "tolerance"}
 SOLVER = {"backend": "backend"}
 
+LINEAR = {
+    "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
+    "spectral": Shorthand(Spectral(), RESIDUALS),
+    "structured": Shorthand(Structured(), RESIDUALS),
+    "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
+}
+WITHOUT_STAGES = {name: shorthand for name, shorthand in LINEAR.items() if name != "structured"}
+
 FAMILIES: dict[type, Family] = {
-    LinearDynamics: Family(
-        "linear",
-        {
-            "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
-            "spectral": Shorthand(Spectral(), RESIDUALS),
-            "structured": Shorthand(Structured(), RESIDUALS),
-            "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
-        },
-    ),
-    FrequencyResponse: Family(
-        "frequency-response",
-        {
-            "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
-            "spectral": Shorthand(Spectral(), RESIDUALS),
-            "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
-        },
-    ),
+    LinearDynamics: Family("linear", LINEAR),
+    FrequencyResponse: Family("frequency-response", WITHOUT_STAGES),
 }
 
 # methods of earlier versions, with the advice that replaces them

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
@@ -29,7 +29,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.judging import judge_candidate
-from lin_freq_ocp.solving.method import Method, Request, seconds_left
+from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import solve_spectral
 

@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from lin_freq_ocp.base.clock import LEAST_SECONDS, now
+from lin_freq_ocp.base.clock import seconds_left
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
@@ -50,8 +50,3 @@ class Method(Protocol):
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve a problem, and judge the answer."""
         ...
-
-
-def seconds_left(end: float) -> float | None:
-    """Return the seconds from now to the end, above zero; None if there is no end."""
-    return None if end == np.inf else max(end - now(), LEAST_SECONDS)

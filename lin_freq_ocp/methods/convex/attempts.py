@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.clock import LEAST_SECONDS, now
+from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate
 from lin_freq_ocp.methods.convex.polish import nearest_recession, polish_point
@@ -49,11 +49,6 @@ class ScaledSolver:
     solver_tolerance: float
     end: float  # by clock.now
     target: float  # residuals from which an answer is not improved
-
-    @property
-    def left(self) -> float | None:
-        """The seconds that are left, or None for no limit."""
-        return None if self.end == np.inf else max(self.end - now(), LEAST_SECONDS)
 
     @property
     def over(self) -> bool:
@@ -133,7 +128,7 @@ class ScaledSolver:
         return Attempt(candidate, scaling, residuals.worst, point, duals, late)
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
-        solution = self.solver(program, tolerance or self.solver_tolerance, self.left)
+        solution = self.solver(program, tolerance or self.solver_tolerance, seconds_left(self.end))
         attempt = self.recover(scaling, program, solution)
         if attempt.z is None or attempt.ended or attempt.error <= self.target or program.cones or self.over:
             return attempt

@@ -119,11 +119,9 @@ def nearest_recession(program: Program, z: Array) -> Array:
     nearest = Program(
         P=sp.csc_array(sp.eye_array(len(z))),
         q=-z / size,
-        constant=0.0,
         A=sp.csc_array(sp.vstack([program.A[alone], program.P, program.A[curved]])),
         lower=np.concatenate([lower, np.zeros(len(z) + len(curved))]),
         upper=np.concatenate([upper, np.zeros(len(z)), np.full(len(curved), np.inf)]),
-        rows={},
         cones=consecutive([cone for cone in program.cones if not constant[cone.start]], first),
     )
     solution = backend("clarabel")(nearest, DEFAULT_TOLERANCE, None)

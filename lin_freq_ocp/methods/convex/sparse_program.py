@@ -109,9 +109,7 @@ def convex_candidates(
     best = _revise_units(solves, solves.attempt(scaling))
     # as long as the best attempt is inaccurate, other units
     further_attempts: list[Callable[[Attempt], Attempt]] = [
-        lambda best: solves.attempt(
-            scaling if best.z is None else point_scaling(linear, best.z, scaling.columns, per_time=True)
-        ),
+        lambda best: solves.attempt(_units_of_point(solves, best, scaling, per_time=True) or scaling),
         lambda best: solves.attempt(stated_scaling(linear)),
         lambda best: solves.attempt(plain_scaling(linear)),
     ]
@@ -149,10 +147,6 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> I
         return
     yield from _refine_point(solves, natural, best)
     linear = solves.linear
-
-    def units_of_point(attempt: Attempt, per_time: bool) -> Scaling | None:
-        return None if attempt.z is None else point_scaling(linear, attempt.z, natural.columns, per_time)
-
     # units that need a point come last, and take the best point so far: the residual of a ray says nothing about it
     best_point = best if best.z is not None else replace(best, error=np.inf)
     others: list[Callable[[Attempt], Scaling | None]] = [
@@ -160,8 +154,8 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> I
         lambda _: stated_scaling(linear),
         lambda _: natural,
         lambda _: bounds_scaling(linear, natural),
-        lambda attempt: units_of_point(attempt, per_time=False),
-        lambda attempt: units_of_point(attempt, per_time=True),
+        lambda attempt: _units_of_point(solves, attempt, natural, per_time=False),
+        lambda attempt: _units_of_point(solves, attempt, natural, per_time=True),
     ]
     for units in others:
         for solve in (solves.solve_with_all_bounds, solves.solve_without_far_bounds):
@@ -179,6 +173,11 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> I
                 yield attempt.candidate
             yield from _refine_point(solves, natural, attempt)
             best_point = best_point if attempt.z is None else better_of(best_point, attempt)
+
+
+def _units_of_point(solves: ScaledSolver, attempt: Attempt, natural: Scaling, per_time: bool) -> Scaling | None:
+    """Return the units in which the point of an attempt is of order 1; None if it has no point."""
+    return None if attempt.z is None else point_scaling(solves.linear, attempt.z, natural.columns, per_time)
 
 
 def _refine_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
@@ -252,11 +251,9 @@ def trajectory_without_slope(
     flat = Program(
         P=sp.csc_array(program.P.shape),
         q=np.zeros_like(program.q),
-        constant=0.0,
         A=sp.csc_array(sp.vstack([program.A, program.P[curved]])),
         lower=np.concatenate([program.lower, -program.q[curved]]),
         upper=np.concatenate([program.upper, -program.q[curved]]),
-        rows=program.rows,
         cones=program.cones,
     )
     solution = backend("clarabel")(flat, DEFAULT_TOLERANCE, time_limit)

@@ -24,10 +24,10 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured.stages import (
     Balls,
+    CoupledRows,
     Coupling,
     Equations,
     Inequalities,
-    Rows,
     SparseRows,
     SpectrumRows,
 )
@@ -210,7 +210,7 @@ def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -
     elif len(rows.prices):  # of a spectrum, the slacks alone are sparse
         sparse = columns.of_variables(program.slack_matrix([rows]))
 
-    def family_rows(chosen: Indices, sign: float = 1.0) -> Rows:
+    def family_rows(chosen: Indices, sign: float = 1.0) -> CoupledRows:
         if rows.spectrum is not None:
             return _spectrum_rows(rows, rows.spectrum, chosen, sign, columns.width)
         assert sparse is not None

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -92,7 +92,7 @@ class Coupling:
         round_ = sum(part.rows.count + (0 if part.heads is None else part.heads.count) for part in self.balls)
         return self.equation_count + unequal + round_
 
-    def families(self) -> Iterator[tuple[Rows, Indices]]:
+    def families(self) -> Iterator[tuple[CoupledRows, Indices]]:
         """Yield every family of rows after those of x_T, with the indices of its rows among all."""
         first = len(self.terminal)
         for part in (*self.equations, *self.inequalities):
@@ -111,7 +111,7 @@ class Coupling:
 class RowFamily:
     """Rows of one kind, (count,), that are compared with numbers one by one."""
 
-    rows: Rows
+    rows: CoupledRows
     right: Array
 
     def used(self, channels: int) -> Mask:
@@ -148,9 +148,9 @@ class Balls:
     A soft ball has a slack: the entry of y that ``heads`` selects, which a row of its stage keeps from being negative.
     """
 
-    rows: Rows
+    rows: CoupledRows
     radius: Array  # (balls,), above zero; 0 or above with slacks
-    heads: Rows | None = None
+    heads: CoupledRows | None = None
     offset: Array | None = None  # (balls, dim); None: zeros
 
     @property
@@ -195,48 +195,6 @@ class Balls:
 def inverse_sizes(sizes: Array) -> Array:
     """Return 1 / sizes, and 1 for sizes of zero."""
     return 1.0 / np.where(sizes > 0, sizes, 1.0)
-
-
-class Rows(Protocol):
-    """A family of linear rows on signals (T+1, channels, k)."""
-
-    @property
-    def count(self) -> int:
-        """Return the number of rows."""
-        ...
-
-    def forward(self, signals: Array) -> Array:
-        """Return the values of the rows, (count, k)."""
-        ...
-
-    def add_adjoint(self, weights: Array, signals: Array) -> None:
-        """Add the adjoint of weights (count, k) to signals."""
-        ...
-
-    def add_columns(self, chosen: Indices, signals: Array) -> None:
-        """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
-        ...
-
-    @property
-    def oversampling(self) -> int:
-        """Return the number of grid points for each point of the plain DFT; 1 for rows without a spectrum."""
-        ...
-
-    def used(self, channels: int) -> Mask:
-        """Return which of the channels have a coefficient."""
-        ...
-
-    def narrowed(self, used: Mask) -> Rows:
-        """Return the rows on the used channels only."""
-        ...
-
-    def norms(self) -> Array:
-        """Return the Euclidean norms of the rows, (count,)."""
-        ...
-
-    def scaled(self, factors: Array, units: Array) -> Rows:
-        """Return the rows times factors (count,), of signals in units (T+1, channels)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,6 +321,10 @@ class SparseRows:
         """Return the rows times factors (count,), of signals in units (T+1, channels)."""
         data = self.matrix.data * units.ravel()[self.matrix.indices] * np.repeat(factors, np.diff(self.matrix.indptr))
         return SparseRows(sp.csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape))
+
+
+CoupledRows = SpectrumRows | SparseRows
+"""A family of linear rows on signals (T+1, channels, k); both classes have the same methods."""
 
 
 class AllRows:

@@ -18,7 +18,7 @@ from pyscipopt.scip import PY_SCIP_EVENTTYPE, Event, Expr, Variable
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.clock import LEAST_SECONDS, now
+from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program, SingleBounds
@@ -53,19 +53,14 @@ WATCHED = (PY_SCIP_EVENTTYPE.PRESOLVEROUND, PY_SCIP_EVENTTYPE.LPSOLVED, PY_SCIP_
 
 def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
     """Solve; the best point found is returned also when a limit or Ctrl-C ended the search."""
-    started = now()
+    end = np.inf if time_limit is None else now() + time_limit
     rows = program.single_bounds()
     if rows.violation > CONTRADICTION:
         return NO_POINT
     model, variables = convex_model(program, rows)
     set_objective(model, program, variables)
-    solution = run_scip(model, variables, seconds_left(time_limit, started), gap)
-    return solution or decide_claim(lambda nothing: solve(nothing, gap, seconds_left(time_limit, started)), program)
-
-
-def seconds_left(time_limit: float | None, started: float) -> float | None:
-    """Return what is left of a limit, at least so much that SCIP says that it was reached."""
-    return None if time_limit is None else max(time_limit - (now() - started), LEAST_SECONDS)
+    solution = run_scip(model, variables, seconds_left(end), gap)
+    return solution or decide_claim(lambda costless: solve(costless, gap, seconds_left(end)), program)
 
 
 def run_scip(model: Model, variables: list[Variable], time_limit: float | None, gap: float) -> Solution | None:

@@ -87,12 +87,10 @@ def clarabel_cost(problem):
     program = Program(
         sp.csc_array(H),
         problem.h.ravel(),
-        0.0,
         sp.csc_array(sign[:, None] * A[order]),
         np.where(sign > 0, lower[order], -b[order]),
         np.where(sign > 0, upper[order], np.inf),
-        {},
-        tuple(slices),
+        cones=tuple(slices),
     )
     assert n == problem.A.shape[1]
     solution = backend("clarabel")(program, 1e-10, None)

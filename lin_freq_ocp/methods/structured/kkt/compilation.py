@@ -48,20 +48,17 @@ class _Dispatcher(Protocol):
 
 def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     """Return the function as compiled code; if no folder is writable, each process compiles it again."""
+    options = {"fastmath": FASTMATH, "error_model": "numpy"}
     try:
-        return _compile(function, True)
+        compiled = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # numba found no folder that it can write
-        return _compile(function, False)
+        compiled = numba.njit(**options)(function)
+    return cast("Callable[Arguments, Value]", compiled)
 
 
 def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     """Return a function that becomes part of its only caller, which saves half of the time to compile it."""
     decorate = numba.njit(inline="always", fastmath=FASTMATH, error_model="numpy")
-    return cast("Callable[Arguments, Value]", decorate(function))
-
-
-def _compile(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
-    decorate = numba.njit(cache=cache, fastmath=FASTMATH, error_model="numpy")
     return cast("Callable[Arguments, Value]", decorate(function))
 
 

@@ -77,27 +77,33 @@ def gram(rows: Array, total: Array | None = None) -> Array:
     return blas.dsyrk(1.0, rows.T, beta=1.0, c=total.T, overwrite_c=1).T if rows.size else total
 
 
-class BlockRegulator(ABC):
-    """A regulator that computes many responses by blocks of stages."""
+class Regulator(ABC):
+    """The factored stages (recursions.py); many responses at once are computed by blocks of stages."""
 
     _closed: RegulatorMap | None = None
 
     @abstractmethod
     def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
-        """Return y, eta and lam0."""
+        """Return y (T+1, nz), eta (T+1, n) with eta_T = 0, and lam0 (n,).
+
+        r is (T+1, nz), c (T+1, n) with c_T = 0, x0 (n,) with zero where x_0 is free.
+        """
 
     @abstractmethod
     def gains(self) -> Gains:
         """Return the gains and factors of the Riccati recursion."""
 
     def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
-        """Return the responses on the channels, and x_T."""
+        """Return the entries ``channels`` of y, (T+1, channels, m), and x_T, (n, m), for m gradients; c = 0, x0 = 0.
+
+        R (T+1, channels, m) are gradients on these entries, each of them named once; E (n, m) is added on x_T.
+        """
         if R.shape[2] <= NARROW:
             return self._solve_one_by_one(channels, R, E)
         return self._closed_loop(channels).responses(R, E)
 
     def gram(self, channels: Indices, R: Array, E: Array) -> Array:
-        """Return the lower triangle of minus the gradients times their responses."""
+        """Return the lower triangle of minus the gradients times their responses, (m, m), positive semidefinite."""
         if R.shape[2] <= NARROW:
             Y, X = self._solve_one_by_one(channels, R, E)
             return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)

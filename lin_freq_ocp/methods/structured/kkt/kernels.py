@@ -16,7 +16,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt import dense
 from lin_freq_ocp.methods.structured.kkt.compilation import INDICES, REALS, WRITTEN, Kernels, jit
-from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, BlockRegulator, Gains
+from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, Gains, Regulator
 
 
 @jit
@@ -367,7 +367,7 @@ KERNELS = Kernels(
 )
 
 
-class CompiledRegulator(BlockRegulator):
+class CompiledRegulator(Regulator):
     """The factors of the Riccati recursion."""
 
     def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):

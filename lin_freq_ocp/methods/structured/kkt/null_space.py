@@ -25,7 +25,7 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.system import Compliance, SystemSolution
-from lin_freq_ocp.methods.structured.stages import Rows, SpectrumRows, Stages
+from lin_freq_ocp.methods.structured.stages import CoupledRows, SpectrumRows, Stages
 
 GROWTH = 1e3  # of the states between breaks: three digits are lost at most
 
@@ -171,7 +171,7 @@ class StopBand:
 class Remaining:
     """A family of coupling rows other than stop bands, and its rows of F."""
 
-    rows: Rows
+    rows: CoupledRows
     at: Indices
 
 
@@ -191,7 +191,7 @@ def sort_rows(stages: Stages) -> tuple[list[StopBand], list[Remaining]]:
     return bands, rest
 
 
-def _stop_band(stages: Stages, rows: Rows, at: Indices) -> StopBand | None:
+def _stop_band(stages: Stages, rows: CoupledRows, at: Indices) -> StopBand | None:
     """Return rows as a stop band if they are the plain DFT of a single control, otherwise None."""
     if not isinstance(rows, SpectrumRows) or rows.points != stages.horizon:
         return None

@@ -20,29 +20,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, BlockRegulator, Gains
-
-
-class Regulator(Protocol):
-    """The factored stages."""
-
-    def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
-        """Return y (T+1, nz), eta (T+1, n) with eta_T = 0, and lam0 (n,).
-
-        r is (T+1, nz), c (T+1, n) with c_T = 0, x0 (n,) with zero where x_0 is free.
-        """
-        ...
-
-    def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
-        """Return the entries ``channels`` of y, (T+1, channels, m), and x_T, (n, m), for m gradients; c = 0, x0 = 0.
-
-        R (T+1, channels, m) are gradients on these entries, each of them named once; E (n, m) is added on x_T.
-        """
-        ...
-
-    def gram(self, channels: Indices, R: Array, E: Array) -> Array:
-        """Return the lower triangle of minus the gradients times their responses, (m, m), positive semidefinite."""
-        ...
+from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, Gains, Regulator
 
 
 class Loops(Protocol):
@@ -197,7 +175,7 @@ def simulate(A: Array, breaks: Indices, right: Array, transposed: bool) -> Array
     return lapack.dtbtrs(matrix, right.reshape(-1, 1), uplo="L", trans=trans, diag="U")[0].reshape(stages, n)
 
 
-class BandedRegulator(BlockRegulator):
+class BandedRegulator(Regulator):
     """LU factors of all stages; the Riccati recursion runs when its gains are first needed."""
 
     def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):
