@@ -1,11 +1,11 @@
 """DAQP: branch and bound on dense strictly convex quadratic programs, by a dual active-set method.
 
-What it needs and a program has not:
+DAQP needs three things that a program does not have:
 
-- curvature in the binaries: delta^2 - delta is 0 at both of their values, and is added;
-- curvature elsewhere: where P is singular, a small multiple of |z|^2 is added, and what it can have changed is taken
-  off the bound;
-- no fixed variables: they are taken out.
+- curvature in the binaries: delta^2 - delta is added, which is 0 at both of their values;
+- curvature elsewhere: if P is singular, a small multiple of |z|^2 is added, and the bound is lowered by the largest
+  possible effect of that;
+- no fixed variables: they are removed.
 
 It cannot be interrupted: a Ctrl-C counts when it returns, at the latest at the time limit.
 """
@@ -25,7 +25,7 @@ from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, S
 from lin_freq_ocp.program.program import Program
 
 # Of delta^2 - delta: much more weakens the relaxations, much less makes all rows parallel in DAQP's metric. The second
-# is tried where DAQP cycles with the first or finds nothing: of 200 random problems, it never cycled with both.
+# is tried if DAQP cycles with the first or finds nothing: of 200 random problems, it never cycled with both.
 BINARY_CURVATURES = (0.1, 0.01)
 SINGULAR_BLOCK = 1e-7  # eigenvalue, relative to the largest row sum of P, below which a block of P is regularised ...
 BLOCK_REGULARISATION = 1e-7  # ... by this, relative to the same: some 1e-6 of the cost where variables are of order 1
@@ -51,7 +51,7 @@ CLAIMS = {
 
 
 def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
-    """Solve; what it stops with early has no bound."""
+    """Solve; an answer at a limit has no bound."""
     started, found = now(), list[Solution]()
     for curvature in BINARY_CURVATURES:
         left = None if time_limit is None else time_limit - (now() - started)
@@ -122,7 +122,7 @@ def _attempt(program: Program, curvature: float, time_limit: float | None, gap: 
 
 
 def _regularisation(program: Program) -> Array:
-    """Return what is added to the diagonal of P, (variables,): nothing to blocks that are strictly convex."""
+    """Return the numbers added to the diagonal of P, (variables,): zero for blocks that are strictly convex."""
     added = np.zeros(len(program.q))
     _, labels = connected_components(program.P, directed=False)
     block = np.asarray(labels, dtype=np.intp)

@@ -52,7 +52,7 @@ def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     try:
         compiled = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # numba found no folder that it can write
-        compiled = numba.njit(**options)(function)
+        compiled = numba.njit(cache=False, **options)(function)
     return cast("Callable[Arguments, Value]", compiled)
 
 

@@ -373,25 +373,22 @@ class CompiledRegulator(Regulator):
     def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):
         """Factor the stages."""
         self._A, self._B, self._fixed, self._free = A, B, fixed, np.flatnonzero(~fixed)
-        self._K, self._L, self._Ac, self._P, self._P0 = factor(A, B, Phi, self._free)
+        self._factors = factor(A, B, Phi, self._free)
 
     def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
         """Return y, eta and lam0."""
-        return solve(self._A, self._B, self._K, self._L, self._Ac, self._P, self._P0, self._free, r, c, x0)
+        return solve(self._A, self._B, *self._factors, self._free, r, c, x0)
 
     def gains(self) -> Gains:
         """Return the gains and factors of the Riccati recursion."""
-        return Gains(self._B, self._K, self._L, self._Ac, self._P[0], self._fixed)
+        K, L, Ac, P, _ = self._factors
+        return Gains(self._B, K, L, Ac, P[0], self._fixed)
 
 
 class CompiledLoops:
     """All loops by numba."""
 
     compiled: ClassVar[bool] = True
-
-    def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> CompiledRegulator:
-        """Factor the stages."""
-        return CompiledRegulator(A, B, Phi, fixed)
 
     def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
         """Return whether the problem is strictly convex on its dynamics."""
@@ -401,6 +398,7 @@ class CompiledLoops:
         """Return H + G'W^-2 G."""
         return gram(H, G, weights, points, np.cumsum([G.shape[1] - sum(cones), *cones]))
 
+    factor = CompiledRegulator
     times = staticmethod(times)
     transposed_times = staticmethod(transposed_times)
     forward = staticmethod(forward)

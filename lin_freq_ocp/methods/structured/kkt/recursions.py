@@ -14,7 +14,7 @@ In both implementations, ``OpenLoop`` (dense.py) does the open-loop sweeps for m
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import numpy as np
 from scipy.linalg import lapack
@@ -22,55 +22,12 @@ from scipy.linalg import lapack
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, Gains, Regulator
 
+if TYPE_CHECKING:
+    from lin_freq_ocp.methods.structured.kkt.kernels import CompiledLoops
 
-class Loops(Protocol):
-    """Factors, and sweeps in open loop; all arrays contiguous.
 
-    In open loop the states start anew from ``starts`` at ``breaks``, (K,) increasing times within 1 .. T.
-    """
-
-    compiled: ClassVar[bool]
-
-    def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> Regulator:
-        """Factor the stages: A (T+1, n, n), B (T+1, n, k), Phi (T+1, nz, nz) positive semidefinite, fixed (n,)."""
-        ...
-
-    def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
-        """Return whether the problem of a regulator with a symmetric Phi is strictly convex on its dynamics."""
-        ...
-
-    def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
-        """Return H_t + G_t' W_t^-2 G_t, (T+1, nz, nz), for G (T+1, p, nz), whose last rows are second-order cones.
-
-        weights (T+1, p - sum(cones) + len(cones)): 1/w^2 of the orthant rows, then 1/eta^2 of the cones; zero where
-        there is no such row. points (T+1, sum(cones)): the w of the cones, W^2 = eta^2 (2 w w' - J), w'J w = 1.
-        """
-        ...
-
-    def times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t v_t, (T+1, rows), for M (T+1, rows, columns) and v (T+1, columns)."""
-        ...
-
-    def transposed_times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t'v_t, (T+1, columns), for v (T+1, rows)."""
-        ...
-
-    def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
-        """Write in y (T+1, nz) the states x_1 .. x_T that follow from its x_0 and w; starts (K, n), c (T+1, n).
-
-        Return the ends (K, n): the states at the breaks before they are replaced.
-        """
-        ...
-
-    def backward(
-        self, A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return the costates p (T+1, n), the gradient in w (T+1, k), and that in the starts (K, n).
-
-        p_t = gradient_x + A_t'p_{t+1}, gw_t = gradient_w + B_t'p_{t+1}; at a break p_t is the gradient in its start,
-        and then -prices, (K, n), takes its place. The multiplier of x_{t+1} = A_t x_t + B_t w_t + c_t is -p_{t+1}.
-        """
-        ...
+Loops: TypeAlias = "BandedLoops | CompiledLoops"
+"""The loops over stages; both classes have the methods of ``BandedLoops``, which say what they return."""
 
 
 def loops(compiled: bool | None = None, wait: bool = True) -> Loops:
@@ -90,16 +47,19 @@ def loops(compiled: bool | None = None, wait: bool = True) -> Loops:
 
 
 class BandedLoops:
-    """All loops by NumPy and LAPACK."""
+    """Factors, and sweeps in open loop, by NumPy and LAPACK; all arrays contiguous.
+
+    In open loop the states start anew from ``starts`` at ``breaks``, (K,) increasing times within 1 .. T.
+    """
 
     compiled: ClassVar[bool] = False
 
     def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> BandedRegulator:
-        """Factor the stages."""
+        """Factor the stages: A (T+1, n, n), B (T+1, n, k), Phi (T+1, nz, nz) positive semidefinite, fixed (n,)."""
         return BandedRegulator(A, B, Phi, fixed)
 
     def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
-        """Whether all pivots of the Riccati recursion are above rounding."""
+        """Whether the problem with a symmetric Phi is strictly convex on its dynamics: no pivot is a rounding error."""
         AB, n = np.concatenate([A, B], axis=2), A.shape[1]
         P, least = np.zeros((n, n)), CURVED * np.abs(np.einsum("tii->ti", Phi))
         for t in range(len(A) - 1, -1, -1):
@@ -115,7 +75,11 @@ class BandedLoops:
         return not info and bool((np.diag(L) ** 2 > least[0, :n][~fixed]).all())
 
     def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
-        """Return H + G'W^-2 G."""
+        """Return H_t + G_t' W_t^-2 G_t, (T+1, nz, nz), for G (T+1, p, nz), whose last rows are second-order cones.
+
+        weights (T+1, p - sum(cones) + len(cones)): 1/w^2 of the orthant rows, then 1/eta^2 of the cones; zero where
+        there is no such row. points (T+1, sum(cones)): the w of the cones, W^2 = eta^2 (2 w w' - J), w'J w = 1.
+        """
         linear = G.shape[1] - sum(cones)
         rows = G[:, :linear]
         out = H + rows.swapaxes(1, 2) @ (weights[:, :linear, None] * rows)
@@ -132,15 +96,18 @@ class BandedLoops:
         return out
 
     def times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t v_t."""
+        """Return M_t v_t, (T+1, rows), for M (T+1, rows, columns) and v (T+1, columns)."""
         return np.einsum("tij,tj->ti", matrices, vectors)
 
     def transposed_times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t'v_t."""
+        """Return M_t'v_t, (T+1, columns), for v (T+1, rows)."""
         return np.einsum("tij,ti->tj", matrices, vectors)
 
     def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
-        """Write the states of y, and return the ends."""
+        """Write in y (T+1, nz) the states x_1 .. x_T that follow from its x_0 and w; starts (K, n), c (T+1, n).
+
+        Return the ends (K, n): the states at the breaks before they are replaced.
+        """
         n = A.shape[1]
         right = np.empty((len(A), n))
         right[0], right[1:] = y[0, :n], np.einsum("tij,tj->ti", B[:-1], y[:-1, n:]) + c[:-1]
@@ -152,7 +119,11 @@ class BandedLoops:
     def backward(
         self, A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
     ) -> tuple[Array, Array, Array]:
-        """Return the costates, and the gradients in w and in the starts."""
+        """Return the costates p (T+1, n), the gradient in w (T+1, k), and that in the starts (K, n).
+
+        p_t = gradient_x + A_t'p_{t+1}, gw_t = gradient_w + B_t'p_{t+1}; at a break p_t is the gradient in its start,
+        and then -prices, (K, n), takes its place. The multiplier of x_{t+1} = A_t x_t + B_t w_t + c_t is -p_{t+1}.
+        """
         n = A.shape[1]
         right = gradient[:, :n].copy()
         right[breaks - 1] -= np.einsum("tji,tj->ti", A[breaks - 1], prices)
