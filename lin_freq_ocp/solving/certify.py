@@ -115,12 +115,13 @@ def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allo
     certificate = normal if abnormal is None else judge(problem, trajectory, abnormal, allowed)
     if certificate.pmp != "satisfied":
         certificate, decimals = normal, decimals_of(trajectory)
-        # the least tolerance with which a trajectory of few decimals satisfies the maximum principle
-        for level in () if decimals is None else ROUNDED_TO:
-            multipliers = fit_multipliers(problem, trajectory, level).multipliers
-            if judge(problem, trajectory, multipliers, level).pmp == "satisfied":
-                certificate = replace(normal, rounded=Rounded(decimals, level))
-                break
+        if (
+            decimals is not None
+        ):  # the least tolerance with which the rounded trajectory satisfies the maximum principle
+            fits = ((level, fit_multipliers(problem, trajectory, level).multipliers) for level in ROUNDED_TO)
+            levels = (level for level, y in fits if judge(problem, trajectory, y, level).pmp == "satisfied")
+            least = next(levels, None)
+            certificate = normal if least is None else replace(normal, rounded=Rounded(decimals, least))
     return replace(certificate, descent=descent_direction(problem, trajectory, fit.descent))
 
 

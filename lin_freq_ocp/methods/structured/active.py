@@ -73,8 +73,8 @@ def solve_active(system: System, responses: RowResponses, targets: Targets, star
         fewest = min(count, fewest)
         if tries > 0:
             # at a peak, a row is violated by no less than a time before, and by more than a time after
-            stages, peaks = violation[: system.b[STAGES].size].reshape(system.b[STAGES].shape), np.zeros_like(wrong)
-            edge = np.zeros((1, stages.shape[1]))
+            peaks, shape = np.zeros_like(wrong), system.b[STAGES].shape
+            stages, edge = violation[: system.b[STAGES].size].reshape(shape), np.zeros((1, shape[1]))
             around = np.concatenate([edge, stages, edge])
             peaks[: stages.size] = ((stages >= around[:-2]) & (stages > around[2:])).ravel()
             wrong &= active | of_controls | peaks

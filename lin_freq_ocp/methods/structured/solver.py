@@ -77,7 +77,8 @@ def solve_from_warm_start(
 
     Raises the errors of ``solve_structured``.
     """
-    if stage_cache.warm_start is None:
+    has_start = stage_cache.warm_start is not None
+    if not has_start:
         return None
     require_convex(problem)
     time_limit, started, targets = options.time_limit, now(), _targets(options)

@@ -48,11 +48,10 @@ class _Dispatcher(Protocol):
 
 def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     """Return the function as compiled code; if no folder is writable, each process compiles it again."""
-    options = {"fastmath": FASTMATH, "error_model": "numpy"}
     try:
-        compiled = numba.njit(cache=True, **options)(function)
+        compiled = numba.njit(cache=True, fastmath=FASTMATH, error_model="numpy")(function)
     except RuntimeError:  # numba found no folder that it can write
-        compiled = numba.njit(cache=False, **options)(function)
+        compiled = numba.njit(cache=False, fastmath=FASTMATH, error_model="numpy")(function)
     return cast("Callable[Arguments, Value]", compiled)
 
 
