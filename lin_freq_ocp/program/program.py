@@ -157,8 +157,14 @@ class Program:
         A = self.A[row]
         A.sort_indices()
         A.data *= sign[A.indices]
+        # the upper triangle of P; scipy's function takes several times as long
+        column = np.repeat(np.arange(len(self.q)), np.diff(self.P.indptr))
+        inside = self.P.indices <= column
+        pointers = np.append(0, np.cumsum(np.bincount(column[inside], minlength=len(self.q))))
+        triangle = sp.csc_array((self.P.data[inside], self.P.indices[inside], pointers), shape=self.P.shape)
+        triangle.sort_indices()
         return StandardForm(
-            P=_upper_triangle(self.P),
+            P=triangle,
             q=self.q,
             A=A,
             b=np.where(sign > 0, self.upper[row], -self.lower[row]),
@@ -315,17 +321,6 @@ def regularised_kkt(P: sp.csc_array, A: sp.csc_array, of_variables: float, of_ro
     i = np.concatenate([hessian.coords[0], rows.coords[0] + variables, rows.coords[1], every])
     j = np.concatenate([hessian.coords[1], rows.coords[1], rows.coords[0] + variables, every])
     return sp.csc_array((values, (i, j)), shape=(variables + count, variables + count))
-
-
-def _upper_triangle(matrix: sp.csc_array) -> sp.csc_array:
-    """Return the upper triangle; scipy's takes several times as long."""
-    columns = matrix.shape[1]
-    column = np.repeat(np.arange(columns), np.diff(matrix.indptr))
-    kept = matrix.indices <= column
-    pointers = np.append(0, np.cumsum(np.bincount(column[kept], minlength=columns)))
-    triangle = sp.csc_array((matrix.data[kept], matrix.indices[kept], pointers), shape=matrix.shape)
-    triangle.sort_indices()
-    return triangle
 
 
 def _outside_cone(s: Array) -> float:

@@ -21,7 +21,6 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.rows import (
     Columns,
-    CoupledPart,
     StageRowList,
     StageSlots,
     assign_slots,
@@ -181,7 +180,16 @@ def assemble_stages(problem: OptimalControlProblem) -> Assembly:
     coupling = restrict_to_channels(parts, width, terminal, ends[0, 1, terminal] - origin.x[-1, terminal])
     initial = np.where(fixed_ends[0], ends[0, 0] - origin.x[0], np.nan)
     plain = _plain_stages(program, fixed, rows, slots, columns, coupling, initial)
-    targets, weights = _dual_targets(program, rows, slots, parts, fixed_ends)
+    # the multipliers of the duals after those of the dynamics: x_0, stages, x_T, then the coupling rows by kinds
+    x_0 = np.where(fixed_ends[0], program.layout.mu + np.arange(n), -1)
+    x_T = program.layout.mu + T * n + terminal
+    of_stages, signs = np.full((T + 1, slots.count), -1), np.ones((T + 1, slots.count))
+    at = rows.times[slots.source], slots.slot
+    of_stages[at], signs[at] = rows.targets[slots.source], slots.sign
+    ordered = [part for kind in (Equations, Inequalities, Balls) for part in parts if isinstance(part.family, kind)]
+    targets = np.concatenate([x_0, of_stages.ravel(), x_T, *(part.targets.ravel() for part in ordered)])
+    of_parts = [part.weights.ravel() for part in ordered]
+    weights = np.concatenate([np.ones(n), signs.ravel(), np.ones(len(x_T)), *of_parts])
     used = np.zeros(entries.shape, dtype=bool)
     used.flat[positions] = ~np.append(absent, np.zeros(len(slacks), dtype=bool))
     priced = used.copy()
@@ -230,22 +238,6 @@ def _plain_stages(
     g[time, slots.slot] = np.where(slots.sign > 0, rows.upper[slots.source], -rows.lower[slots.source])
     dynamics = _dynamics(program, fixed, width)
     return Stages(*dynamics, H, h, G, g, slots.cones, initial, coupling, cost.value(origin.x, origin.u))
-
-
-def _dual_targets(
-    program: LinearProgram, rows: StageRowList, slots: StageSlots, parts: list[CoupledPart], fixed_ends: Mask
-) -> tuple[Indices, Array]:
-    """Return the target and the weight of every dual after those of the dynamics, flat."""
-    T, n, _ = program.layout.shape
-    initial = np.where(fixed_ends[0], program.layout.mu + np.arange(n), -1)
-    end = program.layout.mu + T * n + np.flatnonzero(fixed_ends[1])
-    of_stages, signs = np.full((T + 1, slots.count), -1), np.ones((T + 1, slots.count))
-    at = rows.times[slots.source], slots.slot
-    of_stages[at], signs[at] = rows.targets[slots.source], slots.sign
-    ordered = [part for kind in (Equations, Inequalities, Balls) for part in parts if isinstance(part.family, kind)]
-    targets = [initial, of_stages.ravel(), end, *(part.targets.ravel() for part in ordered)]
-    weights = [np.ones(n), signs.ravel(), np.ones(len(end)), *(part.weights.ravel() for part in ordered)]
-    return np.concatenate(targets), np.concatenate(weights)
 
 
 def _dynamics(program: LinearProgram, fixed: Mask, width: int) -> tuple[Array, Array, Array]:

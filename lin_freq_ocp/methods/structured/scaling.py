@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.methods.structured.stages import Coupling, Stages, inverse_sizes
+from lin_freq_ocp.methods.structured.stages import Stages, inverse_sizes
 from lin_freq_ocp.program.program import Scaling
 from lin_freq_ocp.program.units import UNIT_ROUNDING, UNNOTICED, cost_factor
 
@@ -26,7 +26,19 @@ def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None =
     n = stages.states
     G = stages.G * columns[:, None]
     of_stages = _stage_factors(G, stages.g, stages.cones)
-    coupling, of_coupling = _scale_coupling(stages.coupling, columns)
+    before, units = stages.coupling, columns[:, stages.coupling.channels]
+    equations = [part.scaled(units) for part in before.equations]
+    inequalities = [part.scaled(units) for part in before.inequalities]
+    balls = [part.scaled(units) for part in before.balls]
+    end = columns[-1, before.terminal]
+    coupling = replace(
+        before,
+        terminal_state=before.terminal_state / end,
+        equations=tuple(part for part, _ in equations),
+        inequalities=tuple(part for part, _ in inequalities),
+        balls=tuple(part for part, _ in balls),
+    )
+    of_coupling = [1 / end, *(factors for _, factors in (*equations, *inequalities, *balls))]
     H, h = stages.H * columns[:, :, None] * columns[:, None, :], stages.h * columns
     typical = np.ones(h.shape)
     if y is not None:  # in the new units; a component that moves is floored at the smallest change that affects others
@@ -48,7 +60,7 @@ def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None =
         coupling=coupling,
         constant=stages.constant * cost,
     )
-    return changed, Scaling(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), of_coupling]), cost)
+    return changed, Scaling(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), *of_coupling]), cost)
 
 
 def scale_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array, Array, Array]:
@@ -68,22 +80,6 @@ def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
         sizes[:, cone] = np.where(head > 0, head, norms[:, cone].max(axis=1, keepdims=True))
         first += size
     return inverse_sizes(sizes)
-
-
-def _scale_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array]:
-    """Return the coupling with y in units ``columns``, and the factors of its rows, flat."""
-    units, end = columns[:, coupling.channels], columns[-1, coupling.terminal]
-    equations = [part.scaled(units) for part in coupling.equations]
-    inequalities = [part.scaled(units) for part in coupling.inequalities]
-    balls = [part.scaled(units) for part in coupling.balls]
-    changed = replace(
-        coupling,
-        terminal_state=coupling.terminal_state / end,
-        equations=tuple(part for part, _ in equations),
-        inequalities=tuple(part for part, _ in inequalities),
-        balls=tuple(part for part, _ in balls),
-    )
-    return changed, np.concatenate([1 / end, *(factors for _, factors in (*equations, *inequalities, *balls))])
 
 
 def fix_unused_entries(stages: Stages, used: Mask) -> Stages:

@@ -18,7 +18,6 @@ import daqp
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
@@ -76,7 +75,15 @@ def _attempt(program: Program, curvature: float, time_limit: float | None, gap: 
     empty = ~A.any(axis=1)
     if rows.violation > CONTRADICTION or (np.maximum(lower, -upper)[empty] > CONTRADICTION).any():
         return NO_POINT
-    added, binaries = _regularisation(program), program.binaries
+    # blocks of P that are not strictly convex get a small multiple of the identity
+    added, binaries = np.zeros(len(program.q)), program.binaries
+    block = np.asarray(connected_components(program.P, directed=False)[1], dtype=np.intp)
+    block[binaries] = -1
+    largest = float(abs(program.P).sum(axis=0).max(initial=0.0)) or 1.0
+    for b in np.unique(block[block >= 0]):
+        columns = np.flatnonzero(block == b)
+        if np.linalg.eigvalsh(program.P[columns][:, columns].toarray())[0] < SINGULAR_BLOCK * largest:
+            added[columns] = BLOCK_REGULARISATION * largest
     hessian, gradient = program.P.toarray() + np.diag(added), program.q.copy()
     hessian[binaries, binaries] += 2 * curvature
     gradient[binaries] -= curvature
@@ -119,17 +126,3 @@ def _attempt(program: Program, curvature: float, time_limit: float | None, gap: 
     unsure = (own if bound is None else most) / max(1.0, abs(objective))
     unknown = f", optimal but for {unsure:.1e} by regularisation" if unsure > 0 else ""
     return Solution(claim, z, None, message + unknown, bound)
-
-
-def _regularisation(program: Program) -> Array:
-    """Return the numbers added to the diagonal of P, (variables,): zero for blocks that are strictly convex."""
-    added = np.zeros(len(program.q))
-    _, labels = connected_components(program.P, directed=False)
-    block = np.asarray(labels, dtype=np.intp)
-    block[program.binaries] = -1
-    largest = float(abs(program.P).sum(axis=0).max(initial=0.0)) or 1.0
-    for b in np.unique(block[block >= 0]):
-        columns = np.flatnonzero(block == b)
-        if np.linalg.eigvalsh(program.P[columns][:, columns].toarray())[0] < SINGULAR_BLOCK * largest:
-            added[columns] = BLOCK_REGULARISATION * largest
-    return added

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 
@@ -49,25 +48,21 @@ def best_multipliers(
     NumericalError if no fit could be solved and ``first`` is None.
     """
     best: tuple[Certificate, Multipliers] | None = None
-    for multipliers in chain([] if first is None else [first], _fit_candidates(problem, trajectory, first is not None)):
-        certificate = judge(problem, trajectory, multipliers)
-        if best is None or _rank(certificate) > _rank(best[0]):
-            best = certificate, multipliers
-        if not best[0].failed and _facts(best[0]).flip_stationary:
-            break
-        if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
-            break  # no other multipliers can help
+    fits = candidates(problem.affine_at(trajectory), trajectory)  # in every mode sequence of the trajectory
+    try:
+        for multipliers in chain([] if first is None else [first], fits):
+            certificate = judge(problem, trajectory, multipliers)
+            if best is None or _rank(certificate) > _rank(best[0]):
+                best = certificate, multipliers
+            if not best[0].failed and _facts(best[0]).flip_stationary:
+                break
+            if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
+                break  # no other multipliers can help
+    except NumericalError:
+        if best is None:
+            raise
     assert best is not None  # there are candidates, or an error
     return best
-
-
-def _fit_candidates(problem: OptimalControlProblem, trajectory: Trajectory, optional: bool) -> Iterator[Multipliers]:
-    """Yield multipliers that fit the trajectory, in every mode sequence that it lies in."""
-    try:
-        yield from candidates(problem.affine_at(trajectory), trajectory)
-    except NumericalError:
-        if not optional:
-            raise
 
 
 def _facts(certificate: Certificate) -> SwitchingFacts:

@@ -160,7 +160,16 @@ class LowRankSolver(_RangeSpace):
         self._of_hard = [fine for part, fine in zip(coupling.balls, self._chosen, strict=True) if part.heads is None]
         ends = np.cumsum([0, *(part.rows.count for part in coupling.balls if _is_fine(part))])
         self._families = [slice(a, b) for a, b in pairwise(ends.tolist())]  # of the fine rows
-        V, self._G = self._basis()
+        # V (T+1, channels, rank) is orthonormal, by a random range finder, and the fine rows are G V'
+        rng, families = np.random.default_rng(0), [rows for rows, at in coupling.families() if np.isin(at[0], fine)]
+        shape = len(response.stages.H), len(coupling.channels)
+        rank = min(SPARE + sum(rows.count // rows.oversampling for rows in families), shape[0] * shape[1])
+        signals = np.zeros((*shape, rank))
+        for rows in families:
+            rows.add_adjoint(rng.standard_normal((rows.count, rank)), signals)
+        basis = la.qr(signals.reshape(-1, rank), mode="economic", overwrite_a=True, check_finite=False)[0]
+        V: Array = np.ascontiguousarray(basis.reshape(signals.shape), dtype=float)
+        self._G = np.concatenate([rows.forward(V) for rows in families])
         of_plain, end = response.rows.chosen(self._plain)
         none = np.zeros((len(end), V.shape[2]))
         self._gradients = np.concatenate([of_plain, V], axis=2), np.concatenate([end, none], axis=1)
@@ -210,20 +219,6 @@ class LowRankSolver(_RangeSpace):
         nu = np.empty(len(missing))
         nu[self._fine], nu[self._plain] = of_fine, alone - self._eliminated @ (self._G.T @ of_fine)
         return self._response.step(gradient, c, x0, f, nu)
-
-    def _basis(self) -> tuple[Array, Array]:
-        """Return an orthonormal V (T+1, channels, rank), by a random range finder, and G: the fine rows are G V'."""
-        response, rng = self._response, np.random.default_rng(0)
-        families = [(rows, at) for rows, at in response.coupling.families() if np.isin(at[0], self._fine)]
-        rank = SPARE + sum(rows.count // rows.oversampling for rows, _ in families)
-        shape = len(response.stages.H), len(response.coupling.channels)
-        rank = min(rank, shape[0] * shape[1])
-        signals = np.zeros((*shape, rank))
-        for rows, _ in families:
-            rows.add_adjoint(rng.standard_normal((rows.count, rank)), signals)
-        basis = la.qr(signals.reshape(-1, rank), mode="economic", overwrite_a=True, check_finite=False)[0]
-        V: Array = np.ascontiguousarray(basis.reshape(signals.shape), dtype=float)
-        return V, np.concatenate([rows.forward(V) for rows, _ in families])
 
     def _apply_roots(self, v: Array) -> Array:
         """Return R v for v (rows, k), with R'R = C_w^-1 and zeros in the strong rows."""

@@ -70,7 +70,19 @@ class DenseReduced:
     def factor(self, Phi: Array, C: Array) -> bool:
         """Factor for Phi (T+1, nz, nz) and C (rows, rows)."""
         clipped, large = self._noise.clipped(Phi)
-        M, E = self._hessian(clipped), self._E
+        space, free, E = self._space, self._space.coefficients.count, self._E
+        # M column by column: a forward and a backward sweep for the coefficients, simulations for the other unknowns
+        M = np.empty((space.size, space.size))
+        sweeps = OpenLoop(space.A, space.B, clipped, space.breaks)
+        for i, block in enumerate(self._blocks):
+            W = self._signals[i] if self._signals is not None else self._signals_of(block)
+            starts = np.zeros((*space.zero.shape, W.shape[2]))
+            GW, of_starts, _, _ = sweeps.columns(starts, W)
+            M[block, :free] = space.coefficients.analysis(GW)
+            M[block, free : free + space.continuity] = of_starts.reshape(-1, W.shape[2]).T
+        for i in range(free, space.size):
+            M[i] = space.curvature(clipped, np.eye(1, space.size, i)[0])
+            M[:free, i] = M[i, :free]
         self._exact = ~C.any(axis=1)
         exact = E[self._exact]
         size = WEIGHT * float(np.abs(np.diag(M)).mean()) / (1 + float((exact * exact).sum(0).max(initial=0.0)))
@@ -87,21 +99,6 @@ class DenseReduced:
         v = self._M.solve(r + self._weight * (self._E[self._exact].T @ e[self._exact]))
         v, nu = self._rows.project(v, self._rows.right(e))
         return v, nu[self._rows.directions :]
-
-    def _hessian(self, Phi: Array) -> Array:
-        space, kept = self._space, self._space.coefficients.count
-        M = np.empty((space.size, space.size))
-        sweeps = OpenLoop(space.A, space.B, Phi, space.breaks)
-        for i, block in enumerate(self._blocks):
-            W = self._signals[i] if self._signals is not None else self._signals_of(block)
-            starts = np.zeros((*space.zero.shape, W.shape[2]))
-            GW, of_starts, _, _ = sweeps.columns(starts, W)
-            M[block, :kept] = space.coefficients.analysis(GW)
-            M[block, kept : kept + space.continuity] = of_starts.reshape(-1, W.shape[2]).T
-        for i in range(kept, space.size):
-            M[i] = space.curvature(Phi, np.eye(1, space.size, i)[0])
-            M[:kept, i] = M[i, :kept]
-        return M
 
     def _signals_of(self, block: slice) -> Array:
         coefficients = self._space.coefficients
