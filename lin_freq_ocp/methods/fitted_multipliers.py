@@ -4,7 +4,7 @@ At a fixed point z of the program, with g = P z + q and N the normal cone of the
 
     minimise  1/2 |s|^2   subject to   s = g + A'y,   y in N:  y_i >= 0 at an active upper bound, <= 0 at a lower one,
                                        0 where neither is active, free for equations; in the polar of a second-order
-                                       cone, at a small price for what is not its normal at z.
+                                       cone, at a small price for components other than its normal at z.
 
 s = 0 iff z is extremal with eta_C = 1; else -s is a direction of descent that keeps the active constraints. The price
 is proportional to the gap -<y, A z - lower> of the cone, as the direction of a solver's point is wrong by the root of
@@ -155,8 +155,8 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     cone = _normal_cone(program, scaling.scaled_primal(linear.point(trajectory)), ACTIVE, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))
     if len(active) > MOST_GRADIENTS:
-        what = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"
-        raise UnsupportedError(f"uniqueness: got {what}.")
+        got = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"
+        raise UnsupportedError(f"uniqueness: got {got}.")
     gradients = (program.A.T @ cone.basis[:, active]).toarray()
     norms = np.linalg.norm(gradients, axis=0)
     with one_blas_thread():

@@ -114,7 +114,7 @@ def choose_method(problem: OptimalControlProblem, method: str | Method, keywords
                 raise UnsupportedError(_unused_option_message(option, value, method, family))
         fields = [shorthand.options[option] for option in options]
         if len(set(fields)) < len(fields):
-            raise UnsupportedError("gap: got one, and a tolerance, which is the same here; give one of them.")
+            raise UnsupportedError("gap: got a gap and a tolerance, which mean the same here; give one of them.")
         chosen = replace(shorthand.method, **dict(zip(fields, options.values(), strict=True)))
     else:
         if not isinstance(method, family.methods):
@@ -148,7 +148,7 @@ def saved_options(problem: OptimalControlProblem, name: str | Method, method: Me
 
 def _other_kind_message(name: str, family: Family) -> str:
     register_all()
-    kinds = " and ".join(other.kind for other in FAMILIES.values() if name in other.shorthands)
+    kinds = " and ".join(takes.kind for takes in FAMILIES.values() if name in takes.shorthands)
     known = ", ".join(map(repr, family.shorthands))
     return f"method: got {name!r}, which is for {kinds} dynamics; expected one of {known} for {family.kind} dynamics."
 

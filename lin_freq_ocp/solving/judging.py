@@ -32,7 +32,7 @@ def allowed_residual(tolerance: float | None) -> float:
 def judge_candidate(
     problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
 ) -> Outcome:
-    """Judge the point, ray or direction of a candidate; the status follows from what is proven."""
+    """Judge the point, ray or direction of a candidate; the status follows from the proof."""
     clock = now()
     status, message, certificate = candidate.status, candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:

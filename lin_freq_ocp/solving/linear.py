@@ -188,10 +188,10 @@ class Convex(_Linear):
         unproven = outcome.status in UNPROVEN or _is_practical(outcome)
         if outcome.interrupted or not (unproven or (backend == PROVER and _fails_conditions(outcome))):
             return outcome
-        for other in map(trial.judge_point, candidates):
-            accepted = other.interrupted or (_rank(other) > 0 and not _fails_conditions(other))
-            if accepted and not _is_practical(other):
-                return other
+        for further in map(trial.judge_point, candidates):
+            accepted = further.interrupted or (_rank(further) > 0 and not _fails_conditions(further))
+            if accepted and not _is_practical(further):
+                return further
         return outcome
 
 

@@ -227,5 +227,5 @@ class Outcome:
         levels = self.level_use
         lines += [] if levels is None else [f"levels    {levels}"]
         lines.append(f"method    {self.solver}" + (f": {self.reason}" if self.reason else ""))
-        lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
+        lines.append("time      " + ", ".join(f"{phase} {seconds:.3g} s" for phase, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])

@@ -106,7 +106,7 @@ def test_options_beside_an_object_are_refused():
         lfo.solve(PROBLEMS["linear"], lfo.solvers.Convex(), tolerance=0.1)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"gap: got 0.1 without a global bound"):
         lfo.solvers.Nonsmooth(global_bound=False, gap=0.1)
-    with pytest.raises(lfo.errors.UnsupportedError, match=r"gap: got one, and a tolerance"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"gap: got a gap and a tolerance"):
         lfo.solve(PROBLEMS["piecewise-affine"], tolerance=0.1, gap=0.1)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"method: got 3; expected a text"):
         lfo.solve(PROBLEMS["linear"], 3)

@@ -142,7 +142,7 @@ def _revise_units(solves: ScaledSolver, attempt: Attempt) -> Attempt:
 
 
 def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
-    """Yield candidates beside the best attempt until the time limit or Ctrl-C; ``natural`` are the expected units."""
+    """Yield candidates other than the best attempt until the time limit or Ctrl-C; ``natural``: the expected units."""
     if best.ended:
         return
     yield from _refine_point(solves, natural, best)
@@ -273,7 +273,7 @@ def structured_first(problem: OptimalControlProblem) -> str:
     """Return why the structured method comes before the sparse program; an empty text if it does not."""
     signals = problem.state_dim, problem.control_dim
     if any(len(term.map.places) and term.map.spectrum_form(*signals) is None for term in problem.terms):
-        return "frequencies of a mask that are close together cost the sparse program digits"
+        return "close frequencies of a mask cost the sparse program digits"
     rows, compiled = dense_rows(problem), find_spec("numba") is not None
     if rows.entries >= (DENSE_ENTRIES if compiled else PLAIN_ENTRIES):
         return f"the sparse program would have {rows.count} dense rows"

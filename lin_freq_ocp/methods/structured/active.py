@@ -89,13 +89,13 @@ def _refine(
 ) -> tuple[Array, Values, Errors] | None:
     """Return y and z with these active rows, refined until they reach the targets; None if refinement does not."""
     embedding = Embedding(system, responses.step, targets)
-    left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
+    residual = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
     for _ in range(REFINEMENTS):
-        dy, dz = responses.step.solve(-system.stages.h - system.curvature(y) - system.adjoint(z), left, False)
-        responses.activate(dy, dz, left, rows)
+        dy, dz = responses.step.solve(-system.stages.h - system.curvature(y) - system.adjoint(z), residual, False)
+        responses.activate(dy, dz, residual, rows)
         y, z = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
-        left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
-        s = {i: np.maximum(left[i], 0.0) * cone.present for i, cone in system.cones.items()}
+        residual = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
+        s = {i: np.maximum(residual[i], 0.0) * cone.present for i, cone in system.cones.items()}
         positive = [np.maximum(part, 0.0) if i in s else part for i, part in enumerate(z)]
         errors = embedding.measure(EmbeddedPoint(y, positive, s, 1.0, 0.0)).errors
         if errors.merit(targets) <= 1:
@@ -142,7 +142,7 @@ class RowResponses:
         return True
 
     def multipliers(self, rows: Indices, violation: Array) -> tuple[Array, Array]:
-        """Return lambda for violations G_A y_0 - g_A of prepared rows, and the change of the values of all rows."""
+        """Return lambda for violations G_A y_0 - g_A of cached rows, and the change of the values of all rows."""
         values = self._values[self._slots[rows]]
         multipliers = Cholesky(-values[:, rows]).solve(violation)
         return multipliers, multipliers @ values

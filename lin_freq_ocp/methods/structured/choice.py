@@ -107,7 +107,7 @@ def choose_kkt_solver(stages: Stages, loops: Loops) -> KKTSolver:
     seconds = sizes.seconds()
     if not seconds:
         raise UnsupportedError(
-            f"problem: got {sizes.rows} rows that couple times, of which {sizes.left} are no stop band of a control; "
+            f"problem: got {sizes.rows} rows that couple times, {sizes.left} of them no stop band of a control; "
             f"the structured method would need {1e-9 * sizes.range_space_bytes:.3g} GB of memory for them, and takes "
             f"up to {RANGE_SPACE_BYTES * 1e-9:.0f} GB. Choose a shorter horizon, or method='convex'."
         )

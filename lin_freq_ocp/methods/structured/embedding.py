@@ -46,7 +46,7 @@ INTERIOR = 1e-2  # distance of the first point to the boundary, relative to its 
 MOVED = 0.1  # of the size, the distance to which it is moved; at least 1
 RAY = 1e-9  # residual of a ray, relative to b'z or h'y, below which there is only rounding
 ROUGH_RAY = 1e-5  # the same where the iteration stalled
-EXPECTED = 3.0  # residual after a step, in units of what Newton's method leaves, from which systems are refined
+EXPECTED = 3.0  # residual after a step, relative to that of exact Newton steps, from which systems are refined
 LEAST_TERMS = 1e-4  # of the absolute terms of the objective at y = 1: the gap is relative to as much at least
 VANISHED = 1e-3  # tau, relative to kappa, below which a ray is accepted at ``RAY``
 LEAST_TAU = 1e-100  # below which a ray no longer improves; the square of a much smaller tau is zero

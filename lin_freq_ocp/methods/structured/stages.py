@@ -307,8 +307,8 @@ class SparseRows:
 
     def narrowed(self, used: Mask) -> SparseRows:
         """Return the rows on the used channels only."""
-        channels, place, indices = len(used), np.cumsum(used) - 1, self.matrix.indices.astype(np.intp)
-        columns = indices // channels * int(used.sum()) + place[indices % channels]
+        channels, position, indices = len(used), np.cumsum(used) - 1, self.matrix.indices.astype(np.intp)
+        columns = indices // channels * int(used.sum()) + position[indices % channels]
         shape = self.count, self.matrix.shape[1] // channels * int(used.sum())
         return SparseRows(sp.csr_array((self.matrix.data, columns, self.matrix.indptr), shape=shape))
 

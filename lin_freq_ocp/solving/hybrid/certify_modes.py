@@ -72,7 +72,7 @@ def _facts(certificate: Certificate) -> SwitchingFacts:
 
 
 def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
-    """Return what orders certificates: conditions, flips, other facts at boundaries, and the largest residual."""
+    """Return the order of certificates: conditions, flips, other facts at boundaries, and the largest residual."""
     facts = _facts(certificate)
     stationary = not certificate.failed, facts.flip_stationary, facts.elsewhere
     return *stationary, -len(facts.flips), -certificate.worst.relative

@@ -26,7 +26,7 @@ from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 
 COST_ROUNDING = 1e-15  # change of the cost, relative to the sum of its terms, that is rounding: steps end there
-AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: below what the judge allows
+AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge
 
 
 def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array, float] | None:
@@ -51,7 +51,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
             constraints.append(NonlinearConstraint(values, low[rows], high[rows], jac=slopes))
     if len(order):
         constraints.append(LinearConstraint(order, 0.0, np.inf))
-    found = minimize(
+    optimum = minimize(
         relative_cost,
         angles,
         jac=True,
@@ -60,7 +60,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
         constraints=constraints,
         options={"ftol": COST_ROUNDING, "maxiter": 200},
     )
-    at = np.clip(np.maximum.accumulate(found.x), 0.0, QUARTER)
+    at = np.clip(np.maximum.accumulate(optimum.x), 0.0, QUARTER)
     cost, _, values, _ = bound.at(steps, at)
     violation = float(np.maximum(low - values, values - high).max(initial=0.0))
     return None if violation > AMPLITUDE_VIOLATION else (at, cost)

@@ -70,7 +70,7 @@ class Kernels:
     def __init__(self, sources: tuple[str, ...], *signatures: tuple[Callable[..., object], tuple[types.Type, ...]]):
         """Compile nothing yet; ``sources`` are the files of the code, first the one that defines the functions."""
         self._sources = [Path(source) for source in sources]
-        self._kernels = [(cast("_Dispatcher", function), given) for function, given in signatures]
+        self._kernels = [(cast("_Dispatcher", function), signature) for function, signature in signatures]
         self._loaded = False
         self.registered.append(self)
 
@@ -103,9 +103,9 @@ class Kernels:
 
     def _load(self) -> None:
         """Compile each function, or load it from the cache."""
-        for kernel, given in self._kernels:
+        for kernel, signature in self._kernels:
             with suppress(OSError):  # the function is compiled, but the cache could not be written
-                kernel.compile(given)
+                kernel.compile(signature)
             kernel.disable_compile()
 
     @contextmanager

@@ -147,7 +147,7 @@ class RegulatorMap:
     """
 
     def __init__(self, gains: Gains, channels: Indices):
-        """Find the matrices of the blocks of the backward sweep."""
+        """Compute the matrices of the blocks of the backward sweep."""
         self._gains, self.channels = gains, channels
         self._free_cost = Cholesky(gains.P0[np.ix_(~gains.fixed, ~gains.fixed)])
         B, K = gains.B, gains.K
@@ -240,7 +240,7 @@ class OpenLoop:
     """
 
     def __init__(self, A: Array, B: Array, Phi: Array, breaks: Indices):
-        """Find the matrices of the blocks, none of which goes across a break."""
+        """Compute the matrices of the blocks; no block contains a break."""
         stages, n, k = B.shape
         self._times, self._first = self._partition(np.concatenate([[0], breaks, [stages]]), n, k)
         blocks, b = self._times.shape

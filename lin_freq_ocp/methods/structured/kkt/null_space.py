@@ -113,8 +113,8 @@ class Slacks:
         self._inner = _Elimination(Phi[:-1], self.core, self._slacks)
         self._end = _Elimination(Phi[-1:], self.core[self._left], self._last)
         end = np.eye(len(self.core))[None]
-        end[:, self._left[:, None], self._left] = self._end.left
-        return np.ascontiguousarray(np.concatenate([self._inner.left, end]))
+        end[:, self._left[:, None], self._left] = self._end.complement
+        return np.ascontiguousarray(np.concatenate([self._inner.complement, end]))
 
     def gradient(self, gradient: Array) -> Array:
         """Return a gradient (T+1, n+k) on the core."""
@@ -131,29 +131,29 @@ class Slacks:
 class _Elimination:
     """The elimination of some entries of all stages, by Schur complements."""
 
-    def __init__(self, Phi: Array, kept: Indices, gone: Indices):
-        self._kept, self._gone = kept, gone
-        self.left = np.ascontiguousarray(Phi[:, kept[:, None], kept])
-        if len(gone):
-            across = Phi[:, gone[:, None], kept]
-            self._own = Phi[:, gone[:, None], gone]
-            self._gain = np.linalg.solve(self._own, across)
-            self.left -= across.swapaxes(1, 2) @ self._gain
+    def __init__(self, Phi: Array, core: Indices, eliminated: Indices):
+        self._core, self._eliminated = core, eliminated
+        self.complement = np.ascontiguousarray(Phi[:, core[:, None], core])
+        if len(eliminated):
+            across = Phi[:, eliminated[:, None], core]
+            self._block = Phi[:, eliminated[:, None], eliminated]
+            self._gain = np.linalg.solve(self._block, across)
+            self.complement -= across.swapaxes(1, 2) @ self._gain
 
     def gradient(self, gradient: Array) -> Array:
         """Return the gradient on the remaining entries."""
-        left = gradient[:, self._kept]
-        if len(self._gone):
-            left = left - np.einsum("tsc,ts->tc", self._gain, gradient[:, self._gone])
-        return left
+        remaining = gradient[:, self._core]
+        if len(self._eliminated):
+            remaining = remaining - np.einsum("tsc,ts->tc", self._gain, gradient[:, self._eliminated])
+        return remaining
 
-    def recovered(self, kept: Array, gradient: Array) -> Array:
+    def recovered(self, core: Array, gradient: Array) -> Array:
         """Return all entries."""
         y = np.empty_like(gradient)
-        y[:, self._kept] = kept
-        if len(self._gone):
-            free = np.linalg.solve(self._own, gradient[:, self._gone, None])[:, :, 0]
-            y[:, self._gone] = -free - np.einsum("tsc,tc->ts", self._gain, kept)
+        y[:, self._core] = core
+        if len(self._eliminated):
+            free = np.linalg.solve(self._block, gradient[:, self._eliminated, None])[:, :, 0]
+            y[:, self._eliminated] = -free - np.einsum("tsc,tc->ts", self._gain, core)
         return y
 
 
@@ -223,45 +223,45 @@ class Coefficients:
         self.horizon = stages.horizon
         self._scale = unit_scale(self.horizon)
         self._bands = [(int(np.flatnonzero(controls == band.entry)[0]), band) for band in bands]
-        self._kept: list[Indices | None] = []
+        self._free: list[Indices | None] = []
         for j in range(len(controls)):
             stopped = [band.coefficients for control, band in self._bands if control == j]
             exist = self._scale > 0
             for part in stopped:
                 exist[part] = False
-            self._kept.append(np.flatnonzero(exist) if stopped else None)
-        counts = [self.horizon + 1 if kept is None else len(kept) for kept in self._kept]
+            self._free.append(np.flatnonzero(exist) if stopped else None)
+        counts = [self.horizon + 1 if free is None else len(free) for free in self._free]
         self._ends = np.cumsum([0, *counts])
         self.count = int(self._ends[-1])
         self.stop_rows = np.concatenate([np.zeros(0, dtype=np.intp), *(band.rows for band in bands)])
-        self.banded = np.array([kept is not None for kept in self._kept], dtype=bool)
+        self.banded = np.array([free is not None for free in self._free], dtype=bool)
 
     def analysis(self, w: Array) -> Array:
         """Return N'w, (m, count), for signals (T+1, controls, m)."""
         z = np.empty((w.shape[2], self.count))
-        for j, kept in enumerate(self._kept):
+        for j, free in enumerate(self._free):
             part = z[:, self._ends[j] : self._ends[j + 1]]
-            if kept is None:
+            if free is None:
                 part[:] = w[:, j].T
             else:
                 signals = np.ascontiguousarray(w[:-1, j].T)
-                np.multiply(self._transform(signals)[:, kept], self._scale[kept], out=part)
+                np.multiply(self._transform(signals)[:, free], self._scale[free], out=part)
         return z
 
     def synthesis(self, z: Array) -> Array:
         """Return N z, (T+1, controls, m), for coefficients (m, count)."""
-        w = np.zeros((self.horizon + 1, len(self._kept), len(z)))
-        for j, kept in enumerate(self._kept):
+        w = np.zeros((self.horizon + 1, len(self._free), len(z)))
+        for j, free in enumerate(self._free):
             part = z[:, self._ends[j] : self._ends[j + 1]]
-            if kept is None:
+            if free is None:
                 w[:, j] = part.T
             else:
-                w[:-1, j] = self._signals(kept, part).T
+                w[:-1, j] = self._signals(free, part).T
         return w
 
     def particular(self, f: Array) -> Array:
         """Return u_p (T+1, controls), which satisfies the stop bands, F u_p = f, and has no free coefficients."""
-        w = np.zeros((self.horizon + 1, len(self._kept)))
+        w = np.zeros((self.horizon + 1, len(self._free)))
         for j, band in self._bands:
             values = f[band.rows] / band.gain
             if values.any():
@@ -276,10 +276,10 @@ class Coefficients:
 
     def stopped(self, j: int, signals: Array) -> Array:
         """Return signals (m, T) of a control without their free coefficients."""
-        kept = self._kept[j]
-        if kept is None:
+        free = self._free[j]
+        if free is None:
             return np.zeros_like(signals)
-        return signals - self._signals(kept, self._transform(signals)[:, kept] * self._scale[kept])
+        return signals - self._signals(free, self._transform(signals)[:, free] * self._scale[free])
 
     @staticmethod
     def _transform(signals: Array) -> Array:
@@ -306,9 +306,9 @@ class NullSpace:
         self._starts = self.coefficients.count + len(self.breaks) * self.states
         self.size = self._starts + len(self.free)
         self.terminal, self._rest = stages.coupling.terminal, rest
-        place = np.full(stages.H.shape[1], -1)
-        place[slacks.core] = np.arange(len(slacks.core))
-        self._channels = place[stages.coupling.channels]
+        position = np.full(stages.H.shape[1], -1)
+        position[slacks.core] = np.arange(len(slacks.core))
+        self._channels = position[stages.coupling.channels]
         self.continuity = len(self.breaks) * self.states
         self.counts = [self.continuity, len(self.terminal), *(len(part.at) for part in rest)]
         self.row_count = sum(self.counts)
@@ -318,12 +318,12 @@ class NullSpace:
 
     def simulate(self, v: Array, y: Array | None = None, c: Array | None = None) -> tuple[Array, Array]:
         """Add the controls of v to y (T+1, nz), write its states, and return it with the ends (K, n)."""
-        n, kept = self.states, self.coefficients.count
+        n, count = self.states, self.coefficients.count
         if y is None:
             y = np.zeros((self.horizon + 1, n + self.controls))
-        y[:, n:] += self.coefficients.synthesis(v[None, :kept])[:, :, 0]
+        y[:, n:] += self.coefficients.synthesis(v[None, :count])[:, :, 0]
         y[0, self.free] = v[self._starts :]
-        starts = np.ascontiguousarray(v[kept : self._starts]).reshape(self.zero.shape)
+        starts = np.ascontiguousarray(v[count : self._starts]).reshape(self.zero.shape)
         return y, self.loops.forward(self.A, self.B, self._still if c is None else c, self.breaks, starts, y)
 
     def gradient(self, of_y: Array, prices: Array | None = None) -> Array:

@@ -62,9 +62,9 @@ class DenseReduced:
 
     def __init__(self, space: NullSpace):
         self._space, self._E, self._noise = space, space.rows(), Noise(space)
-        kept = space.coefficients.count
-        self._blocks = [slice(a, min(kept, a + COLUMNS)) for a in range(0, kept, COLUMNS)]
-        cached = 8 * (space.horizon + 1) * space.controls * kept <= CACHED_BYTES
+        count = space.coefficients.count
+        self._blocks = [slice(a, min(count, a + COLUMNS)) for a in range(0, count, COLUMNS)]
+        cached = 8 * (space.horizon + 1) * space.controls * count <= CACHED_BYTES
         self._signals = [self._signals_of(block) for block in self._blocks] if cached else None
 
     def factor(self, Phi: Array, C: Array) -> bool:
@@ -199,12 +199,14 @@ def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Larg
     limit = np.concatenate(limits)
     chosen = np.argsort(limit / peeled.weights)[:most]
     chosen = np.sort(chosen[peeled.weights[chosen] > limit[chosen] * (1 + LEAST_REST)])
-    left = peeled.weights.copy()
-    left[chosen] = limit[chosen]
+    clipped_weights = peeled.weights.copy()
+    clipped_weights[chosen] = limit[chosen]
     clipped = Phi.copy()
     clipped[:-1] = rest
-    np.add.at(clipped, peeled.times, np.einsum("k,ka,kb->kab", left, peeled.directions, peeled.directions))
-    return clipped, LargeWeights(peeled.times[chosen], peeled.directions[chosen], (peeled.weights - left)[chosen])
+    np.add.at(clipped, peeled.times, np.einsum("k,ka,kb->kab", clipped_weights, peeled.directions, peeled.directions))
+    return clipped, LargeWeights(
+        peeled.times[chosen], peeled.directions[chosen], (peeled.weights - clipped_weights)[chosen]
+    )
 
 
 class TwoLevel:
@@ -228,15 +230,15 @@ class TwoLevel:
         right = self._rows.right(e)
         zero = np.zeros_like(right)
         v, nu = self._rows.project(np.zeros_like(r), right) if e.any() else (np.zeros_like(r), zero.copy())
-        left = r - self._apply(v, nu) if nu.any() else r.copy()
+        residual = r - self._apply(v, nu) if nu.any() else r.copy()
         target, direction, of_rows = REDUCTION * largest([r]), np.zeros_like(r), zero
         slope, least, since, iterations = 1.0, np.inf, 0, 0
-        while (error := largest([left])) > target and iterations < MOST_ITERATIONS:
+        while (error := largest([residual])) > target and iterations < MOST_ITERATIONS:
             least, since = (error, iterations) if error < least else (least, since)
             if iterations - since > PATIENCE:
                 break
-            step, prices = self._rows.project(self._second.solve(left), zero)
-            slope, before = float(left @ step), slope
+            step, prices = self._rows.project(self._second.solve(residual), zero)
+            slope, before = float(residual @ step), slope
             beta = slope / before if iterations else 0.0
             direction, of_rows = step + beta * direction, prices + beta * of_rows
             bent = self._apply(direction, of_rows)
@@ -245,7 +247,7 @@ class TwoLevel:
                 break
             v += slope / curvature * direction
             nu += slope / curvature * of_rows
-            left -= slope / curvature * bent
+            residual -= slope / curvature * bent
             iterations += 1
         self.iterations.append(iterations)
         return v, nu[self._rows.directions :]
@@ -296,10 +298,10 @@ class SecondLevel:
 
     def solve(self, r: Array) -> Array:
         """Return the approximate M^-1 r."""
-        space, n, kept = self._space, self._space.states, self._space.coefficients.count
+        space, n, count = self._space, self._space.states, self._space.coefficients.count
         gradient = np.zeros((len(self._A), n + space.controls))
-        gradient[self._at, n:] = -space.coefficients.synthesis(r[None, :kept])[:, :, 0]
-        starts, first = np.split(-r[kept:], [space.continuity])
+        gradient[self._at, n:] = -space.coefficients.synthesis(r[None, :count])[:, :, 0]
+        starts, first = np.split(-r[count:], [space.continuity])
         gradient[self._starts, :n] = starts.reshape(-1, n)
         gradient[0, space.free] += first
         y, _, _ = self._regulator.solve(gradient, self._still, self._still[0])
@@ -308,20 +310,20 @@ class SecondLevel:
 
     def solve_many(self, rows: Array) -> Array:
         """Return the approximate M^-1 of rows (count, size), as rows."""
-        space, n, kept = self._space, self._space.states, self._space.coefficients.count
+        space, n, count = self._space, self._space.states, self._space.coefficients.count
         solutions = np.empty_like(rows)
         controls, states = slice(-space.controls, None), slice(0, n)
         for a in range(0, len(rows), self._block):
             part = rows[a : a + self._block]
             R = np.zeros((len(self._A), len(self._entries), len(part)))
-            R[self._at, controls] = space.coefficients.synthesis(part[:, :kept])
+            R[self._at, controls] = space.coefficients.synthesis(part[:, :count])
             if len(self._entries) > space.controls:
-                R[self._starts, states] = part[:, kept : kept + space.continuity].T.reshape(-1, n, len(part))
-                R[0, space.free] += part[:, kept + space.continuity :].T
+                R[self._starts, states] = part[:, count : count + space.continuity].T.reshape(-1, n, len(part))
+                R[0, space.free] += part[:, count + space.continuity :].T
             Y, _ = self._regulator.responses(self._entries, R, np.zeros((n, len(part))))
             solution = solutions[a : a + self._block]
-            solution[:, :kept] = -space.coefficients.analysis(Y[self._at, controls])
+            solution[:, :count] = -space.coefficients.analysis(Y[self._at, controls])
             if len(self._entries) > space.controls:
-                solution[:, kept : kept + space.continuity] = -Y[self._starts, states].reshape(-1, len(part)).T
-                solution[:, kept + space.continuity :] = -Y[0, space.free].T
+                solution[:, count : count + space.continuity] = -Y[self._starts, states].reshape(-1, len(part)).T
+                solution[:, count + space.continuity :] = -Y[0, space.free].T
         return solutions

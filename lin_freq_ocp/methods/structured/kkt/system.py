@@ -177,15 +177,15 @@ class StepSystem:
         if not refined:
             return y, z
         target = REFINED * largest([of_y, *of_z])
-        left = self._residual(of_y, of_z, y, z)
-        error = largest([left[0], *left[1]])
+        residual = self._residual(of_y, of_z, y, z)
+        error = largest([residual[0], *residual[1]])
         for _ in range(REFINEMENTS):
             if error <= target:
                 break
-            dy, dz = self._solve_once(*left)
+            dy, dz = self._solve_once(*residual)
             better = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
-            left = self._residual(of_y, of_z, *better)
-            after = largest([left[0], *left[1]])
+            residual = self._residual(of_y, of_z, *better)
+            after = largest([residual[0], *residual[1]])
             if not after < error:
                 break
             (y, z), error = better, after
@@ -220,10 +220,10 @@ class StepSystem:
 
     def _residual(self, of_y: Array, of_z: Values, y: Array, z: Values) -> tuple[Array, Values]:
         system = self.system
-        left = [right - rows for right, rows in zip(of_z, system.rows(y), strict=True)]
+        residual = [right - rows for right, rows in zip(of_z, system.rows(y), strict=True)]
         for i, cone in system.cones.items():
-            left[i] += cone.scaled(z[i], 2)
-        return of_y - system.curvature(y) - system.adjoint(z), left
+            residual[i] += cone.scaled(z[i], 2)
+        return of_y - system.curvature(y) - system.adjoint(z), residual
 
     def _ball_cones(self) -> list[Cone]:
         return [self.system.cones[BALLS + i] for i in range(len(self.system.coupling.balls))]
