@@ -59,7 +59,7 @@ def best_multipliers(
             if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
                 break  # no other multipliers can help
     except NumericalError:
-        if best is None:
+        if first is None:
             raise
     assert best is not None  # there are candidates, or an error
     return best

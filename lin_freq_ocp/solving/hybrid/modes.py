@@ -79,7 +79,7 @@ class TreeCache(SearchCache):
     """The relaxations of a search, and a cover of the sequences of the next step."""
 
     def __init__(self):
-        self._base_of_last: OptimalControlProblem | None = None  # from which the last one differs in its start alone
+        self._last: OptimalControlProblem | None = None  # the base of the last search
         self._relaxation: ModeRelaxation | None = None
         self._cover: Sequence[CoverNode] = ()
         self._base: OptimalControlProblem | None = None
@@ -98,7 +98,7 @@ class TreeCache(SearchCache):
     ) -> SearchOutcome:
         """Search with the relaxations and the cover of the last search, and cache those of this one."""
         relaxation, cover = self._relaxation, self._cover
-        if relaxation is not None and self._base is not None and self._base is self._base_of_last:
+        if relaxation is not None and self._base is not None and self._base is self._last:
             search = TreeSearch(problem, limits, progress, relaxation.moved, compiled_from=0)
         else:
             search = TreeSearch(problem, limits, progress, compiled_from=0)
@@ -106,11 +106,7 @@ class TreeCache(SearchCache):
         self._cover, self.solved = (), 0  # in case the search fails
         outcome = search.run(start, cover=cover)
         self.solved = outcome.nodes
-        self._base_of_last, self._relaxation, self._cover = (
-            self._base,
-            search.final_relaxation,
-            search.cover_after_step(),
-        )
+        self._last, self._relaxation, self._cover = self._base, search.final_relaxation, search.cover_after_step()
         return outcome
 
 
@@ -242,9 +238,8 @@ class MixedInteger:
         if claim.cost is not None and certificate is not None:
             agreed = abs(claim.cost - certificate.cost) <= max(limits.gap, AGREEMENT) * certificate.cost_scale
         if result.status == Status.OPTIMAL and not agreed:
-            return replace(
-                result, message=f"{backend} ended with {claimed} ('{claim.message}'), the optimum is {proven}"
-            )
+            message = f"{backend} ended with {claimed} ('{claim.message}'), the optimum is {proven}"
+            return replace(result, message=message)
         return result
 
 
@@ -259,12 +254,8 @@ def _judge_search(
     """Return the outcome of a search: its best sequence solved alone, and its tree checked leaf by leaf."""
     clock = now()
     left = max(end - clock, LEAST_PROOF_SECONDS)
-    end = clock + left
-    point = (
-        None
-        if outcome.sequence is None
-        else _solve_sequence(problem, outcome.sequence, None if left == np.inf else left)
-    )
+    end, limit = clock + left, None if left == np.inf else left
+    point = None if outcome.sequence is None else _solve_sequence(problem, outcome.sequence, limit)
     certificate = None if point is None else point[2]
     proof = tree_bound(problem, outcome.tree, end)
     unproven = now() > end

@@ -137,18 +137,16 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum) -> Judge
     affine = problem.affine_at(local.trajectory)
     first = weighted(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
-    coarse = local.trajectory, multipliers, certificate
+    plain = local.trajectory, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):
-        return coarse
+        return plain
     try:
         run = newton(problem, local.trajectory, multipliers, local.sequence)
     except UnsupportedError:
-        return coarse
+        return plain
     after = judge(problem, run.trajectory, run.multipliers)
     refined = run.trajectory, run.multipliers, after
-    return min(
-        coarse, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative)
-    )
+    return min(plain, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
 
 
 def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | None) -> Judged | None:
