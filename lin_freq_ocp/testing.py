@@ -340,7 +340,7 @@ def _conic_value(penalty: Penalty, v: Array) -> float:
     # One more variable, with a square and no row: the program is not empty where the form has no slacks
     A = sp.csc_array(sp.hstack([form.slacks, sp.csc_array((len(values), 1))]))
     prices, lower, upper = np.append(form.prices, 0.0), form.lower - values, form.upper - values
-    program = Program(sp.csc_array(sp.diags_array(last)), prices, 0.0, A, lower, upper, {}, form.cones)
+    program = Program(sp.csc_array(sp.diags_array(last)), prices, A, lower, upper, cones=form.cones)
     solution = backend("clarabel")(program, ROUNDING, None)
     return float(prices @ solution.z) if solution.claim is Claim.SOLVED and solution.z is not None else np.inf
 

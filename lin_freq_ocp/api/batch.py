@@ -23,8 +23,8 @@ from lin_freq_ocp.batch.sweep import SweepOutcome, run_sweep
 from lin_freq_ocp.files.batch_files import ManyFile, SweepFile, read_sweep, save_sweep_csv
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.solving.solver_cache import Change
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -15,6 +16,11 @@ _read_processor: Callable[[], float] = time.process_time
 def now() -> float:
     """Return the seconds that the clock shows; only differences mean something."""
     return _read()
+
+
+def seconds_left(end: float) -> float | None:
+    """Return the seconds from now to the end, which is a reading of ``now``; LEAST_SECONDS at least, None for inf."""
+    return None if end == math.inf else max(end - now(), LEAST_SECONDS)
 
 
 def processor_now() -> float:

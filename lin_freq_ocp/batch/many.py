@@ -25,8 +25,8 @@ from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.solving.solver_cache import Change
 
 UNSOLVED = "unsolved"  # status of what Ctrl-C left
 
@@ -278,7 +278,7 @@ def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict
     if not judged_together(again.problem):
         return {}, False
     started = now()
-    located = again.located(next(iter(changes.values())).of(again.problem))
+    located = again.located(next(iter(changes.values())).apply(again.problem))
     if located.kept is None:
         return {}, False
     translation, starts = located.translation, np.array(states, dtype=np.float64) - located.origin

@@ -18,13 +18,13 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
 from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.solving.families import chosen, saved_options
-from lin_freq_ocp.solving.judging import judged
-from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
+from lin_freq_ocp.solving.families import choose_method, saved_options
+from lin_freq_ocp.solving.judging import judge_candidate
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solve import require_options, restored_outcome, solve_translated
+from lin_freq_ocp.solving.solve import require_options, restore_outcome, solve_translated
+from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
 TRAVEL = 100.0  # largest moves of a state after which states are counted from where it has come to
@@ -36,7 +36,7 @@ class Located:
     def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, origin: Array, linear: bool):
         base = problem.with_ends(changed.initial_state) if origin.any() else problem
         self.translation = translated_by(base, origin)
-        self.kept = Kept(self.translation.problem) if linear else None
+        self.kept = SolverCache(self.translation.problem) if linear else None
         self.exclusions = deque[Exclusion](maxlen=KEPT_RAYS)
 
     @property
@@ -78,8 +78,8 @@ class PlannedStart:
         """Return the judged outcome."""
         problem = self.translation.problem.with_ends(self.plan.start)
         base = self.translation.given.with_ends(self.plan.start + self.translation.origin)
-        outcome = judged(problem, self.plan.candidate(problem), "condensed", None, tolerance)
-        return restored_outcome(Translation(base, problem, self.translation.origin), outcome, tolerance)
+        outcome = judge_candidate(problem, self.plan.candidate(problem), "condensed", None, tolerance)
+        return restore_outcome(Translation(base, problem, self.translation.origin), outcome, tolerance)
 
 
 def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, tuple[float, float]]:
@@ -104,7 +104,7 @@ class Repeated:
         require_problem(problem)
         require_options(method, tolerance=tolerance)
         self.problem, self.name = problem, method
-        self.method = chosen(problem, method, {"tolerance": tolerance})
+        self.method = choose_method(problem, method, {"tolerance": tolerance})
         self._located: Located | None = None
         self._moves = np.zeros(problem.state_dim)  # of each state, the largest in a solve until now
 
@@ -154,7 +154,7 @@ class Repeated:
         located = self._located
         if located is None or not located.exclusions or not change.starts_elsewhere:
             return False
-        start = change.of(self.problem).initial_box
+        start = change.apply(self.problem).initial_box
         return bool(start.fixed.all()) and any(one.excludes(start.lower - located.origin) for one in located.exclusions)
 
     def keep(self, outcome: Outcome) -> None:
@@ -174,21 +174,21 @@ class Repeated:
     ) -> Outcome:
         """Solve the changed problem, from a start and a tree if the method takes them, and judge the answer."""
         require_options(self.name, time_limit=time_limit)
-        problem = change.of(self.problem)
+        problem = change.apply(self.problem)
         located = self.located(problem)
         change = located.translated(change, problem)
-        translation = Translation(problem, change.of(located.translation.problem), located.origin)
-        again = None if located.kept is None else (located.kept, change)
+        translation = Translation(problem, change.apply(located.translation.problem), located.origin)
+        cached = None if located.kept is None else (located.kept, change)
         if located.kept is not None and start is not None:
-            located.kept.prepared.near = translation.translated(start)
+            located.kept.stage_cache.warm_start = translation.translated(start)
         begin = start_of(problem, start) if start is not None and self.method.takes_start else None
         limit = np.inf if time_limit is None else time_limit
         if tree is not None:
-            tree.begins(located.translation.problem if change.starts_elsewhere else None)
+            tree.set_base(located.translation.problem if change.starts_elsewhere else None)
         tolerance: float | None = getattr(self.method, "tolerance", None)
-        request = Request(limit, tolerance, start=begin, again=again, tree=tree)
+        request = Request(limit, tolerance, start=begin, cached=cached, tree=tree)
         outcome = solve_translated(self.method, translation, request)
-        outcome = restored_outcome(translation, outcome, tolerance)
+        outcome = restore_outcome(translation, outcome, tolerance)
         if outcome.status.solved and outcome.trajectory is not None:
             self._moves = np.maximum(self._moves, np.ptp(outcome.trajectory.x, axis=0))
         return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})

@@ -37,11 +37,11 @@ from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.solving.hybrid.modes import KeptTree
+from lin_freq_ocp.solving.hybrid.modes import TreeCache
 from lin_freq_ocp.solving.judging import allowed_residual
-from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solver_cache import Change
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
 
@@ -79,7 +79,7 @@ class Controller:
         self._problem = free_first_state(problem)
         self._hard = Repeated(self._problem, method)
         self._soft = Repeated(soften(self._problem, self.penalties), method) if self.penalties else None
-        self._trees = {one: KeptTree() for one in (self._hard, self._soft) if one is not None}
+        self._trees = {one: TreeCache() for one in (self._hard, self._soft) if one is not None}
         self._remembers, self._method, self._limit = depends_on_past(problem), method, time_limit
         self._later = certify == "later"
         self._steps: list[Step] = []

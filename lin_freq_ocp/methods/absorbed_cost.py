@@ -17,7 +17,6 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import with_columns
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -81,19 +80,16 @@ def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
         control_names=problem.control_names,
     )
     free = np.full(k, np.inf)
-    further = augment_states(problem, dynamics, Box(-free, free), -free, _output_cost(problem, response), weight=1.0)
+    # the part of the cost that stays one of the given outputs and controls
+    cost, n, m = problem.quadratic, problem.state_dim, problem.control_dim
+    x_ref = np.broadcast_to(cost.x_ref, (problem.horizon + 1, n))[:-1]
+    remaining, moved = (np.zeros((n, n)), cost.Q) if response.closed else (cost.Q, np.zeros((n, n)))
+    deviation = (response.base[:-1] - x_ref) @ moved, (response.base[:-1] - x_ref) @ cost.S
+    q, r = cost.q - cost.u_ref @ cost.S.T + deviation[0], cost.r - cost.u_ref @ cost.R + deviation[1]
+    none = {"R": np.zeros((m, m)), "S": np.zeros((n, m)), "u_ref": np.zeros(m)}
+    output_cost = replace(cost, Q=remaining, q=q, r=r, **none)
+    further = augment_states(problem, dynamics, Box(-free, free), -free, output_cost, weight=1.0)
     return AbsorbedCost(problem, further, response, curvature)
 
 
 ABSORBED_COST = Reduction(absorbed_cost)
-
-
-def _output_cost(problem: OptimalControlProblem, response: Response) -> QuadraticCost:
-    """Return the part of the cost that stays one of the given outputs and controls."""
-    cost, n, m = problem.quadratic, problem.state_dim, problem.control_dim
-    x_ref, u_ref = np.broadcast_to(cost.x_ref, (problem.horizon + 1, n))[:-1], cost.u_ref
-    kept, moved = (np.zeros((n, n)), cost.Q) if response.closed else (cost.Q, np.zeros((n, n)))
-    g = response.base[:-1]
-    q = cost.q - u_ref @ cost.S.T + (g - x_ref) @ moved
-    r = cost.r - u_ref @ cost.R + (g - x_ref) @ cost.S
-    return replace(cost, Q=kept, R=np.zeros((m, m)), S=np.zeros((n, m)), q=q, r=r, u_ref=np.zeros(m))

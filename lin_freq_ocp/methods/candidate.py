@@ -1,6 +1,6 @@
-"""What is asked of every method, what it returns, and what it checks first.
+"""The options and the answer of every method for linear dynamics, and the checks before it begins.
 
-A candidate is a point with multipliers, or a ray: measured by the method, judged elsewhere.
+A candidate is a point with multipliers, or a ray: the method measures it, and the judge decides.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import NO_BOUND
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.response_curvature import require_convex_bins
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -21,7 +22,7 @@ SOLVED_TOLERANCE = 1e-6  # relative residuals up to which a method's "solved" is
 
 @dataclass(frozen=True)
 class SolveOptions:
-    """What is asked of a method for linear dynamics, beside the problem.
+    """The options of a method for linear dynamics.
 
     Attributes
     ----------
@@ -30,7 +31,7 @@ class SolveOptions:
     time_limit : float or None
         Seconds from the call on.
     compiled : bool or None
-        Whether loops are compiled; None: where that pays.
+        Whether loops are compiled; None: where compilation saves time.
     """
 
     tolerance: float | None = None
@@ -43,9 +44,9 @@ DEFAULTS = SolveOptions()
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """What a method found, measured but not judged."""
+    """The answer of a method, measured but not judged: its status is a claim, which the judge verifies."""
 
-    status: str  # "optimal", "infeasible" (claimed), "unbounded", "limit" or "numerical_error"
+    status: Status
     trajectory: Trajectory | None = None
     multipliers: Multipliers | None = None
     ray: Multipliers | None = None  # claimed Farkas ray
@@ -53,7 +54,7 @@ class Candidate:
     message: str = ""  # the backend's own status, or why the method stopped
     seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
     interrupted: bool = False  # by Ctrl-C
-    descent: Trajectory | None = None  # if unbounded: a claimed direction (dx, du) of unlimited descent
+    descent: Trajectory | None = None  # if unbounded: the claimed direction (dx, du) of descent
 
 
 def require_convex(problem: OptimalControlProblem) -> None:
@@ -86,7 +87,7 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
             row = int(np.argmax(violation))
             if violation[row] <= 0:
                 continue
-            weights = {one.name: np.zeros(one.shape) for one in problem.terms}
+            weights = {term.name: np.zeros(term.shape) for term in problem.terms}
             weights[term.name][k, row] = 1.0
             mu = np.zeros((T + 1, n))
             mu[t] = -C[row]
@@ -95,7 +96,7 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
 
 
 def zero_multipliers(problem: OptimalControlProblem, eta_C: float) -> Multipliers:
-    """Return multipliers of which only that of the cost may not be zero."""
+    """Return multipliers that are zero but for eta_C."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     rho_u, rho_x = (np.zeros(stop.shape) for stop in (problem.control_stop, problem.state_stop))
     return Multipliers(eta_C, np.zeros((T, n)), np.zeros((T + 1, n)), np.zeros((T, m)), rho_u, rho_x)

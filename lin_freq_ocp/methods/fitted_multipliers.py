@@ -1,13 +1,14 @@
-"""Multipliers for a trajectory that came without any: those that violate the maximum principle least.
+"""Multipliers for a trajectory without any: those that violate the maximum principle least.
 
 At a fixed point z of the program, with g = P z + q and N the normal cone of the constraints that are active there,
 
     minimise  1/2 |s|^2   subject to   s = g + A'y,   y in N:  y_i >= 0 at an active upper bound, <= 0 at a lower one,
                                        0 where neither is active, free for equations; in the polar of a second-order
-                                       cone, at a small price for what is not its normal at z.
+                                       cone, at a small price for components other than its normal at z.
 
 s = 0 iff z is extremal with eta_C = 1; else -s is a direction of descent that keeps the active constraints. The price
-is that of the gap -<y, A z - lower> of a cone: a solver's point has a direction that is wrong by the root of its gap.
+is proportional to the gap -<y, A z - lower> of the cone, as the direction of a solver's point is wrong by the root of
+its gap.
 """
 
 from __future__ import annotations
@@ -17,26 +18,26 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.methods.convex.polish import consecutive
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
-from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.program.program import Program, rows_of
 from lin_freq_ocp.program.units import scaled_program
 
-ACTIVE = 1e-6  # distance to a bound, on a program scaled to order 1, at which it is active; other tools stop near 1e-8
-GAP_PRICE = 1e-3  # of a cone's gap, against squares of residuals: gaps are squares of errors in direction
-NONTRIVIAL = 1e-6  # largest entry up to which abnormal multipliers are zero; the linear program would make it 1
+ACTIVE = 1e-6  # distance to a bound, on a program scaled to order 1, at which it is active; solvers stop near 1e-8
+GAP_PRICE = 1e-3  # of the gap of a cone, relative to squares of residuals: a gap is the square of an error in direction
+NONTRIVIAL = 1e-6  # largest entry of abnormal multipliers that are zero; otherwise the linear program makes it 1
 DEPENDENT = 1e-10  # relative singular value of the normalised active gradients that is zero
 MOST_GRADIENTS = 2000  # more take more than a few seconds
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The best normal multipliers, and the direction that shows where they fail."""
+    """The best normal multipliers, and the direction of descent if they fail."""
 
     multipliers: Multipliers
     descent: Trajectory
@@ -51,6 +52,11 @@ class _NormalCone:
     upper: Array
     polars: tuple[slice, ...]
     prices: Array
+
+    @property
+    def in_polars(self) -> Indices:
+        """Return the entries of w in polar cones."""
+        return rows_of(self.polars)
 
 
 def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, near: float = ACTIVE) -> Fit:
@@ -67,18 +73,17 @@ def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Arra
     variables, count = program.A.shape[1], len(cone.lower)
     gradient = program.P @ z + program.q
     bounded = np.flatnonzero(np.isfinite(cone.lower) | np.isfinite(cone.upper))
-    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.polars] or [np.zeros(0, dtype=int)])
     identity, unit = sp.eye_array(variables), sp.eye_array(count, format="csr")
     fitting = Program(
         P=sp.csc_array(sp.block_diag([sp.csc_array((count, count)), identity])),
         q=np.concatenate([cone.prices, np.zeros(variables)]),
-        constant=0.0,
         A=sp.csc_array(
-            sp.block_array([[-(program.A.T @ cone.basis), identity], [unit[bounded], None], [-unit[curved], None]])
+            sp.block_array(
+                [[-(program.A.T @ cone.basis), identity], [unit[bounded], None], [-unit[cone.in_polars], None]]
+            )
         ),
-        lower=np.concatenate([gradient, cone.lower[bounded], np.zeros(len(curved))]),
-        upper=np.concatenate([gradient, cone.upper[bounded], np.full(len(curved), np.inf)]),
-        rows={},
+        lower=np.concatenate([gradient, cone.lower[bounded], np.zeros(len(cone.in_polars))]),
+        upper=np.concatenate([gradient, cone.upper[bounded], np.full(len(cone.in_polars), np.inf)]),
         cones=consecutive(cone.polars, variables + len(bounded)),
     )
     solution = backend("clarabel")(fitting, DEFAULT_TOLERANCE, None)
@@ -105,17 +110,16 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
     sizes, either = rng.uniform(0.5, 1.0, count), rng.choice([-1.0, 1.0], count)
     gradients = sp.csc_array(program.A.T @ cone.basis)
     sizes = np.where(abs(gradients).sum(0) > 0, sizes, 0.0)  # the radius of a ball has no gradient
-    curved = np.concatenate([np.arange(part.start, part.stop) for part in cone.polars] or [np.zeros(0, dtype=int)])
     identity = sp.eye_array(count, format="csr")
     for sign in (1.0, -1.0):
         search = Program(
             P=sp.csc_array((count, count)),
             q=cone.prices - sizes * np.where(free, sign * either, signs),
-            constant=0.0,
-            A=sp.csc_array(sp.vstack([gradients, identity, -identity[curved]])),
-            lower=np.concatenate([np.zeros(variables), np.clip(cone.lower, -1, 0), np.zeros(len(curved))]),
-            upper=np.concatenate([np.zeros(variables), np.clip(cone.upper, 0, 1), np.full(len(curved), np.inf)]),
-            rows={},
+            A=sp.csc_array(sp.vstack([gradients, identity, -identity[cone.in_polars]])),
+            lower=np.concatenate([np.zeros(variables), np.clip(cone.lower, -1, 0), np.zeros(len(cone.in_polars))]),
+            upper=np.concatenate(
+                [np.zeros(variables), np.clip(cone.upper, 0, 1), np.full(len(cone.in_polars), np.inf)]
+            ),
             cones=consecutive(cone.polars, variables + count),
         )
         solution = backend("clarabel")(search, DEFAULT_TOLERANCE, None)
@@ -151,8 +155,8 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     cone = _normal_cone(program, scaling.scaled_primal(linear.point(trajectory)), ACTIVE, at_edges=True)
     active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))
     if len(active) > MOST_GRADIENTS:
-        what = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"
-        raise UnsupportedError(f"uniqueness: got {what}.")
+        got = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"
+        raise UnsupportedError(f"uniqueness: got {got}.")
     gradients = (program.A.T @ cone.basis[:, active]).toarray()
     norms = np.linalg.norm(gradients, axis=0)
     with one_blas_thread():

@@ -63,12 +63,23 @@ class LinearProgram:
 
     @cached_property
     def layout(self) -> MultiplierLayout:
-        """Where the multipliers of the problem stand in one flat array."""
-        return multiplier_layout(self.problem)
+        """The positions of the multipliers of the problem in one flat array."""
+        problem = self.problem
+        names = tuple((term.name, term.shape) for term in problem.terms)
+        sizes = [
+            problem.state_tube.lower.size,
+            problem.control_tube.lower.size,
+            2 * problem.state_stop.size,
+            2 * problem.control_stop.size,
+            *(groups * dim for _, (groups, dim) in names),
+        ]
+        mu, nu, rho_x, rho_u, *terms = (int(first) for first in np.cumsum([0, *sizes]))
+        shape = problem.horizon, problem.state_dim, problem.control_dim
+        return MultiplierLayout(shape, mu, nu, rho_x, rho_u, tuple(terms[:-1]), names, terms[-1])
 
     @cached_property
     def rows(self) -> tuple[ProgramRows, ...]:
-        """All rows but those of the dynamics, by blocks in their order; those of terms come last, one for each."""
+        """All rows but those of the dynamics, block by block; the terms come last, each with its rows."""
         problem, origin, layout = self.problem, self.origin, self.layout
         rows = [
             box_rows(Block.STATE_SET, problem.state_tube, origin, layout.mu),
@@ -92,7 +103,7 @@ class LinearProgram:
 
     @property
     def priced(self) -> Mask:
-        """Return which variables make the size of the cost: signals, and slacks of nonsmooth costs."""
+        """Return which variables determine the size of the cost: signals, and slacks of nonsmooth costs."""
         parts = zip(self.problem.terms, self.of_terms, strict=True)
         slacks = [np.full(len(rows.prices), term.kind.is_cost) for term, rows in parts]
         return np.concatenate([np.ones(self.signals, dtype=bool), *slacks])
@@ -119,13 +130,14 @@ class LinearProgram:
         return np.concatenate([*(part.ravel() for part in parts), self.prices])
 
     def matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
-        """Return the coefficients of all variables in chosen ones of the rows."""
-        signals, slacks = [(rows.signals, 0) for rows in chosen], self.slack_matrix(chosen)
-        of_signals = stack_rows(signals, self.variables)
-        return sp.csr_array(of_signals + slacks) if slacks.nnz else of_signals
+        """Return the coefficients of all variables in the chosen rows."""
+        of_signals = stack_rows([(rows.signals, 0) for rows in chosen], self.variables)
+        if not any(len(rows.prices) for rows in chosen):
+            return of_signals
+        return sp.csr_array(of_signals + self.slack_matrix(chosen))
 
     def slack_matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
-        """Return the coefficients of slacks among all variables in chosen ones of the rows."""
+        """Return the coefficients of slacks in the chosen rows; those of other variables are zero."""
         ends = self.signals + np.cumsum([0, *(len(rows.prices) for rows in self.rows)])
         firsts = {rows: int(first) for rows, first in zip(self.rows, ends, strict=False)}
         return stack_rows([(rows.slacks, firsts[rows]) for rows in chosen], int(ends[-1]))
@@ -153,17 +165,17 @@ class LinearProgram:
         return Program(
             self.hessian,
             self.gradient,
-            problem.quadratic.value(origin.x, origin.u),
             A,
             np.concatenate([drift, *(part.lower for part in self.rows)]),
             np.concatenate([drift, *(part.upper for part in self.rows)]),
+            problem.quadratic.value(origin.x, origin.u),
             blocks,
             tuple(cones),
         )
 
     @property
     def drift(self) -> Array:
-        """Return what the dynamics add to the deviations in each step, d_t, (T, n)."""
+        """Return the constant d_t, (T, n), of the dynamics of the deviations."""
         problem, origin = self.problem, self.origin
         response = problem.dynamics.response(problem.horizon)
         if response is not None:  # x_{t+1} is a sum over all controls
@@ -243,7 +255,7 @@ def _entries(values: Array, rows: Indices, columns: Indices) -> Entries:
 
 
 def _sparse_matrix(parts: Sequence[Entries], shape: tuple[int, int]) -> sp.csc_array:
-    """Return the matrix of these entries: to join sparse matrices takes several times as long."""
+    """Return the matrix of these entries; joining sparse matrices takes several times as long."""
     values, i, j = (np.concatenate(part) for part in zip(*parts, strict=True))
     matrix = sp.csc_array((values, (i, j)), shape=shape)
     matrix.eliminate_zeros()
@@ -251,7 +263,7 @@ def _sparse_matrix(parts: Sequence[Entries], shape: tuple[int, int]) -> sp.csc_a
 
 
 def stack_rows(parts: Sequence[tuple[sp.csr_array, int]], columns: int) -> sp.csr_array:
-    """Return rows one after the other, each part from its column on; scipy's takes several times as long."""
+    """Return rows one after the other, each part shifted to its first column; scipy takes several times as long."""
     entries = np.cumsum([0, *(part.nnz for part, _ in parts)]).tolist()
     indices = [part.indices + first for part, first in parts]
     pointers = [part.indptr[1:] + first for (part, _), first in zip(parts, entries, strict=False)]
@@ -263,7 +275,7 @@ def stack_rows(parts: Sequence[tuple[sp.csr_array, int]], columns: int) -> sp.cs
 
 @dataclass(frozen=True, eq=False)
 class MultiplierLayout:
-    """Where each multiplier begins in one flat array of all of them; eta is not among them."""
+    """The position of each multiplier in one flat array of all multipliers but eta."""
 
     shape: tuple[int, int, int]  # T, n, m
     mu: int
@@ -288,21 +300,6 @@ class MultiplierLayout:
             rho_u=_bins(values[self.rho_u : (*self.terms, self.count)[0]], m),
             stage={name: part.reshape(shape) for (name, shape), part in stages},
         )
-
-
-def multiplier_layout(problem: OptimalControlProblem) -> MultiplierLayout:
-    """Return where the multipliers of a problem begin."""
-    names = tuple((term.name, term.shape) for term in problem.terms)
-    sizes = [
-        problem.state_tube.lower.size,
-        problem.control_tube.lower.size,
-        2 * problem.state_stop.size,
-        2 * problem.control_stop.size,
-        *(groups * dim for _, (groups, dim) in names),
-    ]
-    mu, nu, rho_x, rho_u, *terms = (int(first) for first in np.cumsum([0, *sizes]))
-    shape = problem.horizon, problem.state_dim, problem.control_dim
-    return MultiplierLayout(shape, mu, nu, rho_x, rho_u, tuple(terms[:-1]), names, terms[-1])
 
 
 def _bins(pairs: Array, components: int) -> ComplexArray:

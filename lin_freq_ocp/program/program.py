@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
@@ -114,11 +114,11 @@ class Program:
 
     P: sp.csc_array
     q: Array
-    constant: float
     A: sp.csc_array
     lower: Array
     upper: Array
-    rows: Mapping[Block, slice]
+    constant: float = 0.0
+    rows: Mapping[Block, slice] = field(default_factory=dict[Block, slice])
     cones: tuple[slice, ...] = ()
     binaries: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
@@ -130,7 +130,7 @@ class Program:
     @cached_property
     def in_cones(self) -> Indices:
         """The rows of all cones, one cone after the other."""
-        return np.concatenate([np.arange(cone.start, cone.stop) for cone in self.cones] or [np.zeros(0, dtype=int)])
+        return rows_of(self.cones)
 
     @cached_property
     def alone(self) -> Mask:
@@ -157,8 +157,14 @@ class Program:
         A = self.A[row]
         A.sort_indices()
         A.data *= sign[A.indices]
+        # the upper triangle of P; scipy's function takes several times as long
+        column = np.repeat(np.arange(len(self.q)), np.diff(self.P.indptr))
+        inside = self.P.indices <= column
+        pointers = np.append(0, np.cumsum(np.bincount(column[inside], minlength=len(self.q))))
+        triangle = sp.csc_array((self.P.data[inside], self.P.indices[inside], pointers), shape=self.P.shape)
+        triangle.sort_indices()
         return StandardForm(
-            P=_upper_triangle(self.P),
+            P=triangle,
             q=self.q,
             A=A,
             b=np.where(sign > 0, self.upper[row], -self.lower[row]),
@@ -229,10 +235,6 @@ class Program:
             gap=wrong / total if total > 0 else wrong,
         )
 
-    def dual_objective(self, z: Array, y: Array) -> float:
-        """Return -1/2 z'P z - (support of y) + constant: a lower bound if P z + q + A'y = 0."""
-        return float(-0.5 * z @ (self.P @ z) - y @ self._bound_of(y)[0] + self.constant)
-
     def _bound_of(self, y: Array) -> tuple[Array, Mask]:
         """Return the bound that each dual belongs to, 0 if it is infinite, and whether it is finite."""
         bound = np.where((y > 0) & self.alone, self.upper, self.lower)
@@ -297,6 +299,11 @@ class Scaling:
         return y * self.cost / self.rows
 
 
+def rows_of(slices: Sequence[slice]) -> Indices:
+    """Return the indices in slices, one after the other."""
+    return np.concatenate([np.arange(0), *(np.arange(part.start, part.stop) for part in slices)])
+
+
 def scale_matrix(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_array:
     """Return diag(rows) matrix diag(columns) by columns; products of sparse matrices take several times as long."""
     scaled = sp.csc_array(matrix, copy=True)
@@ -314,17 +321,6 @@ def regularised_kkt(P: sp.csc_array, A: sp.csc_array, of_variables: float, of_ro
     i = np.concatenate([hessian.coords[0], rows.coords[0] + variables, rows.coords[1], every])
     j = np.concatenate([hessian.coords[1], rows.coords[1], rows.coords[0] + variables, every])
     return sp.csc_array((values, (i, j)), shape=(variables + count, variables + count))
-
-
-def _upper_triangle(matrix: sp.csc_array) -> sp.csc_array:
-    """Return the upper triangle; scipy's takes several times as long."""
-    columns = matrix.shape[1]
-    column = np.repeat(np.arange(columns), np.diff(matrix.indptr))
-    kept = matrix.indices <= column
-    pointers = np.append(0, np.cumsum(np.bincount(column[kept], minlength=columns)))
-    triangle = sp.csc_array((matrix.data[kept], matrix.indices[kept], pointers), shape=matrix.shape)
-    triangle.sort_indices()
-    return triangle
 
 
 def _outside_cone(s: Array) -> float:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,14 +29,14 @@ ROUNDING = 1e-12  # of the limit of a row without coefficients, relative to the 
 
 @dataclass(frozen=True, eq=False)
 class ProgramRows:
-    """The rows of the bounds on one signal (without a map: each value is a signal), of a stop band, or of a term."""
+    """The rows of a stop band, of a term, or of the bounds on states or controls; these have no map."""
 
     block: Block
     name: str  # of the term
     shape: tuple[int, int, int]  # T, n, m
     map: AffineMap | None  # L
-    entries: Indices  # (rows,): the value in each row; -1 without one
-    targets: Indices  # (rows,): where the multiplier of that value stands among all; -1: none
+    entries: Indices  # (rows,): the value in each row; -1: none
+    targets: Indices  # (rows,): the position of the multiplier of that value among all; -1: none
     weights: Array | None  # (rows,); None: ones
     lower: Array  # (rows,)
     upper: Array  # (rows,)
@@ -61,12 +61,12 @@ class ProgramRows:
 
     @cached_property
     def spectrum(self) -> SpectrumForm | None:
-        """Return the data of the spectrum whose values are in the rows; None for other maps."""
+        """Return the spectrum whose values are in the rows; None for other maps."""
         return None if self.map is None else self.map.spectrum_form(*self.shape[1:])
 
     @cached_property
     def times(self) -> Indices | None:
-        """Return the time of the value in each row, -1 without one; None if values depend on several times."""
+        """Return the time of the value in each row (-1: no value); None if values depend on several times."""
         T, n, m = self.shape
         if self.map is None:
             last = (T + 1) * n
@@ -86,19 +86,19 @@ class ProgramRows:
         return without & (np.diff(self.slacks.indptr) == 0)
 
     def rounding(self, origin: Trajectory) -> Array:
-        """Return the rounding error of the limits, (rows,), which are deviations from this origin."""
+        """Return the rounding error of the limits, (rows,), as deviations from the origin."""
         if self.map is None:
             return np.zeros(len(self.lower))
         return ROUNDING * np.append(self.map.sizes(np.abs(origin.x), np.abs(origin.u)), 0.0)[self.entries]
 
     def selected(self, chosen: Indices) -> ProgramRows:
-        """Return some of the rows, with all of those in cones."""
-        assert self.weights is None  # of stop bands none are left out
+        """Return the chosen rows, which must include all rows of cones."""
+        assert self.weights is None  # all rows of a stop band are needed
         parts = {name: getattr(self, name)[chosen] for name in ("entries", "targets", "lower", "upper")}
         return replace(self, **parts, slacks=sp.csr_array(self.slacks[chosen]))
 
     def slack_units(self, x: Array, u: Array) -> Array:
-        """Return one unit for each slack, with states and controls as large as x (T+1, n) and u (T, m)."""
+        """Return the unit of each slack for states and controls of the sizes x (T+1, n) and u (T, m)."""
         if self.map is None or not len(self.prices):
             return np.zeros(0)
         units = self.map.sizes(x, u).ravel()[self.paid].max(axis=1, initial=0.0)
@@ -122,9 +122,9 @@ def box_rows(block: Block, tube: Box, origin: Trajectory, target: int) -> Progra
 
 
 def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, target: int) -> Iterator[ProgramRows]:
-    """Yield the rows of the stopped bins (bins, components) of each component of a signal of so many samples.
+    """Yield the rows of the stopped bins (bins, components) of each component of a signal with ``length`` samples.
 
-    From ``target`` on stand the multipliers of (Re, Im) of every bin, component by component.
+    ``target`` is the position of the first multiplier; those of (Re, Im) of every bin follow, component by component.
     """
     of_states, shape = block is Block.STATE_SPECTRUM, (len(origin.u), origin.x.shape[1], origin.u.shape[1])
     for j in np.flatnonzero(stop.any(axis=0)).tolist():
@@ -135,15 +135,16 @@ def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, ta
         yield ProgramRows(block, block.value, shape, *at, right, right, *_no_slacks(len(pairs)))
 
 
+@lru_cache(maxsize=64)  # a sparse matrix takes as long to make as the other arrays of a stop band
 def _no_slacks(rows: int) -> tuple[sp.csr_array, Array, Indices, Indices]:
-    """Return the slacks of rows without any, their prices and what they measure, and no cones."""
+    """Return empty slacks, prices, paid values and cones for so many rows."""
     return sp.csr_array((rows, 0)), np.zeros(0), np.zeros((0, 1), dtype=int), np.zeros((0, 2), dtype=int)
 
 
 def map_rows(name: str, map: AffineMap, penalty: Penalty, origin: Trajectory, target: int) -> ProgramRows:
-    """Return the rows of a term h(L(x, u)) in deviations from the origin; its multipliers stand from ``target`` on.
+    """Return the rows of a term h(L(x, u)) in deviations from the origin; ``target`` is its first multiplier.
 
-    Equations 0 = 0 are left out, such as those of the imaginary parts of real bins.
+    Equations 0 = 0, such as those of the imaginary parts of real bins, are left out.
     """
     form, values = penalty.conic(*map.shape), np.append(map.values(origin.x, origin.u), 0.0)
     limits = form.lower - values[form.entries], form.upper - values[form.entries]

@@ -1,8 +1,8 @@
-"""Typical magnitudes of a problem's states, controls and cost, so that a solver sees numbers near 1.
+"""Units of states, controls and cost in which the numbers of a program are near 1.
 
-Magnitudes come from the optimum without bounds and bands; bounds only cap them, as they say what is allowed, not what
-happens. Variables are deviations from the references. Once there is a trajectory, its own magnitudes are the units: a
-solution is measured in them (``own_scaling``), and solved again in them if its units were very different.
+Magnitudes come from the optimum without bounds and bands, capped by the bounds: these say what is allowed, not what
+happens. Variables are deviations from the references. Once there is a trajectory, its magnitudes are the units: its
+residuals are measured in them (``point_scaling``), and the program is solved again if its units were very different.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from lin_freq_ocp.program.program import Block, Program, Scaling, regularised_kk
 HESSIAN_REGULARISATION = 1e-6  # relative to the mean diagonal: directions without cost get the smallest trajectory
 ROW_REGULARISATION = 1e-10  # dependent equations (an unreachable end) get a least-squares trajectory
 NEGLIGIBLE_SIZE = 1e-6  # magnitude, relative to the size in the data, below which a component does not move
-UNIT_ROUNDING = 1e-12  # of the previous unit: smaller signals are rounding
-UNNOTICED = 1e-3  # least unit of a component, relative to the change, over the horizon, that others would notice
+UNIT_ROUNDING = 1e-12  # of the previous unit: smaller signals are rounding errors
+UNNOTICED = 1e-3  # least unit of a component, relative to the smallest change that affects others over the horizon
 TERM_SHARE = 0.1  # with terms, which the relaxed optimum ignores, units differ by at most this from the data
-REVISED = 100.0  # factor between a unit and the magnitude found from which the program is solved again
+REVISED = 100.0  # factor between a unit and the magnitude of the answer, above which the program is solved again
 COST_LEVEL = 10.0  # steepest slope of the scaled cost, the others being smaller
 
 
@@ -38,7 +38,7 @@ def natural_scaling(linear: LinearProgram) -> Scaling:
             np.clip(size, TERM_SHARE * stated, stated / TERM_SHARE) for size, stated in zip((x, u), guess, strict=True)
         )
     columns = linear.column_units(x, u)
-    return _scaling_of_units(linear, columns, columns)
+    return _scale_rows_and_cost(linear, columns, columns)
 
 
 def scaled_program(problem: OptimalControlProblem) -> tuple[LinearProgram, Scaling, Program]:
@@ -51,22 +51,22 @@ def scaled_program(problem: OptimalControlProblem) -> tuple[LinearProgram, Scali
 def common_scaling(programs: Sequence[LinearProgram]) -> Scaling:
     """Return one change of units for several linear problems that differ in their dynamics only, such as modes.
 
-    A component is as large as in the largest of them, but not much smaller or larger than the data state.
+    The unit of a component is its largest one among the problems, within TERM_SHARE of the size in the data.
     """
     first = programs[0]
     stated = first.column_units(*stated_sizes(first.problem))
     largest = np.max([natural_scaling(linear).columns for linear in programs], axis=0)
     columns = np.clip(largest, TERM_SHARE * stated, stated / TERM_SHARE)
-    return _scaling_of_units(first, columns, columns)
+    return _scale_rows_and_cost(first, columns, columns)
 
 
-def own_scaling(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
-    """Return the units in which a point z (in the program's own units) is of order 1 (see ``own_columns``)."""
-    columns = own_columns(linear, z, fallback, per_time)
-    return _scaling_of_units(linear, columns, np.maximum(np.abs(z), UNNOTICED * columns))
+def point_scaling(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
+    """Return the units in which a point z (in the program's own units) is of order 1 (see ``point_units``)."""
+    columns = point_units(linear, z, fallback, per_time)
+    return _scale_rows_and_cost(linear, columns, np.maximum(np.abs(z), UNNOTICED * columns))
 
 
-def own_columns(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Array:
+def point_units(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Array:
     """Return the units of variables in which a point z (in the program's own units) is of order 1, (variables,).
 
     ``fallback`` (variables,) are the units of variables that are zero. With ``per_time``, a component has another unit
@@ -79,7 +79,7 @@ def own_columns(linear: LinearProgram, z: Array, fallback: Array, per_time: bool
     return linear.column_units(*(np.where(size > UNIT_ROUNDING * unit, size, unit) for size, unit in pairs))
 
 
-def own_sizes(linear: LinearProgram, z: Array) -> Array:
+def point_sizes(linear: LinearProgram, z: Array) -> Array:
     """Return the magnitudes of the variables of a point, (variables,), with those of signals bounded below."""
     return np.concatenate([*(signal.ravel() for signal in _noticeable_sizes(linear, z)), np.abs(z[linear.signals :])])
 
@@ -87,7 +87,7 @@ def own_sizes(linear: LinearProgram, z: Array) -> Array:
 def stated_scaling(linear: LinearProgram) -> Scaling:
     """Return the units from the sizes in the data of a problem."""
     columns = linear.column_units(*stated_sizes(linear.problem))
-    return _scaling_of_units(linear, columns, columns)
+    return _scale_rows_and_cost(linear, columns, columns)
 
 
 def plain_scaling(linear: LinearProgram) -> Scaling:
@@ -107,12 +107,12 @@ def bounds_scaling(linear: LinearProgram, natural: Scaling) -> Scaling:
     ]
     units = natural.columns[: linear.signals]
     far = float((np.concatenate([side.ravel() for side in sides]) / units).max(initial=1.0))
-    return _scaling_of_units(linear, far * natural.columns, far * natural.columns)
+    return _scale_rows_and_cost(linear, far * natural.columns, far * natural.columns)
 
 
 def revised_scaling(linear: LinearProgram, scaling: Scaling, z: Array) -> Scaling | None:
     """Return units from a solution z (in the program's own units), or None if they differ little from its own."""
-    revised = own_scaling(linear, z, scaling.columns)
+    revised = point_scaling(linear, z, scaling.columns)
     return revised if is_revision(revised.columns / scaling.columns, revised.cost / scaling.cost) else None
 
 
@@ -130,8 +130,8 @@ def cost_factor(slopes: Array, priced: Mask) -> float:
     return COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
 
 
-def _scaling_of_units(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:
-    """Return the change to units ``columns``, with a cost of order 1 per step at a point of size ``typical``."""
+def _scale_rows_and_cost(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:
+    """Return the change to units ``columns``, with slopes of order 1 at a point of the size ``typical``."""
     program = linear.sparse
     # a dynamics or bound row is divided by its component's unit, any other likewise
     rows = 1.0 / _row_norms(scale_matrix(program.A, np.ones(program.A.shape[0]), columns))
@@ -173,9 +173,9 @@ def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tu
 
 
 def _noticeable_sizes(linear: LinearProgram, z: Array) -> tuple[Array, Array]:
-    """Return magnitudes (T+1, n) and (T, m) of z, none smaller than what others would notice through the dynamics."""
+    """Return magnitudes (T+1, n) and (T, m) of z, floored at the smallest change that affects others."""
     problem, (x, u) = linear.problem, linear.split_signals(np.abs(z))
-    if problem.dynamics.response(problem.horizon) is not None:  # nothing is noticed from one step to the next
+    if problem.dynamics.response(problem.horizon) is not None:  # no state follows from the one before
         return x, u
     A, B = (np.abs(matrix) for matrix in (problem.linear.A, problem.linear.B))
     part, x, u = UNNOTICED / problem.horizon, x.copy(), u.copy()

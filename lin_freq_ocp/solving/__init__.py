@@ -1,1 +1,1 @@
-"""From a problem to a judged outcome: which method takes which dynamics, and what is proven of its answer."""
+"""From a problem to a judged outcome: a method for its dynamics, and the proof of the answer by the judge."""

@@ -1,4 +1,4 @@
-"""certify(): the judge's verdict on any trajectory."""
+"""certify(): the judge's verdict on any trajectory, with multipliers that fit it best."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE
 from lin_freq_ocp.solving.outcome import Evidence
 
-NEAR_LIMIT = 0.99  # part of its limit from which a peak of a spectrum may have a multiplier
-ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried for a trajectory of few decimals that fails the usual one
+NEAR_LIMIT = 0.99  # of its limit: a peak of a spectrum above this may have a multiplier
+ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried if a trajectory of few decimals fails the default one
 
 
 def certify(
@@ -32,28 +32,29 @@ def certify(
     multipliers: Multipliers | None = None,
     tolerance: float | None = None,
 ) -> Certificate:
-    """Judge any trajectory, from anywhere, against the maximum principle and the global bound.
+    """Judge any trajectory, whatever computed it, by the maximum principle and the global bound.
 
     Parameters
     ----------
     problem : OptimalControlProblem
     trajectory : Trajectory, (T, m), Result or SavedSolution
-        A trajectory; or controls alone, (T, m), which are replayed from the initial state; or what solve or load
-        returned: its trajectory, its search tree, checked again, and, unless others are given, its multipliers.
+        A trajectory; or controls alone, (T, m), which are simulated from the initial state; or a result of solve or
+        load: its trajectory, its search tree, which is checked again, and its multipliers unless others are given.
     multipliers : Multipliers, optional
-        By default, normal multipliers (eta_C = 1) that fit the trajectory best are computed. If there are none, the
-        certificate holds the direction of descent that proves it, and abnormal multipliers (eta_C = 0) are sought. With
-        piecewise-affine dynamics, also those of other mode sequences that the trajectory lies in, and
-        ``certificate.borders`` has the conditions where modes meet, and the changes of a mode that improve.
+        By default, normal multipliers (eta_C = 1) that fit the trajectory best are computed. If none satisfy the
+        maximum principle, the certificate holds a direction of descent that proves it, and abnormal multipliers
+        (eta_C = 0) are sought. With piecewise-affine dynamics, those of other mode sequences of the same trajectory are
+        tried, too, and ``certificate.borders`` has the conditions where modes meet, and the changes of a mode that
+        improve.
     tolerance : float, optional
         Residuals, relative to their scales, up to which conditions hold, and distance at which bounds are active; 1e-6
-        by default, at most 1e-2. Borders of modes, and the global bound, have tolerances of their own.
+        by default, at most 1e-2. Switching boundaries, and the global bound, have tolerances of their own.
 
     Returns
     -------
     Certificate
-        Where conditions of linear dynamics fail, and the trajectory has few decimals, ``rounded`` has the tolerance
-        that rounding explains.
+        If conditions of linear dynamics fail, and the trajectory has few decimals, ``rounded`` has the tolerance that
+        rounding explains.
 
     Raises
     ------
@@ -62,7 +63,7 @@ def certify(
     UnsupportedError
         If the tolerance is not above zero, or above 1e-2.
     NumericalError
-        If controls cannot be replayed, or the program of the multipliers could not be solved.
+        If controls cannot be simulated, or the program of the multipliers could not be solved.
 
     References
     ----------
@@ -82,7 +83,7 @@ def certify(
         )
     allowed = CONDITION_TOLERANCE if tolerance is None else tolerance
     evidence: Evidence | None = getattr(trajectory, "evidence", None)
-    if hasattr(trajectory, "trajectory"):  # of what solve or load returned
+    if hasattr(trajectory, "trajectory"):  # a result of solve or load
         result, trajectory = trajectory, getattr(trajectory, "trajectory", None)
         if trajectory is None:
             expected = "a trajectory, controls, or a result that has a trajectory"
@@ -94,7 +95,7 @@ def certify(
     problem.require(trajectory)
     translation = translation_of(problem)
     problem, at = translation.judged_at(trajectory)
-    if multipliers is None:  # those that fit best
+    if multipliers is None:
         problem = at_frequencies(problem, peak_points(problem, at.x, at.u, NEAR_LIMIT))
         certificate = entry_for(CERTIFIERS, problem.dynamics)(problem, at, allowed)
     else:
@@ -105,7 +106,7 @@ def certify(
 
 
 def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allowed: float) -> Certificate:
-    """Judge a trajectory with the multipliers that fit best; also with abnormal ones where normal ones fail."""
+    """Judge a trajectory with the multipliers that fit best, and with abnormal ones if those fail."""
     fit = fit_multipliers(problem, trajectory, max(allowed, ACTIVE))
     normal = judge(problem, trajectory, fit.multipliers, allowed)
     if normal.pmp == "satisfied":
@@ -113,24 +114,19 @@ def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allo
     abnormal = abnormal_multipliers(problem, trajectory) if normal.feasible else None
     certificate = normal if abnormal is None else judge(problem, trajectory, abnormal, allowed)
     if certificate.pmp != "satisfied":
-        certificate = replace(normal, rounded=_rounding_tolerance(problem, trajectory))
+        certificate, decimals = normal, decimals_of(trajectory)
+        if (
+            decimals is not None
+        ):  # the least tolerance with which the rounded trajectory satisfies the maximum principle
+            fits = ((level, fit_multipliers(problem, trajectory, level).multipliers) for level in ROUNDED_TO)
+            levels = (level for level, y in fits if judge(problem, trajectory, y, level).pmp == "satisfied")
+            least = next(levels, None)
+            certificate = normal if least is None else replace(normal, rounded=Rounded(decimals, least))
     return replace(certificate, descent=descent_direction(problem, trajectory, fit.descent))
-
-
-def _rounding_tolerance(problem: OptimalControlProblem, trajectory: Trajectory) -> Rounded | None:
-    """Return the least tolerance with which a trajectory of few decimals satisfies the maximum principle, if any."""
-    decimals = decimals_of(trajectory)
-    if decimals is None:
-        return None
-    for level in ROUNDED_TO:
-        fit = fit_multipliers(problem, trajectory, level)
-        if judge(problem, trajectory, fit.multipliers, level).pmp == "satisfied":
-            return Rounded(decimals, level)
-    return None
 
 
 CERTIFIERS: dict[type, Callable[[OptimalControlProblem, Trajectory, float], Certificate]] = {
     LinearDynamics: _certify_linear,
     FrequencyResponse: _certify_linear,
 }
-"""By kind of dynamics: the certificate of a trajectory without multipliers, with a tolerance of its conditions."""
+"""By kind of dynamics: the function that judges a trajectory without multipliers, at a tolerance."""

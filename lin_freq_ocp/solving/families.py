@@ -1,7 +1,7 @@
-"""Which methods solve which dynamics, and which options of ``solve`` each of them takes: one table.
+"""The table of methods: those for each kind of dynamics, and the options of ``solve`` that each of them takes.
 
-A new kind of dynamics is a subclass of ``Dynamics``; with an entry here it has methods of its own, else it has those of
-its standard form. Dynamics with modes or kinks register theirs in solving/hybrid.
+A new kind of dynamics is a subclass of ``Dynamics``. With an entry here it has methods of its own, otherwise those of
+its standard form. Dynamics with modes or kinks register their methods in solving/hybrid.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lin_freq_ocp.solving.method import Method
 
 @dataclass(frozen=True)
 class Shorthand:
-    """The method that a text stands for, with default options, and the field that each keyword of ``solve`` sets."""
+    """The method with a name of its own, with default options, and the field that each keyword of ``solve`` sets."""
 
     method: Method
     options: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -30,8 +30,8 @@ class Shorthand:
         """Whether a method differs from the default only in options that can be given as keywords."""
         if type(method) is not type(self.method):
             return False
-        other = set(method.__dataclass_fields__) - set(self.options.values())
-        return all(getattr(method, name) == getattr(self.method, name) for name in other)
+        without_keyword = set(method.__dataclass_fields__) - set(self.options.values())
+        return all(getattr(method, name) == getattr(self.method, name) for name in without_keyword)
 
 
 @dataclass(frozen=True)
@@ -50,48 +50,41 @@ class Family:
 RESIDUALS = {"tolerance": "tolerance"}
 SOLVER = {"backend": "backend"}
 
+LINEAR = {
+    "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
+    "spectral": Shorthand(Spectral(), RESIDUALS),
+    "structured": Shorthand(Structured(), RESIDUALS),
+    "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
+}
+WITHOUT_STAGES = {name: shorthand for name, shorthand in LINEAR.items() if name != "structured"}
+
 FAMILIES: dict[type, Family] = {
-    LinearDynamics: Family(
-        "linear",
-        {
-            "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
-            "spectral": Shorthand(Spectral(), RESIDUALS),
-            "structured": Shorthand(Structured(), RESIDUALS),
-            "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
-        },
-    ),
-    FrequencyResponse: Family(
-        "frequency-response",
-        {
-            "auto": Shorthand(LinearAuto(), {**RESIDUALS, **SOLVER}),
-            "spectral": Shorthand(Spectral(), RESIDUALS),
-            "convex": Shorthand(Convex(), {**RESIDUALS, **SOLVER}),
-        },
-    ),
+    LinearDynamics: Family("linear", LINEAR),
+    FrequencyResponse: Family("frequency-response", WITHOUT_STAGES),
 }
 
-# Methods of earlier versions, and what to do instead.
+# methods of earlier versions, with the advice that replaces them
 REMOVED = {"minlp": "SCIP's claims are an independent check in scripts/verify/nonsmooth.py now; use 'auto'"}
 
-# Why other methods do not take an option.
+# why other methods do not take an option
 ONLY = {
     "backend": "only 'convex' and 'miqp' call another solver",
     "tolerance": "the method 'nonsmooth' has no gap to prove; 'auto' does",
     "gap": "linear dynamics have a 'tolerance'; searches over modes, and 'auto', have a gap to prove",
     "node_limit": "only a search over affine modes has nodes",
     "executor": "only 'branch_and_bound' has parts for it",
-    "global_bound": "only 'auto' over smooth pieces has one beside its search",
+    "global_bound": "only 'auto' over smooth pieces computes one after its search",
     "start": "only 'branch_and_bound' and the search over smooth pieces begin with one",
 }
 
 
 def family_of(problem: OptimalControlProblem) -> Family:
-    """Return the family of a problem's dynamics."""
+    """Return the methods for the dynamics of a problem."""
     return entry_for(FAMILIES, problem.dynamics)
 
 
 def require_shorthand(name: str) -> None:
-    """Raise UnsupportedError unless a method of some family has this name."""
+    """Raise UnsupportedError unless a method for any kind of dynamics has this name."""
     if name in REMOVED:
         raise UnsupportedError(f"method: got {name!r}, which is no method any more: {REMOVED[name]}.")
     if any(name in family.shorthands for family in FAMILIES.values()):
@@ -104,43 +97,43 @@ def require_shorthand(name: str) -> None:
         raise UnsupportedError(f"method: got {name!r}; expected {known} or {names[-1]!r}. {hint}".rstrip())
 
 
-def chosen(problem: OptimalControlProblem, method: str | Method, given: Mapping[str, object]) -> Method:
-    """Return the method for a problem with the given keywords of ``solve`` (None: not given) as its options.
+def choose_method(problem: OptimalControlProblem, method: str | Method, keywords: Mapping[str, object]) -> Method:
+    """Return the method for a problem, with the keywords of ``solve`` that are not None as its options.
 
-    UnsupportedError if there is no such method, it is not for these dynamics, or it does not know an option.
+    UnsupportedError if there is no such method, it is not for these dynamics, or it does not take an option.
     """
-    family, options = family_of(problem), {name: value for name, value in given.items() if value is not None}
+    family, options = family_of(problem), {name: value for name, value in keywords.items() if value is not None}
     start = options.pop("start", None)
     if isinstance(method, str):
         if method not in family.shorthands:
             require_shorthand(method)
-            raise UnsupportedError(_for_others(method, family))
+            raise UnsupportedError(_other_kind_message(method, family))
         shorthand = family.shorthands[method]
         for option, value in options.items():
             if option not in shorthand.options:
-                raise UnsupportedError(_unknown(option, value, method, family))
+                raise UnsupportedError(_unused_option_message(option, value, method, family))
         fields = [shorthand.options[option] for option in options]
         if len(set(fields)) < len(fields):
-            raise UnsupportedError("gap: got one, and a tolerance, which is the same here; give one of them.")
-        found = replace(shorthand.method, **dict(zip(fields, options.values(), strict=True)))
+            raise UnsupportedError("gap: got a gap and a tolerance, which mean the same here; give one of them.")
+        chosen = replace(shorthand.method, **dict(zip(fields, options.values(), strict=True)))
     else:
         if not isinstance(method, family.methods):
             if not hasattr(method, "shorthand"):
                 raise UnsupportedError(f"method: got {method!r}; expected a text such as 'auto', or a method.")
-            raise UnsupportedError(_for_others(method.shorthand, family))
+            raise UnsupportedError(_other_kind_message(method.shorthand, family))
         if options:
             name, value = next(iter(options.items()))
             advice = f"Options of a method belong to it: lfo.solvers.{type(method).__name__}(...)."
-            raise UnsupportedError(f"{name}: got {value!r} beside {method!r}. {advice}")
-        found = method
-    if start is not None and not found.takes_start:
-        name = method if isinstance(method, str) else found.shorthand
-        raise UnsupportedError(_unknown("start", start, name, family))
-    return found
+            raise UnsupportedError(f"{name}: got {value!r} with {method!r}. {advice}")
+        chosen = method
+    if start is not None and not chosen.takes_start:
+        name = method if isinstance(method, str) else chosen.shorthand
+        raise UnsupportedError(_unused_option_message("start", start, name, family))
+    return chosen
 
 
 def saved_options(problem: OptimalControlProblem, name: str | Method, method: Method) -> dict[str, object]:
-    """Return the shorthand and keywords of ``solve`` that mean the same, as a file can hold them."""
+    """Return the equivalent shorthand and keywords of ``solve``, as a file stores them."""
     if not isinstance(name, str):
         shorthands = family_of(problem).shorthands
         name = next((text for text, known in shorthands.items() if known.describes(method)), method.shorthand)
@@ -153,14 +146,14 @@ def saved_options(problem: OptimalControlProblem, name: str | Method, method: Me
     return {"method": name, "backend": saved["backend"] or "auto", "tolerance": tolerance, **further}
 
 
-def _for_others(name: str, family: Family) -> str:
+def _other_kind_message(name: str, family: Family) -> str:
     register_all()
-    kinds = " and ".join(other.kind for other in FAMILIES.values() if name in other.shorthands)
+    kinds = " and ".join(takes.kind for takes in FAMILIES.values() if name in takes.shorthands)
     known = ", ".join(map(repr, family.shorthands))
     return f"method: got {name!r}, which is for {kinds} dynamics; expected one of {known} for {family.kind} dynamics."
 
 
-def _unknown(option: str, value: object, method: str, family: Family) -> str:
+def _unused_option_message(option: str, value: object, method: str, family: Family) -> str:
     got = f"{value!r}" if isinstance(value, (int, float, str)) else "one"
     return (
         f"{option}: got {got} for the method {method!r} and {family.kind} dynamics, which do not use it: "

@@ -1,4 +1,4 @@
-"""From a candidate of a method for linear dynamics to a judged outcome: a claim that is not proven is called so."""
+"""From a candidate of a method to an outcome: its status is what the judge confirms, not what the method claims."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
 ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
-DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray: the judge decides
-LARGEST_TOLERANCE = 1e-2  # a tolerance of solve loosens the judge's up to this value, above which it would mean nothing
+DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray, which the judge checks
+LARGEST_TOLERANCE = 1e-2  # to which a tolerance of solve loosens the judge's; a larger one would mean nothing
 
 
 def allowed_residual(tolerance: float | None) -> float:
-    """Return the tolerance of the judge's conditions that a tolerance of solve asks for."""
+    """Return the tolerance of the judge's conditions for a tolerance of solve."""
     return min(max(CONDITION_TOLERANCE, tolerance or 0.0), LARGEST_TOLERANCE)
 
 
-def judged(
+def judge_candidate(
     problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
 ) -> Outcome:
-    """Judge the point, ray or direction of a candidate, from which its status follows."""
+    """Judge the point, ray or direction of a candidate; the status follows from the proof."""
     clock = now()
-    status, message, certificate = Status(candidate.status), candidate.message, None
+    status, message, certificate = candidate.status, candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
         allowed = allowed_residual(tolerance)
         certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)
@@ -53,7 +53,7 @@ def judged(
     proof = None if ray is None else prove_infeasible(problem, ray)
     seconds = {**candidate.seconds, "certify": now() - clock}
     point = candidate.trajectory, candidate.multipliers, certificate
-    if proof is not None:  # then there is no point
+    if proof is not None:  # there is no feasible point
         status = Status.INFEASIBLE
         message = "proven by a rigorous ray" if proof.bound.kind == RIGOROUS else ONLY_PRACTICAL
         point, direction = (None, None, None), None
@@ -79,7 +79,7 @@ def candidate_of(outcome: Outcome) -> Candidate:
     """Return the claim that a judged outcome makes: its point, ray or direction."""
     unsolved = outcome.status in (Status.UNBOUNDED, Status.LIMIT, Status.NUMERICAL_ERROR)
     return Candidate(
-        "infeasible" if outcome.ray is not None else str(outcome.status) if unsolved else "optimal",
+        Status.INFEASIBLE if outcome.ray is not None else outcome.status if unsolved else Status.OPTIMAL,
         outcome.trajectory,
         outcome.multipliers,
         outcome.ray,
@@ -91,10 +91,10 @@ def candidate_of(outcome: Outcome) -> Candidate:
 
 
 def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfall: str = "") -> Outcome:
-    """Return an outcome of the reduced problem as one of the given problem, its point judged again there.
+    """Return the outcome of the given problem from that of the reduced problem; its point is judged once more.
 
-    The bound of a search over modes, and directions, hold for both problems. The status falls where more than
-    ``allowed`` is left of a condition, or the bound is no longer close enough; ``shortfall`` is then its message.
+    The bound of a search over modes, and directions, hold for both problems. If a condition is violated by more than
+    ``allowed``, or the bound is no longer close enough, the status is weaker, with the message ``shortfall``.
     """
     evidence = None if outcome.evidence is None else outcome.evidence.recovered(inverse)
     outcome = replace(outcome, problem=inverse.given, evidence=evidence)
@@ -111,66 +111,61 @@ def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfal
     status, message = outcome.status, outcome.message
     if status in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
         gap = max(before.gap or 0.0, 0.0) + GAP_TOLERANCE
-        found = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
-        if found != status:
-            status, message = found, shortfall
+        confirmed = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
+        if confirmed != status:
+            status, message = confirmed, shortfall
     return replace(outcome, certificate=after.raised(inverse.cost), status=status, message=message)
 
 
-def with_few_fractional(outcome: Outcome, tolerance: float | None) -> Outcome:
-    """Return the outcome of an optimum of the same cost with few samples between levels, or the outcome itself.
-
-    The judge decides.
-    """
+def reduce_fractional_samples(outcome: Outcome, tolerance: float | None) -> Outcome:
+    """Return an optimum of the same cost with few samples between levels; the outcome itself if that is not proven."""
     if outcome.status != Status.OPTIMAL or outcome.trajectory is None:
         return outcome
     inverse = few_between_levels(outcome.problem)
     candidate = None if inverse is None else inverse.recover(candidate_of(outcome))
     if candidate is None or candidate.trajectory is outcome.trajectory:
         return outcome
-    found = judged(outcome.problem, candidate, outcome.method, outcome.backend, tolerance)
-    if found.status != Status.OPTIMAL:
+    fewer = judge_candidate(outcome.problem, candidate, outcome.method, outcome.backend, tolerance)
+    if fewer.status != Status.OPTIMAL:
         return outcome
-    seconds = {**outcome.seconds, "certify": outcome.seconds.get("certify", 0.0) + found.seconds["certify"]}
-    return replace(found, seconds=seconds, reason=outcome.reason)
+    seconds = {**outcome.seconds, "certify": outcome.seconds.get("certify", 0.0) + fewer.seconds["certify"]}
+    return replace(fewer, seconds=seconds, reason=outcome.reason)
 
 
 def _verified_status(status: Status, message: str, certificate: Certificate, gap: float) -> tuple[Status, str]:
-    """Return the status of a judged point, and why.
+    """Return the status of a judged point, and why it is not optimal.
 
-    A point that is proven within ``gap`` is optimal, whether or not its solver claims it; a point that a solver calls
+    A point that is proven within ``gap`` is optimal, whether or not its solver claims it. A point that its solver calls
     optimal has the status of its certificate.
     """
-    found = certificate.status_within(gap)
-    if found == Status.OPTIMAL:
-        return found, ""
+    confirmed = certificate.status_within(gap)
+    if confirmed == Status.OPTIMAL:
+        return confirmed, ""
     if status not in (Status.OPTIMAL, Status.NUMERICAL_ERROR):
         return status, message
-    if found == Status.LOCALLY_OPTIMAL:
-        return found, f"the maximum principle is satisfied; {_missing_proof(certificate)}"
-    if status == Status.OPTIMAL:
-        message = f"residuals of the program are small, but not those of: {certificate.worst.name}"
-    return found, message
-
-
-def _missing_proof(certificate: Certificate) -> str:
-    """Return why a certificate without failed conditions proves no global optimum."""
+    if confirmed == Status.NUMERICAL_ERROR:
+        if status == Status.OPTIMAL:
+            message = f"residuals of the program are small, but not those of: {certificate.worst.name}"
+        return confirmed, message
+    # no condition fails, and no global optimum is proven
     if certificate.bound is None or certificate.gap is None:
-        return "there is no bound"
-    if certificate.bound.kind != RIGOROUS:
-        return "the bound holds near the trajectory only, as something is not bounded"
-    worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
-    return f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"
+        missing = "there is no bound"
+    elif certificate.bound.kind != RIGOROUS:
+        missing = "the bound holds near the trajectory only, as something is not bounded"
+    else:
+        worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
+        missing = f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"
+    return confirmed, f"the maximum principle is satisfied; {missing}"
 
 
 def _diverged_ray(candidate: Candidate) -> Multipliers | None:
-    """Return the multipliers of a solve that failed, divided by their size: near infeasibility they grow into a ray."""
-    if candidate.status not in ("numerical_error", "limit") or candidate.multipliers is None or candidate.interrupted:
+    """Return the multipliers of a failed solve divided by their size: near infeasibility they grow into a ray."""
+    multipliers, failed = candidate.multipliers, candidate.status in (Status.NUMERICAL_ERROR, Status.LIMIT)
+    if not failed or multipliers is None or candidate.interrupted:
         return None
-    given = candidate.multipliers
-    fields = {name: getattr(given, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x")}
-    size = max(float(np.abs(part).max(initial=0.0)) for part in (*fields.values(), *given.stage.values()))
+    fields = {name: getattr(multipliers, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x")}
+    size = max(float(np.abs(part).max(initial=0.0)) for part in (*fields.values(), *multipliers.stage.values()))
     if size < DIVERGED:
         return None
     scaled = {name: part / size for name, part in fields.items()}
-    return Multipliers(0.0, **scaled, stage={name: part / size for name, part in given.stage.items()})
+    return Multipliers(0.0, **scaled, stage={name: part / size for name, part in multipliers.stage.items()})

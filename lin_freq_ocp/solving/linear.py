@@ -1,4 +1,4 @@
-"""The methods for linear dynamics: the Fourier-domain method, one sparse convex program, and both in turn."""
+"""The methods for linear dynamics: Fourier-domain, structured, one sparse convex program, and these in turn."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
@@ -18,39 +18,39 @@ from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradictio
 from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import (
     convex_candidates,
-    free_of_cost,
-    free_of_slope,
     solve_convex,
     structured_first,
+    trajectory_without_cost,
+    trajectory_without_slope,
 )
-from lin_freq_ocp.methods.structured.solver import Prepared, solve_again, solve_structured
+from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.judging import judged
-from lin_freq_ocp.solving.kept import solve_spectral
-from lin_freq_ocp.solving.method import Method, Request, seconds_left
+from lin_freq_ocp.solving.judging import judge_candidate
+from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solver_cache import solve_spectral
 
-PROVER = "clarabel"  # The backend that proves infeasibility and unboundedness, whichever backend met it
+PROVER = "clarabel"  # the backend that proves infeasibility and unboundedness that any backend reports
 
 SMALL_MARGIN = 1e-5
-"""Margin of an infeasibility proof below which rounding of the data may be its reason: the sparse program may find a
+"""Margin of an infeasibility proof below which rounding of the data may explain it: the sparse program may still find a
 point that satisfies every constraint within the judge's tolerance."""
 
 REPLACED_VIOLATION = 1e-8
-"""Violation, relative to its scale, up to which an answer may replace one with less: what accurate solvers leave."""
+"""Violation, relative to its scale, up to which an answer may replace one with less: accurate solvers leave as much."""
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 
-# Statuses of a first candidate after which the further ones are judged
+# statuses of a first candidate after which further candidates are judged
 UNPROVEN = (Status.NUMERICAL_ERROR, Status.INFEASIBLE_CLAIMED)
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """One solve of a problem by a method, with the tolerance asked for and the time when it ends: what it is judged by.
+    """One solve of a problem by a method, with its tolerance and its deadline; it judges the candidates of the method.
 
     Parameters
     ----------
@@ -66,76 +66,80 @@ class _Trial:
 
     @property
     def options(self) -> SolveOptions:
-        """Return what is asked of a method that begins now."""
+        """Return the options of a method that begins now."""
         return SolveOptions(self.tolerance, seconds_left(self.end))
 
     def judge(self, candidate: Candidate) -> Outcome:
-        """Judge a candidate as it stands."""
-        return judged(self.problem, candidate, self.method, self.backend, self.tolerance)
+        """Judge a candidate."""
+        return judge_candidate(self.problem, candidate, self.method, self.backend, self.tolerance)
 
     def judge_point(self, candidate: Candidate) -> Outcome:
-        """Judge a candidate, and a direction of descent in its place where its trajectory is far beyond the data.
+        """Judge a candidate, or a direction of descent instead if its trajectory is far larger than the data.
 
-        The conditions of such a point hold relative to its own size, and its bound proves nothing: of a problem without
-        a finite optimum it says where the solver stopped.
+        The conditions at such a point hold relative to its own size, and its bound proves nothing: without a finite
+        optimum, it is the point where the solver stopped.
         """
-        if candidate.status == "unbounded":
+        if candidate.status == Status.UNBOUNDED:
             candidate = self._contradiction() or candidate
         outcome = self.judge(candidate)
-        if _rank(outcome) == 2 or outcome.interrupted or not (candidate.status == "unbounded" or _is_far(outcome)):
+        unbounded = candidate.status == Status.UNBOUNDED
+        if _rank(outcome) == 2 or outcome.interrupted or not (unbounded or _is_far(outcome)):
             return outcome
         try:
-            along = steepest_recession(self.problem)
-            if along is None or unbounded_direction(self.problem, along) is None:
+            direction = steepest_recession(self.problem)
+            if direction is None or unbounded_direction(self.problem, direction) is None:
                 return outcome
-            claim = self._contradiction() or replace(candidate, status="unbounded", descent=along)
+            claim = self._contradiction() or replace(candidate, status=Status.UNBOUNDED, descent=direction)
         except UnsupportedError:  # the program does not fit into memory
             return outcome
-        found = self.judge(replace(claim, trajectory=None, multipliers=None))
-        return found if _rank(found) == 2 else outcome
+        proof = self.judge(replace(claim, trajectory=None, multipliers=None))
+        return proof if _rank(proof) == 2 else outcome
 
     def diagnose(self, problem: OptimalControlProblem) -> Candidate | None:
-        """Return the claim of the prover, at its own tolerance, that a problem is infeasible or unbounded, or None."""
+        """Return the prover's claim that a problem is infeasible or unbounded, or None, at the default tolerance."""
         claim = solve_convex(problem, PROVER, SolveOptions(time_limit=seconds_left(self.end)))
-        return claim if claim.status in ("infeasible", "unbounded") else None
+        return claim if claim.status in (Status.INFEASIBLE, Status.UNBOUNDED) else None
 
     def _contradiction(self) -> Candidate | None:
-        """Return the prover's claim that the problem is infeasible, whatever its cost."""
+        """Return the prover's claim that the problem has no trajectory, by the problem without its cost."""
         return self.diagnose(replace(self.problem, cost=QuadraticCost()))
 
-    def exclusion_at_ends(self) -> Outcome | None:
+    def reject_ends(self) -> Outcome | None:
         """Return the outcome with the proof that an end lies outside its set, or None."""
         ray = contradiction_at_ends(self.problem)
         if ray is None:
             return None
-        claim = Candidate("infeasible", ray=ray, message="an end lies outside the state set")
+        claim = Candidate(Status.INFEASIBLE, ray=ray, message="an end lies outside the state set")
         outcome = self.judge(claim)
         return outcome if outcome.status == Status.INFEASIBLE else None
 
-    def at_no_cost(self, outcome: Outcome) -> Outcome:
-        """Return the outcome of a trajectory nearby without cost or slope, if that is optimal, else the outcome."""
+    def try_without_cost(self, outcome: Outcome) -> Outcome:
+        """Return the outcome of a trajectory nearby without cost or slope if that is optimal, else the outcome."""
         problem, near = self.problem, outcome.trajectory
         if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
             return outcome
-        for candidate in (free_of_cost(problem, near), free_of_slope(problem, near, seconds_left(self.end))):
+        for candidate in (
+            trajectory_without_cost(problem, near),
+            trajectory_without_slope(problem, near, seconds_left(self.end)),
+        ):
             if candidate is not None:
-                found = self.judge(candidate)
-                if found.status == Status.OPTIMAL and not _violates_more(found, outcome):
-                    return replace(found, seconds=outcome.seconds)
+                optimum = self.judge(candidate)
+                if optimum.status == Status.OPTIMAL and not _violates_more(optimum, outcome):
+                    return replace(optimum, seconds=outcome.seconds)
         return outcome
 
-    def with_proof(self, outcome: Outcome) -> Outcome:
+    def seek_proof(self, outcome: Outcome) -> Outcome:
         """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
         try:
             claim = self.diagnose(self.problem)
         except UnsupportedError:  # it does not fit into memory
             return outcome
-        found = outcome if claim is None else self.judge(claim)
-        return found if _rank(found) == 2 else outcome
+        proof = outcome if claim is None else self.judge(claim)
+        return proof if _rank(proof) == 2 else outcome
 
 
 class _Linear(ABC):
-    """A method for linear dynamics: an end outside its set is found before it begins."""
+    """A method for linear dynamics; it begins only if no end lies outside its set."""
 
     tolerance: float | None
     shorthand: ClassVar[str]
@@ -144,11 +148,10 @@ class _Linear(ABC):
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve the problem, and judge the answer."""
         trial = _Trial(problem, self.shorthand, self.tolerance, now() + request.time_limit)
-        excluded = trial.exclusion_at_ends()
-        return self._solve(trial, request) if excluded is None else excluded
+        return trial.reject_ends() or self._run(trial, request)
 
     @abstractmethod
-    def _solve(self, trial: _Trial, request: Request) -> Outcome: ...
+    def _run(self, trial: _Trial, request: Request) -> Outcome: ...
 
 
 @dataclass(frozen=True)
@@ -174,21 +177,21 @@ class Convex(_Linear):
 
     shorthand: ClassVar[str] = "convex"
 
-    def _solve(self, trial: _Trial, request: Request) -> Outcome:
+    def _run(self, trial: _Trial, request: Request) -> Outcome:
         backend = PROVER if self.backend == "auto" else self.backend
         trial = replace(trial, backend=backend)
         candidates = convex_candidates(trial.problem, backend, trial.options)
         first = next(candidates)
-        if first.status not in ("optimal", "limit") and backend != PROVER:
+        if first.status not in (Status.OPTIMAL, Status.LIMIT) and backend != PROVER:
             first = trial.diagnose(trial.problem) or first
-        outcome = trial.at_no_cost(trial.judge_point(first))
-        unproven = outcome.status in UNPROVEN or _only_practical(outcome)
-        if outcome.interrupted or not (unproven or (backend == PROVER and _at_odds(outcome))):
+        outcome = trial.try_without_cost(trial.judge_point(first))
+        unproven = outcome.status in UNPROVEN or _is_practical(outcome)
+        if outcome.interrupted or not (unproven or (backend == PROVER and _fails_conditions(outcome))):
             return outcome
-        for other in map(trial.judge_point, candidates):
-            accepted = other.interrupted or (_rank(other) > 0 and not _at_odds(other))
-            if accepted and not _only_practical(other):
-                return other
+        for further in map(trial.judge_point, candidates):
+            accepted = further.interrupted or (_rank(further) > 0 and not _fails_conditions(further))
+            if accepted and not _is_practical(further):
+                return further
         return outcome
 
 
@@ -211,16 +214,16 @@ class Spectral(_Linear):
 
     shorthand: ClassVar[str] = "spectral"
 
-    def _solve(self, trial: _Trial, request: Request) -> Outcome:
-        if request.again is None:
+    def _run(self, trial: _Trial, request: Request) -> Outcome:
+        if request.cached is None:
             return trial.judge_point(solve_spectral(trial.problem, trial.options))
-        kept, change = request.again
-        condensed = kept.condensed(trial.problem, change) if self.tolerance is None else None
+        cache, change = request.cached
+        condensed = cache.condensed(trial.problem, change) if self.tolerance is None else None
         if condensed is not None:
             outcome = replace(trial, method="condensed").judge(condensed)
             if outcome.status == Status.OPTIMAL:  # what is not proven is solved by the method itself
                 return outcome
-        return trial.judge_point(kept.spectral(trial.problem, change, trial.options))
+        return trial.judge_point(cache.solve(trial.problem, change, trial.options))
 
 
 @dataclass(frozen=True)
@@ -243,43 +246,44 @@ class Structured(_Linear):
 
     shorthand: ClassVar[str] = "structured"
 
-    def _solve(self, trial: _Trial, request: Request) -> Outcome:
+    def _run(self, trial: _Trial, request: Request) -> Outcome:
         problem, first, doubtful, certified = trial.problem, None, False, 0.0
-        prepared = Prepared() if request.again is None else request.again[0].prepared
-        again = solve_again(problem, prepared, trial.options)
-        if again is not None:
-            outcome = trial.judge(again)
-            if outcome.status == Status.OPTIMAL and _final(outcome):  # what is not proven is solved from scratch
-                prepared.near = outcome.trajectory
+        stage_cache = StageCache() if request.cached is None else request.cached[0].stage_cache
+        candidate = solve_from_warm_start(problem, stage_cache, trial.options)
+        if candidate is not None:
+            outcome = trial.judge(candidate)
+            if outcome.status == Status.OPTIMAL and _is_final(outcome):  # otherwise the embedding solves the problem
+                stage_cache.warm_start = outcome.trajectory
                 return outcome
 
-        def excludes(ray: Multipliers) -> bool:  # rigorously, and not by a margin of rounding
+        def accept_ray(ray: Multipliers) -> bool:  # only a rigorous proof whose margin exceeds rounding
             proof = prove_infeasible(problem, ray)
             return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
 
-        for candidate in solve_structured(problem, trial.options, excludes, prepared=prepared):
-            doubtful = candidate.status in ("unbounded", "numerical_error")
+        for candidate in solve_structured(problem, trial.options, accept_ray, stage_cache=stage_cache):
+            doubtful = candidate.status in (Status.UNBOUNDED, Status.NUMERICAL_ERROR)
             outcome = trial.judge_point(candidate)
             certified += outcome.seconds["certify"]
             if first is None or _rank(outcome) > _rank(first):
                 first = outcome
-            if _final(outcome):
+            if _is_final(outcome):
                 break
-        assert first is not None  # there is an answer
+        assert first is not None  # the method yields an answer, or raises
         if first.status == Status.OPTIMAL:
-            prepared.near = first.trajectory
+            stage_cache.warm_start = first.trajectory
         first = replace(first, seconds=first.seconds | {"certify": certified})
-        if doubtful and _rank(first) < 2 and not first.interrupted:  # such as a direction that is not exactly flat
-            first = trial.with_proof(first)
-        return trial.at_no_cost(first)
+        # the claim may fail by little, as along a direction in which the cost is not exactly flat
+        if doubtful and _rank(first) < 2 and not first.interrupted:
+            first = trial.seek_proof(first)
+        return trial.try_without_cost(first)
 
 
 @dataclass(frozen=True)
 class LinearAuto:
-    """The Fourier-domain method where it applies and its answer is proven, else the structured or the sparse one.
+    """The Fourier-domain method if it applies and its answer is proven; otherwise the structured or the sparse one.
 
-    Which of these two comes first is measured (``structured_first``); the other is tried where that ends without an
-    answer. ``result.reason`` says why the method was taken.
+    ``structured_first`` says which of these two comes first, by measured times; the other follows if the first one ends
+    without an answer. ``result.reason`` says why the method was chosen.
 
     Attributes
     ----------
@@ -296,27 +300,35 @@ class LinearAuto:
     takes_start: ClassVar[bool] = False
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Solve with the methods in turn until an answer is proven."""
+        """Solve with one method after another until an answer is proven."""
         if self.backend != "auto":
             return Convex(self.backend, self.tolerance).solve(problem, request)
         end = now() + request.time_limit
         best: Outcome | None = None
         refusals = list[str]()
-        for method in self._in_turn(problem):
+        for method in self._order_methods(problem):
             try:
-                outcome = method.solve(problem, request.until(end))
+                outcome = method.solve(problem, request.with_end(end))
             except UnsupportedError as error:
                 refusals += [] if str(error) in refusals else [str(error)]
                 continue
-            if best is None or _better(outcome, best):
-                best = replace(outcome, reason=_why(problem, method, refusals, best))
-            if _final(outcome) or (_rank(best) > 0 and not isinstance(method, Spectral)):
+            if best is None or _is_better(outcome, best):
+                if best is not None:
+                    reason = f"{best.method} ended as {best.status}"
+                elif isinstance(method, Spectral):
+                    reason = "time-invariant dynamics, with constraints that the Fourier-domain method takes"
+                else:
+                    large = structured_first(problem) if isinstance(method, Structured) else ""
+                    reason = "; ".join([*refusals[:1], *([large] if large else [])])
+                best = replace(outcome, reason=reason)
+            if _is_final(outcome) or (_rank(best) > 0 and not isinstance(method, Spectral)):
                 break
         if best is None:
             raise UnsupportedError(" Before that: ".join(reversed(refusals)))
         return best
 
-    def _in_turn(self, problem: OptimalControlProblem) -> Iterator[Method]:
+    def _order_methods(self, problem: OptimalControlProblem) -> Iterator[Method]:
+        """Yield the methods in the order in which they are tried."""
         yield Spectral(self.tolerance)
         convex, structured = Convex(self.backend, self.tolerance), Structured(self.tolerance)
         if problem.dynamics.response(problem.horizon) is not None:  # there are no stages
@@ -325,35 +337,25 @@ class LinearAuto:
         yield from (structured, convex) if structured_first(problem) else (convex, structured)
 
 
-def _why(problem: OptimalControlProblem, method: Method, refusals: list[str], before: Outcome | None) -> str:
-    """Return why the answer of a method is taken."""
-    if before is not None:
-        return f"{before.method} ended as {before.status}"
-    if isinstance(method, Spectral):
-        return "time-invariant dynamics, with constraints that the Fourier-domain method takes"
-    large = structured_first(problem) if isinstance(method, Structured) else ""
-    return "; ".join([*refusals[:1], *([large] if large else [])])
-
-
-def _better(outcome: Outcome, best: Outcome) -> bool:
-    """Whether an answer replaces that of a method before it."""
-    # it satisfies all constraints where a numerical ray said that no trajectory of practical size does
-    refutes = _only_practical(best) and outcome.status == Status.LOCALLY_OPTIMAL and outcome.primal
+def _is_better(outcome: Outcome, best: Outcome) -> bool:
+    """Whether an answer replaces that of the method before."""
+    # it satisfies all constraints, although a numerical ray excludes every trajectory of practical size
+    refutes = _is_practical(best) and outcome.status == Status.LOCALLY_OPTIMAL and outcome.primal
     if best.status == Status.INFEASIBLE and (outcome.status == Status.OPTIMAL or refutes):
         return True
-    counts = outcome.status != Status.LIMIT and not _only_practical(outcome)
+    counts = outcome.status != Status.LIMIT and not _is_practical(outcome)
     return counts and _rank(outcome) >= _rank(best) and not _violates_more(outcome, best)
 
 
 def _violates_more(outcome: Outcome, best: Outcome) -> bool:
-    """Whether an answer violates constraints by more, and not by rounding, than a feasible one before it."""
+    """Whether an answer violates constraints by more than a feasible one before it, rounding aside."""
     if outcome.certificate is None or best.certificate is None or not best.certificate.feasible:
         return False
     return outcome.certificate.violation > max(best.certificate.violation, REPLACED_VIOLATION)
 
 
-def _final(outcome: Outcome) -> bool:
-    """Whether no other method is tried after this outcome: it is proven, or the time is over."""
+def _is_final(outcome: Outcome) -> bool:
+    """Whether no other method follows this outcome: it is proven, or the time is over."""
     certificate = outcome.certificate
     proven = outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp == "satisfied"
     excluded = outcome.status == Status.INFEASIBLE and outcome.bound == RIGOROUS
@@ -362,29 +364,29 @@ def _final(outcome: Outcome) -> bool:
     return proven or outcome.interrupted or excluded or outcome.status == Status.LIMIT
 
 
-def _only_practical(outcome: Outcome) -> bool:
-    """Whether infeasibility is proven of trajectories of practical size alone."""
+def _is_practical(outcome: Outcome) -> bool:
+    """Whether infeasibility is proven for trajectories of practical size only."""
     return outcome.status == Status.INFEASIBLE and outcome.bound == NUMERICAL
 
 
 def _rank(outcome: Outcome) -> int:
-    """2 for proven outcomes, 1 for local optima, 0 for others."""
+    """Return 2 for proven outcomes, 1 for local optima, 0 for others."""
     return 2 if outcome.status in PROVEN else int(outcome.status == Status.LOCALLY_OPTIMAL)
 
 
-def _at_odds(outcome: Outcome) -> bool:
-    """Whether a trajectory is proven optimal while its multipliers fail a condition: others satisfy it."""
+def _fails_conditions(outcome: Outcome) -> bool:
+    """Whether a trajectory is proven optimal, but its multipliers fail a condition that others satisfy."""
     certificate = outcome.certificate
     return outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp != "satisfied"
 
 
 def _is_far(outcome: Outcome) -> bool:
-    """Whether a trajectory is so large that, as a direction, it is as near to all constraints as one must be.
+    """Whether a trajectory is so large that, taken as a direction, it satisfies all constraints within tolerance.
 
-    Numbers that are no longer finite are.
+    A solve that ends without finite numbers counts as such.
     """
-    at = outcome.trajectory
-    if at is None or outcome.status == Status.LIMIT:
+    trajectory = outcome.trajectory
+    if trajectory is None or outcome.status == Status.LIMIT:
         return outcome.status == Status.NUMERICAL_ERROR
-    sizes = zip((at.x, at.u), stated_sizes(outcome.problem), strict=True)
+    sizes = zip((trajectory.x, trajectory.u), stated_sizes(outcome.problem), strict=True)
     return max(float((np.abs(signal).max(0) / size).max()) for signal, size in sizes) > 1 / DIRECTION_TOLERANCE

@@ -1,4 +1,4 @@
-"""Methods of solution: objects that hold their own options, and solve problems of their kind of dynamics."""
+"""The protocol of methods: objects that hold their options and solve problems with one kind of dynamics."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from lin_freq_ocp.base.clock import LEAST_SECONDS, now
+from lin_freq_ocp.base.clock import seconds_left
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
-from lin_freq_ocp.solving.kept import Change, Kept, SearchCache
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
 
 Report = Callable[[Progress], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What is asked of any method: a limit in seconds, a call as a search proceeds, and where the search begins.
+    """The request to a method: a limit in seconds, a callback for the progress of a search, and its start.
 
-    ``tolerance`` loosens the judge, who allows CONDITION_TOLERANCE by default: the one asked of the method, or its own.
-    ``again`` holds what was kept of solves of the same problem, and how this differs from it, if there were any;
-    ``tree`` the search of the step before in a control loop.
+    ``tolerance`` loosens the tolerance of the judge, which is CONDITION_TOLERANCE by default. ``cached`` is the solver
+    cache of the same problem, with the change from that problem to this one; ``tree`` is the cache of the search of the
+    step before in a control loop.
     """
 
     time_limit: float = np.inf
     tolerance: float | None = None
     progress: Report | None = None
     start: Start | None = None
-    again: tuple[Kept, Change] | None = None
+    cached: tuple[SolverCache, Change] | None = None
     tree: SearchCache | None = None
 
-    def until(self, end: float) -> Request:
-        """Return the same with the time that is left until the end, by ``clock.now``."""
+    def with_end(self, end: float) -> Request:
+        """Return the request with the time left until the end, by ``clock.now``, as its limit."""
         left = seconds_left(end)
         return self if left is None else replace(self, time_limit=left)
 
@@ -45,13 +45,8 @@ class Method(Protocol):
 
     __dataclass_fields__: ClassVar[dict[str, Field[object]]]
     shorthand: ClassVar[str]  # the text that stands for the method in ``solve(problem, method)``
-    takes_start: ClassVar[bool]  # whether it begins with a given trajectory, control or mode sequence
+    takes_start: ClassVar[bool]  # whether it can begin with a trajectory, control or mode sequence of the user
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve a problem, and judge the answer."""
         ...
-
-
-def seconds_left(end: float) -> float | None:
-    """Return the seconds from now to the end, never zero; None without an end."""
-    return None if end == np.inf else max(end - now(), LEAST_SECONDS)

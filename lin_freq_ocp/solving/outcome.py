@@ -1,4 +1,4 @@
-"""The outcome of a solve as plain data: its status, the best point, what is proven of it, or why there is none."""
+"""The outcome of a solve as plain data: its status, the best point, the proofs, or why there is no point."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 @dataclass(frozen=True)
 class Cure:
-    """The least change of one block, all others as they are, after which there is a solution.
+    """The smallest relaxation of one block of constraints that restores feasibility, the others unchanged.
 
     Attributes
     ----------
     block : str
         As in a Conflict.
     amount : float
-        By how much its bounds move outwards, in the units of the problem; for an end, the largest move of a component
-        relative to its size; for a stop band, how many of its bins are passed on each edge; for an energy bound, of the
-        root of its limit.
+        The distance by which its bounds move outwards, in the units of the problem; for an end, the largest move of a
+        component relative to its size; for a stop band, the number of bins that it gives up at each edge; for an energy
+        bound, the increase of the root of its limit.
     words : str
-        From what to what.
+        The old and the new value.
 
     Examples
     --------
@@ -54,12 +54,12 @@ class Explanation:
     Attributes
     ----------
     family : tuple of str
-        Blocks of constraints that, with the dynamics, cannot hold together.
+        An infeasible subset of the blocks of constraints: with the dynamics, no trajectory satisfies all of them.
     irreducible : bool
-        Whether each was taken away in turn, and the others could then hold together; False only where a solver was
-        unsure or the time was over.
+        Whether the subset becomes feasible if any one block is left out; False only if a solver was unsure of that, or
+        the time was over.
     cures : tuple of Cure
-        For each block of the family that cures the whole problem by giving way alone: the least by which it must.
+        For each block of the subset that can restore feasibility alone: the smallest relaxation that does.
 
     Examples
     --------
@@ -78,12 +78,12 @@ class Explanation:
 
 
 class Evidence(ABC):
-    """What only some kinds of problems have to prove an answer: a search tree."""
+    """A proof of the answer that only some kinds of problems have, such as a search tree."""
 
     @property
     @abstractmethod
     def lower_bound(self) -> float:
-        """Return the bound on the cost of every trajectory that the judge verified; inf if there is none."""
+        """Return the verified lower bound on the cost of every trajectory; inf if there is no trajectory."""
 
     @abstractmethod
     def verified(self, problem: OptimalControlProblem) -> Bound | None:
@@ -91,7 +91,7 @@ class Evidence(ABC):
 
     @abstractmethod
     def recovered(self, inverse: Inverse) -> Evidence:
-        """Return the evidence of a reduced problem as evidence for the given one: its multipliers, and its bounds."""
+        """Return the evidence for the given problem from that of the reduced one, with its multipliers and bounds."""
 
     @abstractmethod
     def __str__(self) -> str: ...
@@ -113,13 +113,13 @@ class Outcome:
     seconds : dict
         Wall time of "setup" (rows, scaling), "solve" (the backend) and "certify".
     trajectory, multipliers, certificate : or None
-        The best point found, whatever the status, and what is proven of it.
+        The best point, whatever the status, its multipliers and its certificate.
     infeasibility : InfeasibilityProof or None
         If infeasible by a ray: the verified multipliers with eta_C = 0, their bound, and the constraints in conflict.
     message : str
         Why it ended so.
     interrupted : bool
-        Whether Ctrl-C ended it; the best point until then is here.
+        Whether Ctrl-C ended it; the fields then hold the best point until that moment.
     direction : Direction or None
         If unbounded: the verified direction along which every constraint holds and the cost decreases without bound.
     options : dict
@@ -128,11 +128,11 @@ class Outcome:
     sequence : (T,) integers or None
         With modes: the mode at every time.
     evidence : Evidence or None
-        With modes: the search tree, and the bound that the judge verified of it.
+        With modes: the search tree, and its bound, which the judge verified.
     explanation : Explanation or None
-        If ``lfo.solve`` raised an InfeasibleError: the constraints in conflict, and the least change that helps.
+        If ``lfo.solve`` raised an InfeasibleError: the constraints in conflict, and the smallest relaxation that helps.
     reason : str
-        Why "auto" took the method; empty if it was asked for.
+        Why "auto" chose the method; empty if the user did.
     """
 
     problem: OptimalControlProblem
@@ -178,30 +178,31 @@ class Outcome:
 
     @property
     def bound(self) -> str | None:
-        """Return what the bound on the cost, or the proof of infeasibility, holds for; None where there is neither.
+        """Return the scope of the bound on the cost or of the proof of infeasibility; None if there is neither.
 
-        "rigorous": every trajectory; "numerical": those near the one found, or, of infeasibility, of practical size.
+        "rigorous": every trajectory; "numerical": trajectories near the best one, or, of infeasibility, those of
+        practical size.
         """
         if self.infeasibility is not None:
             return self.infeasibility.bound.kind
         if self.status == Status.INFEASIBLE:  # by a search tree or by boxes
             return RIGOROUS
-        found = None if self.certificate is None else self.certificate.bound
-        return None if self.lower_bound is None else RIGOROUS if found is None else found.kind
+        bound = None if self.certificate is None else self.certificate.bound
+        return None if self.lower_bound is None else RIGOROUS if bound is None else bound.kind
 
     @property
     def ray(self) -> Multipliers | None:
-        """Return the verified multipliers with eta_C = 0 of an infeasible problem; None where no ray proves it."""
+        """Return the verified multipliers with eta_C = 0 of an infeasible problem; None if no ray proves it."""
         return None if self.infeasibility is None else self.infeasibility.multipliers
 
     @property
     def conflict(self) -> tuple[Conflict, ...] | None:
-        """Return the blocks of constraints that the proof of infeasibility rests on."""
+        """Return the blocks of constraints that the proof of infeasibility uses."""
         return None if self.infeasibility is None else self.infeasibility.conflict
 
     @property
     def gap(self) -> float | None:
-        """Return (cost - lower_bound) / S, S what the terms of the cost add up to."""
+        """Return (cost - lower_bound) / S, where S is the sum of the absolute terms of the cost."""
         return None if self.certificate is None else self.certificate.gap
 
     @property
@@ -226,5 +227,5 @@ class Outcome:
         levels = self.level_use
         lines += [] if levels is None else [f"levels    {levels}"]
         lines.append(f"method    {self.solver}" + (f": {self.reason}" if self.reason else ""))
-        lines.append("time      " + ", ".join(f"{what} {seconds:.3g} s" for what, seconds in self.seconds.items()))
+        lines.append("time      " + ", ".join(f"{phase} {seconds:.3g} s" for phase, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import Member, ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals, Groups, RowTemplate, Sense
@@ -22,6 +22,11 @@ from lin_freq_ocp.program.hybrid.rows import Duals, Groups, RowTemplate, Sense
 
 class HullRelaxation(ModeRelaxation):
     """Shares of modes, and the cost of their sum."""
+
+    def __init__(self, problem: OptimalControlProblem, level: float = 1.0):
+        super().__init__(problem, level)
+        self._stage[:] = -1  # the Hessian of (x_t, u_t) counts at all times, and epigraphs cost nothing
+        self._price[self._at.epsilon] = 0.0
 
     @property
     def proves(self) -> bool:
@@ -32,21 +37,14 @@ class HullRelaxation(ModeRelaxation):
         super()._take_several(rows, values, right, reach, many)
         rows[self._rows.cone.rows] = False
 
-    def _several_columns(self, columns: Mask, many: Mask) -> None:
-        super()._several_columns(columns, many)
-        columns[self._at.epsilon] = False
-
-    def _hessian_of(self, single: Mask, count: int) -> sp.csc_array:
-        return super()._hessian_of(np.ones_like(single), count)
-
 
 class BigMRelaxation(HullRelaxation):
     """The rows of each mode, relaxed by as much as any point of the boxes violates them."""
 
     bounds_where_several = True
 
-    def _add_rows(self, template: RowTemplate, roots: Array) -> None:
-        super()._add_rows(template, roots)
+    def _add_host_rows(self, template: RowTemplate) -> None:
+        super()._add_host_rows(template)
         stages, at = self._stages, self._at
         T, modes, n, k = stages.maps.shape
         after, y = (np.broadcast_to(part[:, None], (T, modes, part.shape[1])) for part in (at.x[1:], at.y))
@@ -69,10 +67,6 @@ class BigMRelaxation(HullRelaxation):
             (row, columns.reshape(groups, -1), values.reshape(groups, -1)),
             (np.arange(size), delta, 0.0),
         )
-
-    def _several_columns(self, columns: Mask, many: Mask) -> None:
-        super()._several_columns(columns, many)
-        columns[self._at.share] = False
 
     def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
         """Take the rows of modes with M, the most by which any point of the boxes violates them."""

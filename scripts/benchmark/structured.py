@@ -45,7 +45,7 @@ def timed(solves: dict[str, Solve], repeats: int) -> dict[str, tuple[float, lfo.
 def by_arrays(problem: lfo.OptimalControlProblem) -> lfo.results.Result:
     """Solve without compiled loops."""
     own = solver.loops
-    solver.loops = lambda compiled=None, patient=True: recursions.loops(False)
+    solver.loops = lambda compiled=None, wait=True: recursions.loops(False)
     try:
         return lfo.solve(problem, method="structured", throw=False)
     finally:

@@ -22,18 +22,18 @@ from lin_freq_ocp.methods.structured import choice, embedding, solver, stages
 from lin_freq_ocp.methods.structured.kkt import dense, range_space, recursions
 
 
-def both_sweeps(regulator: dense.BlockRegulator, channels: Indices, R: Array, E: Array) -> Array:
+def both_sweeps(regulator: dense.Regulator, channels: Indices, R: Array, E: Array) -> Array:
     """Return the products of gradients and their whole responses."""
     Y, X = regulator.responses(channels, R, E)
     return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
 
 
 LAYERS = {
-    "compiled loops": (solver, "loops", lambda compiled=None, patient=True: recursions.loops(False)),
+    "compiled loops": (solver, "loops", lambda compiled=None, wait=True: recursions.loops(False)),
     "correctors": (embedding, "CORRECTORS", 0),
     "longer last steps": (embedding, "MOST_FRACTION", embedding.FRACTION),
     "refinement where steps fall short": (embedding, "EXPECTED", -np.inf),
-    "sweeps one way": (dense.BlockRegulator, "gram", both_sweeps),
+    "sweeps one way": (dense.Regulator, "gram", both_sweeps),
     "blocks of stages": (dense, "NARROW", 10**9),
     "rows by one matrix": (stages, "DENSE", 0),
     "low rank of fine masks": (range_space, "WORTH", 0.0),

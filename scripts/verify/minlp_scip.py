@@ -10,7 +10,6 @@ the box has copies of its arguments, which are defined and are tied to the argum
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,11 +18,12 @@ import numpy as np
 from pyscipopt import cos, exp, log, quicksum, sin, sqrt
 
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
 from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Solution
-from lin_freq_ocp.program.backends.scip_ import convex_model, decide_claim, run_scip, seconds_left, set_objective
+from lin_freq_ocp.program.backends.scip_ import convex_model, decide_claim, run_scip, set_objective
 from verify.minlp_program import ModeFormulas, SmoothProgram, enclosures
 
 FUNCTIONS = {"exp": exp, "log": log, "sqrt": sqrt, "sin": sin, "cos": cos}
@@ -42,7 +42,7 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Solut
     UnsupportedError
         If SCIP has no function of a formula.
     """
-    started, convex = time.perf_counter(), program.program
+    end, convex = np.inf if time_limit is None else now() + time_limit, program.program
     rows = convex.single_bounds()
     if program.excluded or rows.violation > CONTRADICTION:
         return NO_POINT
@@ -55,11 +55,9 @@ def solve(program: SmoothProgram, time_limit: float | None, gap: float) -> Solut
     model, z = convex_model(convex, replace(rows, below=below, above=above))
     deltas = _add_dynamics(model, program, z)
     set_objective(model, convex, z)
-    found = run_scip(model, [*z, *deltas], seconds_left(time_limit, started), gap)
+    found = run_scip(model, [*z, *deltas], seconds_left(end), gap)
     if found is None:
-        return decide_claim(
-            lambda free: solve(replace(program, program=free), seconds_left(time_limit, started), gap), convex
-        )
+        return decide_claim(lambda free: solve(replace(program, program=free), seconds_left(end), gap), convex)
     return found
 
 

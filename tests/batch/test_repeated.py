@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.methods.structured import assembly
-from lin_freq_ocp.solving.kept import Change
+from lin_freq_ocp.solving.solver_cache import Change
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 SHORT = lfo.library.double_integrator(horizon=30, sampling_time=0.1, cutoff_hz=2.0, speed_bound=0.5)
@@ -82,7 +82,7 @@ FIXED = {
 def test_other_fixed_values_are_solved_from_scratch(problem, change):
     repeated = Repeated(problem)
     repeated.solve(Change())
-    again, fresh = repeated.solve(change), lfo.solve(change.of(problem))
+    again, fresh = repeated.solve(change), lfo.solve(change.apply(problem))
     assert again.status == fresh.status == "optimal"
     assert again.cost == pytest.approx(fresh.cost, rel=1e-7)
 
@@ -97,9 +97,9 @@ def test_infeasible_states_do_not_spoil_the_next():
 
 
 def test_the_structured_method_assembles_once(monkeypatch):
-    count, honest = [], assembly.stages_of
+    count, honest = [], assembly.assemble_stages
     monkeypatch.setattr(
-        "lin_freq_ocp.methods.structured.solver.stages_of", lambda problem: count.append(1) or honest(problem)
+        "lin_freq_ocp.methods.structured.solver.assemble_stages", lambda problem: count.append(1) or honest(problem)
     )
     solver = lfo.Solver(VARYING, "structured")
     for move in (0.0, 0.01, 0.02):

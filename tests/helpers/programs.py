@@ -21,11 +21,9 @@ def program(P: Any, q: Any, A: Any, lower: Any, upper: Any) -> Program:
     return Program(
         P=sp.csc_array(np.array(P, dtype=float).reshape(len(q), len(q))),
         q=q,
-        constant=0.0,
         A=sp.csc_array(np.array(A, dtype=float).reshape(-1, len(q))),
         lower=np.array(lower, dtype=float),
         upper=np.array(upper, dtype=float),
-        rows={},
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.convex.attempts import Solves
+from lin_freq_ocp.methods.convex.attempts import ScaledSolver
 from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.units import scaled_program
 
@@ -14,11 +14,11 @@ from lin_freq_ocp.program.units import scaled_program
 @pytest.mark.parametrize("claim", [Claim.SOLVED, Claim.LIMIT, Claim.INFEASIBLE])
 def test_duals_that_overflow_are_no_answer(claim):
     linear, scaling, program = scaled_program(lfo.library.double_integrator(horizon=4))
-    solves = Solves(linear, lambda *given: pytest.fail("called"), None, 1e-9, np.inf, 0.0)
+    solves = ScaledSolver(linear, lambda *given: pytest.fail("called"), None, 1e-9, np.inf, 0.0)
     z, y = np.zeros(program.A.shape[1]), np.full(program.A.shape[0], 1e308)
     with np.errstate(over="ignore"):
         scale = type(scaling)(scaling.columns, scaling.rows, scaling.cost * 1e-9)
-        attempt = solves.recovered(scale, program, Solution(claim, z, y, "as told"))
+        attempt = solves.recover(scale, program, Solution(claim, z, y, "as told"))
     assert attempt.candidate.status == "numerical_error"
     assert attempt.candidate.multipliers is None
     assert attempt.error == np.inf

@@ -26,7 +26,7 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.program.backends import base
-from lin_freq_ocp.program.backends.base import Claim, Solution, backend, register
+from lin_freq_ocp.program.backends.base import Claim, Solution, SolverEntry, backend
 from lin_freq_ocp.program.backends.qpsolvers_ import SETTINGS
 from lin_freq_ocp.program.program import Program
 
@@ -295,7 +295,7 @@ def least_squares(program, tolerance, time_limit):
 
 def test_a_new_solver_is_one_registration(monkeypatch):
     monkeypatch.setattr("lin_freq_ocp.program.backends.base.REGISTER", dict(base.REGISTER))
-    register("toy", lambda member: least_squares)
+    base.REGISTER["toy"] = SolverEntry(lambda member: least_squares)
     problem = OptimalControlProblem(
         dynamics=LinearDynamics(A=[[1.0, 0.1], [0.0, 1.0]], B=[[0.0], [0.1]]),
         horizon=10,

@@ -11,6 +11,7 @@ from helpers.clocks import Clock
 from helpers.proofs import assert_proven
 from helpers.random.linear import random_linear
 from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.testing import reference_problem
@@ -64,7 +65,7 @@ def without_prices(answer):
 def infeasible_with(ray):
     def change(answer):
         multipliers = None if ray is None else ray(answer.multipliers)
-        return replace(answer, status="infeasible", trajectory=None, multipliers=None, ray=multipliers)
+        return replace(answer, status=Status.INFEASIBLE, trajectory=None, multipliers=None, ray=multipliers)
 
     return change
 

@@ -13,7 +13,7 @@ from helpers.checks import linear
 from helpers.checks.units import solved
 from helpers.random.linear import random_linear
 from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.convex.polish import polish_point, without_rounding
+from lin_freq_ocp.methods.convex.polish import polish_point, zero_rounding
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
 from lin_freq_ocp.program.linear_program import LinearProgram
 
@@ -62,7 +62,7 @@ def test_a_feasible_problem_with_a_numerical_ray_is_solved(method):
 
 def test_rounding_becomes_zero_in_its_units():
     values, units = np.array([1e-15, -1e-3, 0.0, 2e-9]), np.array([1.0, 1e-3, 1.0, 1e4])
-    np.testing.assert_array_equal(without_rounding(values, units, 1e-12), [0.0, -1e-3, 0.0, 0.0])
+    np.testing.assert_array_equal(zero_rounding(values, units, 1e-12), [0.0, -1e-3, 0.0, 0.0])
 
 
 def test_further_answers_end_with_the_time_limit():

@@ -12,9 +12,10 @@ import pytest
 import lin_freq_ocp
 import lin_freq_ocp as lfo
 from helpers.reductions import INFEASIBLE, REDUCTIONS, UNBOUNDED, Entry, random_problem
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.problem.reductions import Chain, Inverse, Reduction, reduce_problem
-from lin_freq_ocp.solving.judging import candidate_of, judged
+from lin_freq_ocp.solving.judging import candidate_of, judge_candidate
 from lin_freq_ocp.solving.solve import solve_judged
 
 CASES = [(name, case) for name, entry in REDUCTIONS.items() for case in entry.problems]
@@ -36,7 +37,7 @@ def recovered(entry: Entry, inverse: Inverse) -> lfo.results.Outcome:
         )
 
     ray, multipliers = candidate.ray and shaped(candidate.ray), candidate.multipliers and shaped(candidate.multipliers)
-    return judged(given, replace(candidate, ray=ray, multipliers=multipliers), "", None, None)
+    return judge_candidate(given, replace(candidate, ray=ray, multipliers=multipliers), "", None, None)
 
 
 @pytest.mark.parametrize(("name", "case"), CASES, ids=[", ".join(case) for case in CASES])
@@ -78,7 +79,7 @@ def test_every_way_back_of_the_package_has_its_cases():
 
 
 def test_a_problem_without_what_is_reduced_stays_as_it_is():
-    given, candidate = random_problem(0), Candidate("optimal")
+    given, candidate = random_problem(0), Candidate(Status.OPTIMAL)
     for name in ("soft bins", "joint rows", "soft sets", "absorbed cost", "far origin", "few samples between levels"):
         reduction = REDUCTIONS[name].reduction
         assert not reduction.accepts(given)
@@ -107,5 +108,5 @@ def test_a_chain_applies_from_left_to_right_and_recovers_from_right_to_left():
     assert chain.problem.name.endswith("12")
     assert len(chain.inverses) == 2
     point = lfo.Trajectory(np.zeros((17, 2)), np.zeros((16, 1)))
-    assert chain.recover(Candidate("optimal", point)).trajectory.x[0, 0] == 21
+    assert chain.recover(Candidate(Status.OPTIMAL, point)).trajectory.x[0, 0] == 21
     assert calls == [2, 1]

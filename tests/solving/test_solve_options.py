@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
-from lin_freq_ocp.solving.families import FAMILIES, chosen
+from lin_freq_ocp.solving.families import FAMILIES, choose_method
 
 PROBLEMS = {
     "linear": lfo.library.double_integrator(),
@@ -74,14 +74,14 @@ def test_an_option_is_taken_or_refused(kind, method, option):
         with pytest.raises(
             lfo.errors.UnsupportedError, match=f"method: got '{method}', which is for .* dynamics; expected"
         ):
-            chosen(PROBLEMS[kind], method, given)
+            choose_method(PROBLEMS[kind], method, given)
     elif option in TAKEN[kind, method]:
-        found = chosen(PROBLEMS[kind], method, given)
+        found = choose_method(PROBLEMS[kind], method, given)
         fields = {"tolerance": ("tolerance", "gap"), "start": ()}.get(option, (option,))
         assert not fields or OPTIONS[option] in {getattr(found, name, None) for name in fields}
     else:
         with pytest.raises(lfo.errors.UnsupportedError, match=f"{option}: got .* for the method '{method}' and {kind}"):
-            chosen(PROBLEMS[kind], method, given)
+            choose_method(PROBLEMS[kind], method, given)
 
 
 @pytest.mark.parametrize("kind", PROBLEMS)
@@ -89,20 +89,24 @@ def test_an_option_is_taken_or_refused(kind, method, option):
 def test_an_object_is_its_shorthand_with_keywords(kind, name):
     if (kind, name) not in TAKEN:
         with pytest.raises(lfo.errors.UnsupportedError, match=f"method: got '{name}', which is for"):
-            chosen(PROBLEMS[kind], OBJECTS[name], {})
+            choose_method(PROBLEMS[kind], OBJECTS[name], {})
         return
     options = {option: getattr(OBJECTS[name], option, None) for option in ("backend", "tolerance", "gap", "node_limit")}
-    assert chosen(PROBLEMS[kind], name, options) == chosen(PROBLEMS[kind], OBJECTS[name], {}) == OBJECTS[name]
+    assert (
+        choose_method(PROBLEMS[kind], name, options)
+        == choose_method(PROBLEMS[kind], OBJECTS[name], {})
+        == OBJECTS[name]
+    )
 
 
 def test_options_beside_an_object_are_refused():
     with pytest.raises(
-        lfo.errors.UnsupportedError, match=r"tolerance: got 0.1 beside .* belong to it: lfo.solvers.Convex\(...\)"
+        lfo.errors.UnsupportedError, match=r"tolerance: got 0.1 with .* belong to it: lfo.solvers.Convex\(...\)"
     ):
         lfo.solve(PROBLEMS["linear"], lfo.solvers.Convex(), tolerance=0.1)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"gap: got 0.1 without a global bound"):
         lfo.solvers.Nonsmooth(global_bound=False, gap=0.1)
-    with pytest.raises(lfo.errors.UnsupportedError, match=r"gap: got one, and a tolerance"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"gap: got a gap and a tolerance"):
         lfo.solve(PROBLEMS["piecewise-affine"], tolerance=0.1, gap=0.1)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"method: got 3; expected a text"):
         lfo.solve(PROBLEMS["linear"], 3)

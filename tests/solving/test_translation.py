@@ -14,7 +14,7 @@ from helpers.rounded_products import exact_optimum
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.solving import linear
-from lin_freq_ocp.solving.judging import judged
+from lin_freq_ocp.solving.judging import judge_candidate
 from lin_freq_ocp.solving.solve import solve_judged
 
 SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
@@ -128,8 +128,8 @@ def test_no_answer_is_replaced_by_one_that_violates_more(monkeypatch):
     first = solve_judged(problem, "spectral")
     x = first.trajectory.x.copy()
     x[10:] += [3e-7, 0.0]
-    beside = Candidate("optimal", lfo.Trajectory(x, first.trajectory.u), first.multipliers)
-    second = judged(problem, beside, "structured", None, None)
+    beside = Candidate(Status.OPTIMAL, lfo.Trajectory(x, first.trajectory.u), first.multipliers)
+    second = judge_candidate(problem, beside, "structured", None, None)
     assert second.certificate.feasible
 
     def ending(outcome):
@@ -152,7 +152,7 @@ def test_rounding_that_hides_a_move_is_named():
     """A move of 1 at 1e14, where neighbouring numbers are 1/64 apart."""
     result = lfo.solve(move(1e14), throw=False)
     assert result.status != "optimal"
-    assert "count it from nearer" in result.message
+    assert translation.ROUNDED in result.message
     assert not result.certificate.globally_optimal
 
 

@@ -12,6 +12,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, sealed
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
@@ -51,7 +52,7 @@ class Plan:
         stationarity = float(found.stationarity[0])
         duals = Recovered(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
         trajectory = Trajectory(sealed(found.x[:, 0] * units.x), sealed(found.u[:, 0] * units.u))
-        return Candidate("optimal", trajectory, in_units(problem, lti, units, duals))
+        return Candidate(Status.OPTIMAL, trajectory, in_units(problem, lti, units, duals))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
-"""A solver's answers made accurate.
+"""Refinement of a solver's answers.
 
-A point: the equations of its active rows are solved directly. A ray of unlimited descent: it is projected onto the
-directions along which every constraint holds for ever and the cost has no curvature.
+For a point, the equations of its active rows are solved directly. A ray of descent is projected onto the recession
+cone: the directions along which every constraint holds for ever and the cost has no curvature.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ POLISHED_ROUNDING = 1e-12  # violations and multipliers, in a program scaled to 
 
 
 def polish_point(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None:
-    """Return z and y with the active rows at their bounds, or None if that fails; the program has no cones.
+    """Return z and y with the active rows exactly at their bounds, or None if that fails; the program has no cones.
 
     A row is active if its multiplier is larger than its distance from the bound.
     """
@@ -54,7 +54,7 @@ def polish_point(program: Program, z: Array, y: Array) -> tuple[Array, Array] | 
 def _solve_active(
     program: Program, y: Array, z: Array, equal: Mask, above: Mask, below: Mask
 ) -> tuple[Array, Array] | None:
-    """Return the optimum with some rows as equations, and its multipliers."""
+    """Return the optimum with the active rows as equations, and its multipliers (proximal method of multipliers)."""
     rows = np.flatnonzero(equal | above | below)
     A, target = sp.csc_array(program.A[rows]), np.where(below, program.lower, program.upper)[rows]
     variables = len(z)
@@ -62,29 +62,30 @@ def _solve_active(
         factor = splu(regularised_kkt(program.P, A, PROXIMAL_WEIGHT, PROXIMAL_WEIGHT))
     except RuntimeError:  # exactly singular
         return None
-    held = y[rows]
+    multipliers = y[rows]
     for _ in range(PROXIMAL_STEPS):
-        residual = np.concatenate([-(program.P @ z + program.q + A.T @ held), target - A @ z])
+        residual = np.concatenate([-(program.P @ z + program.q + A.T @ multipliers), target - A @ z])
         step = factor.solve(residual)
         if not np.isfinite(step).all():
             return None
-        z, held = z + step[:variables], held + step[variables:]
-    found = np.zeros_like(y)
-    found[rows] = held
-    return z, found
+        z, multipliers = z + step[:variables], multipliers + step[variables:]
+    duals = np.zeros_like(y)
+    duals[rows] = multipliers
+    return z, duals
 
 
-def without_rounding(values: Array, units: Array, level: float) -> Array:
-    """Return values with exact zeros where they are below this part of their units."""
+def zero_rounding(values: Array, units: Array, level: float) -> Array:
+    """Return values with exact zeros in place of those below ``level`` times their units."""
     return np.where(np.abs(values) <= level * units, 0.0, values)
 
 
 def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:
     """Return the recession direction nearest to minus the slope of the cost, for the judge to verify; None without one.
 
-    The cost falls along it without bound, as its slope is minus the square of its length. Both are measured in the
-    sizes that the data state, so that neither the unit of the cost nor a trajectory decides. The direction, of length
-    1, is projected once more: where it is short compared with the slope, the first projection leaves it few digits.
+    The slope along it is minus the square of its length: the cost falls without bound. Lengths are measured in the
+    sizes that the data state, so that neither the unit of the cost nor a trajectory affects the result. The direction
+    is scaled to length 1 and projected once more: if it is short compared with the slope, the first projection leaves
+    it few digits.
     """
     linear = LinearProgram(problem)
     scaling = stated_scaling(linear)
@@ -98,31 +99,29 @@ def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:
 
 
 def nearest_recession(program: Program, z: Array) -> Array:
-    """Return the recession direction nearest to z, with P z = 0; z itself if it was not found.
+    """Return the recession direction nearest to z, with P z = 0; z itself if the projection fails.
 
-    A solver's ray may satisfy cones to the root of a tolerance only. A cone with a constant s_0, as of a mask, says
-    s = 0 for a direction.
+    A solver's ray may satisfy cones to the root of a tolerance only. A cone with a constant s_0, such as that of a
+    mask, requires s = 0 of a direction.
     """
     fixed = np.isfinite(program.upper) & np.isfinite(program.lower)
-    kept, curved = np.isfinite(program.upper) | np.isfinite(program.lower), list[int]()
+    limited, curved = np.isfinite(program.upper) | np.isfinite(program.lower), list[int]()
     constant = abs(program.A).sum(1) == 0
     for cone in program.cones:
         if constant[cone.start]:
             fixed[cone] = True
         else:
             curved += range(cone.start, cone.stop)
-    alone = np.setdiff1d(np.flatnonzero(kept & ~constant), curved)
+    alone = np.setdiff1d(np.flatnonzero(limited & ~constant), curved)
     first, size = len(alone) + len(z), float(np.abs(z).max())
     lower = np.where(np.isfinite(program.lower[alone]), 0.0, -np.inf)
     upper = np.where(np.isfinite(program.upper[alone]) | fixed[alone], 0.0, np.inf)
     nearest = Program(
         P=sp.csc_array(sp.eye_array(len(z))),
         q=-z / size,
-        constant=0.0,
         A=sp.csc_array(sp.vstack([program.A[alone], program.P, program.A[curved]])),
         lower=np.concatenate([lower, np.zeros(len(z) + len(curved))]),
         upper=np.concatenate([upper, np.zeros(len(z)), np.full(len(curved), np.inf)]),
-        rows={},
         cones=consecutive([cone for cone in program.cones if not constant[cone.start]], first),
     )
     solution = backend("clarabel")(nearest, DEFAULT_TOLERANCE, None)

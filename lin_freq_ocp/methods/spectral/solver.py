@@ -15,6 +15,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, contradiction_at_ends, require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import (
@@ -200,7 +201,7 @@ class SpectralSolver:
             ray = contradiction_at_ends(problem)
             if ray is not None:
                 message, both = ("an end lies outside the state set", {"setup": 0.0, "solve": now() - started})
-                return SpectralSolution("infeasible", ray=ray, message=message, seconds=both, problem=problem)
+                return SpectralSolution(Status.INFEASIBLE, ray=ray, message=message, seconds=both, problem=problem)
             first, allowed = None, tolerance or tol.VIOLATION_TOLERANCE
             if warm_start is not None:
                 self._require_own(warm_start)
@@ -313,14 +314,14 @@ class SpectralSolver:
     def _solution(self, problem: OptimalControlProblem, answer: MeasuredOutcome, started: float) -> SpectralSolution:
         """Return the solution in the user's units; not optimal with large residuals or numbers that are not finite."""
         outcome, measured = answer.outcome, answer.measured
-        status, message = outcome.status, outcome.message
+        status, message = Status(outcome.status), outcome.message
         finite = all(np.isfinite(part).all() for part in (answer.found.eta, answer.found.band, answer.found.rho_x))
         multipliers = in_units(problem, self._lti, self._units, answer.found) if finite else None
         if multipliers is None:
-            status, message = "numerical_error", f"{message}, with numbers that are not finite"
-        infeasible = status == "infeasible"
-        if status == "optimal" and measured is not None and not answer.accurate:
-            status, message = "numerical_error", f"converged with residuals of {measured.worst:.1e}"
+            status, message = Status.NUMERICAL_ERROR, f"{message}, with numbers that are not finite"
+        infeasible = status == Status.INFEASIBLE
+        if status == Status.OPTIMAL and measured is not None and not answer.accurate:
+            status, message = Status.NUMERICAL_ERROR, f"converged with residuals of {measured.worst:.1e}"
         return SpectralSolution(
             status=status,
             trajectory=None if infeasible or not finite else trajectory(outcome, self._units),

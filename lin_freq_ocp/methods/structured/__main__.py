@@ -1,6 +1,6 @@
 """Compile all loops of the methods ahead: ``python -m lin_freq_ocp.methods.structured``.
 
-Compiled code stands in modules whose names end in "kernels"; each registers its own when it is imported.
+The modules whose names end in "kernels" contain the loops, and register them when they are imported.
 """
 
 from importlib import import_module

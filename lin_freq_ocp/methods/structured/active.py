@@ -1,9 +1,9 @@
-"""Block principal pivoting from a trajectory near the answer, for problems that are solved again and again.
+"""Block principal pivoting from a trajectory near the answer, for problems that are solved many times.
 
-Active rows are equations, and the others are left out. Then rows with negative multipliers leave the active ones, and
-violated rows enter them: of violated bounds of states, which move together, only the peaks. If this does not lower the
-number of wrong rows, single ones change (Judice and Pires, Computers and Operations Research 21, 1994). The answer is
-exact to rounding; where pivoting finds none, the embedding solves the problem.
+Each step solves the problem with the active rows as equations and without the other rows. Then rows with negative
+multipliers leave the active set, and violated rows enter it; of violated bounds of states, which move together, only
+the peaks enter. If the number of wrong rows does not fall, one row changes at a time (Judice and Pires, Computers and
+Operations Research 21, 1994). The answer is exact to rounding. If pivoting fails, the embedding solves the problem.
 
 Without inequalities, the system of a step is that of the regulator with the coupling rows, and is factored once. A row
 a of G with the multiplier 1 adds -P G_a' to y; these responses are cached between solves. The active rows A satisfy
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.structured.embedding import Answer, EmbeddedPoint, Embedding, End, Errors, Targets
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky
@@ -31,21 +31,24 @@ from lin_freq_ocp.methods.structured.kkt.system import (
     Values,
 )
 
-MOST_STEPS = 50  # of which few are needed near the answer; as many cost less than the embedding
-TRIES = 5  # steps that do not lower the number of wrong rows before single ones change
-REFINEMENTS = 3  # of the answer at most; the first takes back what regularises the system
-TIGHT = 1e-6  # distance of a trajectory to a bound, in units of order 1, from which it is on it
-ROUNDING = 1e-11  # by which a row is broken, or a multiplier negative, that stays as it is
-MOST_NUMBERS = 5e6  # that are cached: 40 MB
+MOST_STEPS = 50  # few are needed near the answer, and as many cost less than the embedding
+TRIES = 5  # steps without fewer wrong rows, after which one row changes at a time
+REFINEMENTS = 3  # of the answer at most; the first corrects for the regularisation of the system
+TIGHT = 1e-6  # distance of a trajectory to a bound, in units of order 1, below which the row is active
+ROUNDING = 1e-11  # violation of a row, or negative multiplier, that is a rounding error
+MOST_NUMBERS = 5e6  # in the cache: 40 MB
 
 
 def solve_active(system: System, responses: RowResponses, targets: Targets, start: Array) -> Answer | None:
-    """Return the answer from the active rows of y (T+1, n+k) near it; None if pivoting does not find it."""
-    limits, present = flat(system.b), np.concatenate([cone.present.ravel() for cone in system.cones.values()])
+    """Return the answer, beginning with the active rows of ``start`` (T+1, n+k); None if pivoting fails."""
+    limits, present = (
+        flatten_inequalities(system.b),
+        np.concatenate([cone.present.ravel() for cone in system.cones.values()]),
+    )
     y, z = responses.step.solve(-system.stages.h, system.b, False)  # without inequalities
-    alone = flat(system.rows(y)) - limits
-    active = present & (limits - flat(system.rows(start)) <= TIGHT)
-    # Rows of controls enter all at once; of the rows of states alone, the peaks
+    unconstrained = flatten_inequalities(system.rows(y)) - limits
+    active = present & (limits - flatten_inequalities(system.rows(start)) <= TIGHT)
+    # violated rows of controls enter all at once; rows of states alone only at peaks
     of_controls = np.concatenate(
         [
             system.stages.G[:, :, system.stages.states :].any(axis=2).ravel(),
@@ -57,48 +60,44 @@ def solve_active(system: System, responses: RowResponses, targets: Targets, star
         rows = np.flatnonzero(active)
         if now() > targets.end or not responses.prepare(rows, targets.end):
             return None
-        multipliers, change = responses.multipliers(rows, alone[rows])
-        violation = np.where(present & ~active, np.maximum(alone + change - ROUNDING, 0.0), 0.0)
+        multipliers, change = responses.multipliers(rows, unconstrained[rows])
+        violation = np.where(present & ~active, np.maximum(unconstrained + change - ROUNDING, 0.0), 0.0)
         wrong = violation > 0
         wrong[rows] = multipliers < -ROUNDING
         count = np.count_nonzero(wrong)
         if not count:
             responses.activate(y, z, system.b, rows)
-            found = _refine(system, responses, targets, rows, y, z)
-            return None if found is None else Answer(End.OPTIMAL, *found, step)
+            refined = _refine(system, responses, targets, rows, y, z)
+            return None if refined is None else Answer(End.OPTIMAL, *refined, step)
         tries = TRIES if count < fewest else tries - 1
         fewest = min(count, fewest)
         if tries > 0:
-            wrong &= active | of_controls | _peaks(violation, system.b[STAGES].shape)
+            # at a peak, a row is violated by no less than a time before, and by more than a time after
+            peaks, shape = np.zeros_like(wrong), system.b[STAGES].shape
+            stages, edge = violation[: system.b[STAGES].size].reshape(shape), np.zeros((1, shape[1]))
+            around = np.concatenate([edge, stages, edge])
+            peaks[: stages.size] = ((stages >= around[:-2]) & (stages > around[2:])).ravel()
+            wrong &= active | of_controls | peaks
         else:
             wrong[: np.flatnonzero(wrong)[-1]] = False
         active = active ^ wrong
     return None
 
 
-def _peaks(violation: Array, shape: tuple[int, ...]) -> Mask:
-    """Return where rows of stages, of this shape, are violated no less than a time before and more than after."""
-    stages = violation[: shape[0] * shape[1]].reshape(shape)
-    edge, found = np.zeros((1, shape[1])), np.zeros(len(violation), dtype=bool)
-    around = np.concatenate([edge, stages, edge])
-    found[: stages.size] = ((stages >= around[:-2]) & (stages > around[2:])).ravel()
-    return found
-
-
 def _refine(
     system: System, responses: RowResponses, targets: Targets, rows: Indices, y: Array, z: Values
 ) -> tuple[Array, Values, Errors] | None:
-    """Return y and z with these active rows, refined until they are accurate enough; None if that does not help."""
+    """Return y and z with these active rows, refined until they reach the targets; None if refinement does not."""
     embedding = Embedding(system, responses.step, targets)
-    left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
+    residual = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
     for _ in range(REFINEMENTS):
-        dy, dz = responses.step.solve(-system.stages.h - system.curvature(y) - system.adjoint(z), left, False)
-        responses.activate(dy, dz, left, rows)
+        dy, dz = responses.step.solve(-system.stages.h - system.curvature(y) - system.adjoint(z), residual, False)
+        responses.activate(dy, dz, residual, rows)
         y, z = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
-        left = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
-        s = {i: np.maximum(left[i], 0.0) * cone.present for i, cone in system.cones.items()}
+        residual = [right - part for right, part in zip(system.b, system.rows(y), strict=True)]
+        s = {i: np.maximum(residual[i], 0.0) * cone.present for i, cone in system.cones.items()}
         positive = [np.maximum(part, 0.0) if i in s else part for i, part in enumerate(z)]
-        errors = embedding.measured(EmbeddedPoint(y, positive, s, 1.0, 0.0)).errors
+        errors = embedding.measure(EmbeddedPoint(y, positive, s, 1.0, 0.0)).errors
         if errors.merit(targets) <= 1:
             return y, positive, errors
     return None
@@ -112,12 +111,12 @@ class RowResponses:
         for cone in system.cones.values():
             cone.leave_out()
         self.step.factor()
-        self._slots = np.full(len(flat(system.b)), -1)
+        self._slots = np.full(len(flatten_inequalities(system.b)), -1)
         self._answers, self._values = np.empty((0, 0)), np.empty((0, len(self._slots)))
         self._count = 0
 
     def prepare(self, rows: Indices, end: float = np.inf) -> bool:
-        """Find the responses of these rows that are missing; return whether there is room for them, and time."""
+        """Compute the missing responses of these rows; return False if the cache is full or the time over."""
         new, shapes = rows[self._slots[rows] < 0], [part.shape for part in self._system.b]
         width = self._system.stages.h.size + sum(self._system.b[i].size for i in (DYNAMICS, INITIAL, EQUATIONS))
         # the cache is extended for as many new responses, if the limit allows them
@@ -134,39 +133,41 @@ class RowResponses:
             if now() > end:
                 return False
             unit = [np.zeros(shape) for shape in shapes]
-            _add(unit, np.array([row]), np.ones(1))
+            _add_multipliers(unit, np.array([row]), np.ones(1))
             y, z = self.step.solve(-self._system.adjoint(unit), [np.zeros(shape) for shape in shapes], False)
             self._answers[self._count] = np.concatenate([y.ravel(), z[DYNAMICS].ravel(), z[INITIAL], z[EQUATIONS]])
-            self._values[self._count] = flat(self._system.rows(y))
+            self._values[self._count] = flatten_inequalities(self._system.rows(y))
             self._slots[row] = self._count
             self._count += 1
         return True
 
     def multipliers(self, rows: Indices, violation: Array) -> tuple[Array, Array]:
-        """Return lambda for violations G_A y_0 - g_A of prepared rows, and the change of the values of all rows."""
+        """Return lambda for violations G_A y_0 - g_A of cached rows, and the change of the values of all rows."""
         values = self._values[self._slots[rows]]
-        found = Cholesky(-values[:, rows]).solve(violation)
-        return found, found @ values
+        multipliers = Cholesky(-values[:, rows]).solve(violation)
+        return multipliers, multipliers @ values
 
     def activate(self, y: Array, z: Values, of_z: Values, rows: Indices) -> None:
-        """Change (y, z) that ``step`` solves without inequalities to the solution with these rows as equations."""
+        """Change the solution (y, z) of ``step`` without inequalities to that with these rows as equations."""
         if not len(rows):
             return
-        found, _ = self.multipliers(rows, flat(self._system.rows(y))[rows] - flat(of_z)[rows])
-        change = found @ self._answers[self._slots[rows]]
+        multipliers, _ = self.multipliers(
+            rows, flatten_inequalities(self._system.rows(y))[rows] - flatten_inequalities(of_z)[rows]
+        )
+        change = multipliers @ self._answers[self._slots[rows]]
         ends = np.cumsum([y.size, *(z[i].size for i in (DYNAMICS, INITIAL))])
         for part, more in zip((y, z[DYNAMICS], z[INITIAL], z[EQUATIONS]), np.split(change, ends), strict=True):
             part += more.reshape(part.shape)
-        _add(z, rows, found)
+        _add_multipliers(z, rows, multipliers)
 
 
-def flat(values: Values) -> Array:
+def flatten_inequalities(values: Values) -> Array:
     """Return the values of inequalities, those of stages first."""
     return np.concatenate([values[STAGES].ravel(), values[INEQUALITIES].ravel()])
 
 
-def _add(z: Values, rows: Indices, multipliers: Array) -> None:
-    """Add multipliers of inequalities to z."""
+def _add_multipliers(z: Values, rows: Indices, multipliers: Array) -> None:
+    """Add the multipliers of inequalities to z, in place."""
     count = z[STAGES].size
     of_stages = rows < count
     z[STAGES].flat[rows[of_stages]] += multipliers[of_stages]

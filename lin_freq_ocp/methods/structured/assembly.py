@@ -1,9 +1,10 @@
 """A linear program as stages, in deviations from an origin, and the way back.
 
-Rows of single times become rows of stages, their slacks entries of w after the controls; others become coupling rows.
+Rows of single times become rows of stages, and their slacks entries of w after the controls; all other rows become
+coupling rows.
 
-The origin has the references, and the value of a control where its bounds are equal. A control that is fixed at some
-times leaves the stages there, unless it is in a row that couples times: its deviation is zero.
+The origin consists of the references, and of the controls whose two bounds are equal. Such a control is fixed: it has
+no entry in the stage of that time, unless it is in a row that couples times. There its deviation is zero.
 
 Duals z are a list: dynamics (T+1, n), x_0 (n,), stages (T+1, p), equations flat, inequalities (count, 1), and
 (balls, 1 + dim) for each family of balls, with H y + h + A'z = 0 where A are the rows of dynamics, x_0, G, equations,
@@ -20,12 +21,11 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.rows import (
     Columns,
-    CoupledPart,
     StageRowList,
     StageSlots,
     assign_slots,
     coupled_parts,
-    on_channels,
+    restrict_to_channels,
     stage_equations,
     stage_rows,
 )
@@ -36,23 +36,24 @@ from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Scaling
-from lin_freq_ocp.program.units import is_revision, own_columns
+from lin_freq_ocp.program.units import is_revision, point_units
 
 WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")  # of the quadratic cost: all but its references
+PARTS = ("terms", "control_tube", "state_boxes", "state_stop", "control_stop")  # of problems with the same rows
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """The stages of a problem in the units of the method, and the way between both."""
+    """The stages of a problem in the units of the method, with the maps from one to the other."""
 
     stages: Stages
     program: LinearProgram
-    fixed: Mask  # controls that left the stages, (T, m)
+    fixed: Mask  # controls that are not in the stages, (T, m)
     positions: Indices  # of the program's variables in y, flat
     used: Mask  # entries of y, (T+1, n+k)
-    priced: Mask  # those that make the size of the cost: signals, and slacks of nonsmooth costs
+    priced: Mask  # those that determine the size of the cost: signals, and slacks of nonsmooth costs
     units: Scaling  # columns (T+1, n+k); rows after those of the dynamics, flat
-    targets: Indices  # of each dual after those of the dynamics, flat: the multiplier that it belongs to; -1: none
+    targets: Indices  # the multiplier of each dual after those of the dynamics, flat; -1: none
     weights: Array  # of these duals
 
     @property
@@ -82,7 +83,7 @@ class Assembly:
         multipliers = self.program.layout.multipliers(eta, self.targets, self.weights * duals, eta_C)
         if not self.fixed.any():
             return multipliers
-        # those of fixed controls follow from stationarity, nu = -(eta_C dJ/du - B'eta + (rows of stages)'lambda)
+        # for fixed controls, stationarity: nu = -(eta_C dJ/du - B'eta + (rows of stages)'lambda)
         shapes, slopes = (multipliers.mu.shape, multipliers.nu.shape), -problem.linear.pull_back(eta)[1]
         for term in problem.terms:
             if term.map.stage_form(n, problem.control_dim) is not None:
@@ -94,11 +95,11 @@ class Assembly:
         return replace(multipliers, nu=np.where(self.fixed, -slopes, multipliers.nu))
 
     def revised(self, y: Array) -> Assembly | None:
-        """Return the same in the units of a solution y, or None if they differ little from its own."""
+        """Return the stages in units of the size of a solution y, or None if the present units are similar."""
         old = self.units
         columns = self._variables(old.columns)
-        own = own_columns(self.program, self._variables(old.primal(y)), columns)
-        ratio = self._on_stages(own / columns, 1.0)
+        new = point_units(self.program, self._variables(old.primal(y)), columns)
+        ratio = self._on_stages(new / columns, 1.0)
         stages, change = scale_stages(self.stages, ratio, self.priced, y)
         if not is_revision(ratio, change.cost):
             return None
@@ -108,15 +109,13 @@ class Assembly:
     def exchanged(self, problem: OptimalControlProblem) -> Assembly | None:
         """Return the stages of a problem with other dynamics, references and fixed ends, in the same units.
 
-        None if it differs in more, or is not made from the same objects (``with_ends``, ``affine_at``,
-        ``with_references``).
+        None if anything else differs, or is not the same object (``with_ends``, ``affine_at``, ``with_references``).
         """
         old, columns = self.problem, self.units.columns
-        same = [(getattr(problem.quadratic, name), getattr(old.quadratic, name)) for name in WEIGHTS]
-        same += [(problem.terms, old.terms), (problem.control_tube, old.control_tube)]
-        same += [(problem.state_boxes, old.state_boxes), (problem.state_stop, old.state_stop)]
-        same += [(problem.control_stop, old.control_stop)]
-        if not all(one is other for one, other in same):
+        same_parts = all(getattr(problem, name) is getattr(old, name) for name in PARTS)
+        if not same_parts or any(
+            getattr(problem.quadratic, name) is not getattr(old.quadratic, name) for name in WEIGHTS
+        ):
             return None
         (ends, fixed), (old_ends, old_fixed) = _ends(problem), _ends(old)
         if (fixed != old_fixed).any() or (ends != old_ends)[:, ~fixed].any():
@@ -139,9 +138,9 @@ class Assembly:
         return replace(self, stages=stages, program=program)
 
     def same_matrices(self, other: Assembly) -> bool:
-        """Whether another assembly is of the same arrays but for right-hand sides (``exchanged``)."""
-        pairs = [(getattr(self.stages, name), getattr(other.stages, name)) for name in ("A", "B", "H", "G", "coupled")]
-        return all(one is another for one, another in pairs)
+        """Whether another assembly has the same arrays except for right-hand sides (``exchanged``)."""
+        names = "A", "B", "H", "G", "coupled"
+        return all(getattr(self.stages, name) is getattr(other.stages, name) for name in names)
 
     def of_controls(self, y: Array) -> Array:
         """Return a view of the entries of y that are controls, (T, m)."""
@@ -158,31 +157,41 @@ class Assembly:
         return y.ravel()[self.positions]
 
 
-def stages_of(problem: OptimalControlProblem) -> Assembly:
-    """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit."""
-    origin, fixed = origin_of(problem)
+def assemble_stages(problem: OptimalControlProblem) -> Assembly:
+    """Return the stages of a problem; UnsupportedError if its dynamics are not linear, or a term does not fit."""
+    origin, fixed = choose_origin(problem)
     program, (T, m), n = LinearProgram(problem, origin), fixed.shape, problem.state_dim
     ends, fixed_ends = _ends(problem)
-    given = np.zeros((T + 1, n), dtype=bool)
-    given[[0, -1]] = fixed_ends
-    left = np.concatenate([np.zeros(given.size, dtype=bool), fixed.ravel()])
-    rows = stage_rows(program, np.concatenate([given.ravel(), fixed.ravel()]), left)
+    fixed_states = np.zeros((T + 1, n), dtype=bool)
+    fixed_states[[0, -1]] = fixed_ends
+    absent = np.concatenate([np.zeros(fixed_states.size, dtype=bool), fixed.ravel()])
+    rows = stage_rows(program, np.concatenate([fixed_states.ravel(), fixed.ravel()]), absent)
     slots = assign_slots(rows)
     width = n + m + slots.slack_count
     entries = np.arange((T + 1) * width).reshape(T + 1, width)
     slacks = rows.slack_times * width + n + m + slots.slack_slot
     positions = np.concatenate([entries[:, :n].ravel(), entries[:-1, n : n + m].ravel(), slacks])
     columns = Columns(positions, entries.size, width)
-    parts = [part for of in program.rows if of.times is None for part in coupled_parts(program, of, columns)]
+    coupling_rows = [rows for rows in program.rows if rows.times is None]
+    parts = [part for rows in coupling_rows for part in coupled_parts(program, rows, columns)]
     if len(slots.equations):
         parts.append(stage_equations(rows, slots.equations, columns))
     terminal = np.flatnonzero(fixed_ends[1])
-    coupling = on_channels(parts, width, terminal, ends[0, 1, terminal] - origin.x[-1, terminal])
+    coupling = restrict_to_channels(parts, width, terminal, ends[0, 1, terminal] - origin.x[-1, terminal])
     initial = np.where(fixed_ends[0], ends[0, 0] - origin.x[0], np.nan)
     plain = _plain_stages(program, fixed, rows, slots, columns, coupling, initial)
-    targets, weights = _dual_targets(program, rows, slots, parts, fixed_ends)
+    # the multipliers of the duals after those of the dynamics: x_0, stages, x_T, then the coupling rows by kinds
+    x_0 = np.where(fixed_ends[0], program.layout.mu + np.arange(n), -1)
+    x_T = program.layout.mu + T * n + terminal
+    of_stages, signs = np.full((T + 1, slots.count), -1), np.ones((T + 1, slots.count))
+    at = rows.times[slots.source], slots.slot
+    of_stages[at], signs[at] = rows.targets[slots.source], slots.sign
+    ordered = [part for kind in (Equations, Inequalities, Balls) for part in parts if isinstance(part.family, kind)]
+    targets = np.concatenate([x_0, of_stages.ravel(), x_T, *(part.targets.ravel() for part in ordered)])
+    of_parts = [part.weights.ravel() for part in ordered]
+    weights = np.concatenate([np.ones(n), signs.ravel(), np.ones(len(x_T)), *of_parts])
     used = np.zeros(entries.shape, dtype=bool)
-    used.flat[positions] = ~np.append(left, np.zeros(len(slacks), dtype=bool))
+    used.flat[positions] = ~np.append(absent, np.zeros(len(slacks), dtype=bool))
     priced = used.copy()
     priced.flat[positions] &= program.priced
     units = np.ones(used.shape)
@@ -192,8 +201,8 @@ def stages_of(problem: OptimalControlProblem) -> Assembly:
     return Assembly(stages, program, fixed, positions, used, priced, scaled, targets, weights)
 
 
-def origin_of(problem: OptimalControlProblem) -> tuple[Trajectory, Mask]:
-    """Return the origin of a problem, and which controls are fixed to its values, (T, m)."""
+def choose_origin(problem: OptimalControlProblem) -> tuple[Trajectory, Mask]:
+    """Return the origin of a problem, and which controls are fixed at it, (T, m)."""
     n, m, tube = problem.state_dim, problem.control_dim, problem.control_tube
     # controls in rows that couple times are not fixed
     coupled = problem.control_stop.any(axis=0)
@@ -215,7 +224,7 @@ def _plain_stages(
     coupling: Coupling,
     initial: Array,
 ) -> Stages:
-    """Return the stages in the problem's own units; entries of y that are not used have Hessian 0."""
+    """Return the stages in the units of the problem; unused entries of y have the Hessian 0."""
     cost, origin, (T, m), n, width = program.problem.quadratic, program.origin, fixed.shape, len(initial), columns.width
     H, h = np.zeros((T + 1, width, width)), np.zeros((T + 1, width))
     H[:-1, : n + m, : n + m], H[-1, :n, :n] = cost.stage_hessians(), cost.P
@@ -231,24 +240,8 @@ def _plain_stages(
     return Stages(*dynamics, H, h, G, g, slots.cones, initial, coupling, cost.value(origin.x, origin.u))
 
 
-def _dual_targets(
-    program: LinearProgram, rows: StageRowList, slots: StageSlots, parts: list[CoupledPart], fixed_ends: Mask
-) -> tuple[Indices, Array]:
-    """Return the target and the weight of every dual after those of the dynamics, flat."""
-    T, n, _ = program.layout.shape
-    initial = np.where(fixed_ends[0], program.layout.mu + np.arange(n), -1)
-    end = program.layout.mu + T * n + np.flatnonzero(fixed_ends[1])
-    of_stages, signs = np.full((T + 1, slots.count), -1), np.ones((T + 1, slots.count))
-    at = rows.times[slots.source], slots.slot
-    of_stages[at], signs[at] = rows.targets[slots.source], slots.sign
-    ordered = [part for kind in (Equations, Inequalities, Balls) for part in parts if isinstance(part.family, kind)]
-    targets = [initial, of_stages.ravel(), end, *(part.targets.ravel() for part in ordered)]
-    weights = [np.ones(n), signs.ravel(), np.ones(len(end)), *(part.weights.ravel() for part in ordered)]
-    return np.concatenate(targets), np.concatenate(weights)
-
-
 def _dynamics(program: LinearProgram, fixed: Mask, width: int) -> tuple[Array, Array, Array]:
-    """Return A, B and d in deviations from the origin, with so many entries of y."""
+    """Return A, B and d in deviations from the origin, for y of this width."""
     linear, (T, n, m) = program.problem.linear, program.layout.shape
     A, B, d = np.zeros((T + 1, n, n)), np.zeros((T + 1, n, width - n)), np.zeros((T + 1, n))
     A[:-1], d[:-1] = linear.A, program.drift

@@ -1,9 +1,9 @@
 """The choice of the KKT solver of a problem, by an estimate of the seconds of a step.
 
-A dense solver costs sweeps over T stages for each of its columns, and their cube (in range space: sweeps one way, and
-the products of all columns); conjugate gradients in null space cost some thirty sweeps and as many columns as there are
-remaining rows, starts, and directions of large weights. The constants were measured with compiled loops on one core,
-the low-pass of a time-varying system with n + k = 3 at T = 1000 to 20 000.
+A dense null-space solver needs a sweep over T stages in both directions for each of its columns, and the cube of their
+number; in range space, backward sweeps and the products of all columns. Conjugate gradients in null space need some
+thirty sweeps, and a column for each remaining row, start and direction of a large weight. The constants were measured
+with compiled loops on one core: the low-pass of a time-varying system with n + k = 3 at T = 1000 to 20 000.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ COLUMN = 17e-9  # seconds for one entry of y of one stage of one column
 BACKWARD = 5e-9  # the same for the sweep backwards alone
 SQUARE = 2.2e-11  # seconds for a multiplication in products of a matrix with itself
 ITERATIONS = 7e-6  # seconds for one entry of y of one stage in all iterations of conjugate gradients of a step
-DIRECTIONS = 100  # of large weights, a common number
+DIRECTIONS = 100  # of large weights: a common number
 FLOP = 5e-11  # seconds for a multiplication in other products and factors of dense matrices
 STAGE_SECONDS = 6e-7  # seconds for every pair of entries of y of a stage in a step without rows that couple times
 PLAIN_STAGE = 1e-4  # seconds for a stage in a step by loops that are not compiled
@@ -34,7 +34,7 @@ RANGE_SPACE_BYTES = 2e9  # of the dense matrix of all rows and its factor, of th
 
 @dataclass(frozen=True)
 class Sizes:
-    """The sizes on which the cost of each solver depends."""
+    """The sizes that determine the cost of each solver."""
 
     horizon: int
     entries: int  # of y_t
@@ -64,7 +64,7 @@ class Sizes:
         return seconds
 
     def fine_seconds(self, rows: int, rank: int) -> float:
-        """Return the seconds of a step, or of its set-up, with so many rows of low rank."""
+        """Return the seconds of a step, or of its set-up, with rows of low rank."""
         return self._range_space(rank + self.rows - rows) + 3 * SQUARE * rows * rank**2
 
     def _range_space(self, columns: int) -> float:
@@ -107,9 +107,9 @@ def choose_kkt_solver(stages: Stages, loops: Loops) -> KKTSolver:
     seconds = sizes.seconds()
     if not seconds:
         raise UnsupportedError(
-            f"problem: got {sizes.rows} rows that couple times, of which {sizes.left} are no stop band of a control; "
+            f"problem: got {sizes.rows} rows that couple times, {sizes.left} of them no stop band of a control; "
             f"the structured method would need {1e-9 * sizes.range_space_bytes:.3g} GB of memory for them, and takes "
-            f"up to {RANGE_SPACE_BYTES * 1e-9:.0f} GB. A shorter horizon or method='convex' may do."
+            f"up to {RANGE_SPACE_BYTES * 1e-9:.0f} GB. Choose a shorter horizon, or method='convex'."
         )
     best = min(seconds, key=lambda name: seconds[name])
     if best == "range space":

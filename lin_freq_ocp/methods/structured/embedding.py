@@ -9,10 +9,11 @@ Newton, K = [P A'; A -W^2], xi = y/tau:
     dy = y1 + dtau y2,  dz = z1 + dtau z2,  ds = b dtau - (1 - sigma) f_z - A dy,  dkappa = -(d_kappa + kappa dtau)/tau
 
 After predictor and corrector, Gondzio's (1996) correctors move outlying products of s and z towards the others, as long
-as the step becomes longer: they save a tenth of the steps, and near cones the last digits of the gap.
+as the step becomes longer: they save a tenth of the steps, and the last digits of the gap near the edges of cones.
 
-ds follows from the rows, and not from the scaling: rounding errors go to complementarity, never to feasibility.
-In the end y/tau is optimal, or tau -> 0: b'z < 0 is a ray that proves infeasibility, h'y < 0 a direction of descent.
+ds is computed from the rows, not from the scaling, so that rounding errors affect complementarity and not feasibility.
+The iteration ends with an optimal y/tau, or with tau -> 0: then z with b'z < 0 is an infeasibility certificate, and y
+with h'y < 0 a direction of descent.
 """
 
 from __future__ import annotations
@@ -32,23 +33,23 @@ from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System, Value
 
 FRACTION = 0.99  # of the way to the boundary
 MOST_FRACTION = 0.999  # of it where a whole step is nearly possible
-FRACTION_SLOPE = 10.0  # of the distance to the boundary by the square of what is missing of a whole step
+FRACTION_SLOPE = 10.0  # by which the square of (1 - length) keeps a step from the boundary
 CORRECTORS = 2  # at most; a third gains nothing
-LONG_STEP = 0.95  # length of a step that no corrector is worth
+LONG_STEP = 0.95  # length of a step from which no corrector pays
 AHEAD, LEAST_AHEAD = 1.5, 0.1  # the longer step that a corrector aims at: a factor, and at least so much more
 OUTLYING = 5.0  # ratio to the aim from which a product of s and z is an outlier
 GAIN = 0.01  # of length, for which a corrector is taken
 MOST_STEPS = 80  # seldom more than 25 are taken
 STALLED = 8  # steps without progress after which no other helps
-PROGRESS = 0.5  # factor by which mu falls in a step that is progress whatever the errors are
+PROGRESS = 0.5  # factor by which mu falls in a step that counts as progress, whatever the errors are
 INTERIOR = 1e-2  # distance of the first point to the boundary, relative to its size, below which it is moved
 MOVED = 0.1  # of the size, the distance to which it is moved; at least 1
-RAY = 1e-9  # residual of a ray, relative to b'z or h'y, from which rounding hides the rest
+RAY = 1e-9  # residual of a ray, relative to b'z or h'y, below which there is only rounding
 ROUGH_RAY = 1e-5  # the same where the iteration stalled
-EXPECTED = 3.0  # residual after a step, in units of what Newton's method leaves, from which systems are refined
-LEAST_TERMS = 1e-4  # of the objective's absolute terms where y is 1: what the gap is relative to, at least
+EXPECTED = 3.0  # residual after a step, relative to that of exact Newton steps, from which systems are refined
+LEAST_TERMS = 1e-4  # of the absolute terms of the objective at y = 1: the gap is relative to as much at least
 VANISHED = 1e-3  # tau, relative to kappa, below which a ray is accepted at ``RAY``
-LEAST_TAU = 1e-100  # below which a ray that is not accepted gets no better; soon after, the square of tau is zero
+LEAST_TAU = 1e-100  # below which a ray no longer improves; the square of a much smaller tau is zero
 
 
 class End(Enum):
@@ -60,12 +61,12 @@ class End(Enum):
     STALLED = "stalled"
     TIME = "time limit"
     INTERRUPTED = "interrupted"
-    UNDEFINED = "undefined"  # of smooth dynamics, at the first point
+    UNDEFINED = "undefined"  # the smooth dynamics have no value at the first point
 
 
 @dataclass(frozen=True)
 class Targets:
-    """Relative residuals and gap to reach, and when to stop, by clock.now."""
+    """Relative residuals and gap to reach, and the time when to stop, by clock.now."""
 
     residual: float = 1e-10
     gap: float = 1e-9
@@ -97,7 +98,7 @@ class Answer:
 
 @dataclass(eq=False)
 class EmbeddedPoint:
-    """Variables, duals of all rows, and slacks of those in cones: the answer, once divided by tau."""
+    """Variables, duals of all rows, and slacks of the rows in cones; divided by tau, they are the answer."""
 
     y: Array
     z: Values
@@ -127,7 +128,7 @@ class _Direction(NamedTuple):
 
 
 class _Aim(NamedTuple):
-    """What a direction takes from lam o lam and tau kappa; it leaves sigma of the residuals."""
+    """The reduction of lam o lam and of tau kappa by a direction, which reduces the residuals to sigma of them."""
 
     sigma: float
     of_s: dict[int, Array]
@@ -136,7 +137,7 @@ class _Aim(NamedTuple):
 
 @dataclass(eq=False)
 class _Measures:
-    """The residuals of a point, and what else follows from it."""
+    """The residuals of a point, and the quantities that steps and tests need."""
 
     f_y: Array
     f_z: Values
@@ -184,7 +185,7 @@ class Embedding:
             last = now() - clock  # a step takes about as long
             for step in count():
                 clock = now()
-                measures = self.measured(point)
+                measures = self.measure(point)
                 self._refined |= measures.left > EXPECTED * self._expected + self.targets.residual * point.tau
                 if best is None or measures.errors.merit(self.targets) < best.errors.merit(self.targets):
                     best, progress = _answer(End.STALLED, point, measures, step, point.tau), step
@@ -216,7 +217,7 @@ class Embedding:
             z[i] = part
         return EmbeddedPoint(y, z, s)
 
-    def measured(self, point: EmbeddedPoint) -> _Measures:
+    def measure(self, point: EmbeddedPoint) -> _Measures:
         """Return the residuals of a point."""
         system, tau, kappa, h, b = self.system, point.tau, point.kappa, self._h, self._b
         Py, Atz, Ay = system.curvature(point.y), system.adjoint(point.z), system.rows(point.y)
@@ -239,7 +240,7 @@ class Embedding:
         return _Measures(f_y, f_z, f_tau, Py, yPy, hy, bz, mu, errors, max(of_y, of_z), ray, descent)
 
     def _conclude(self, point: EmbeddedPoint, measures: _Measures, step: int) -> Answer | None:
-        """Return the answer if the point is one."""
+        """Return the answer if the point is accurate enough, or a ray."""
         if measures.errors.merit(self.targets) <= 1:
             return _answer(End.OPTIMAL, point, measures, step, point.tau)
         vanishing = self._tau_vanishes(point)
@@ -250,7 +251,7 @@ class Embedding:
         return None
 
     def _rough_ray(self, point: EmbeddedPoint, measures: _Measures, steps: int) -> Answer | None:
-        """Return the ray or direction at which the iteration stalled, if it is one, for the judge to verify."""
+        """Return the ray or direction of a stalled iteration, if it is one, for the judge to verify."""
         if self._tau_vanishes(point) and measures.ray <= ROUGH_RAY:
             return _answer(End.INFEASIBLE, point, measures, steps, -measures.bz)
         if point.tau < VANISHED and measures.descent <= ROUGH_RAY:
@@ -277,7 +278,7 @@ class Embedding:
         }
         of_kappa = kappa * tau + affine.kappa * affine.tau - sigma * measures.mu
         step, length = self._correct(point, measures, constant, _Aim(sigma, centred, of_kappa))
-        # The closer a whole step is to being possible, the closer to the boundary it may end
+        # the closer to a whole step, the closer to the boundary it may end
         fraction = min(MOST_FRACTION, max(FRACTION, 1 - FRACTION_SLOPE * (1 - min(length, 1.0)) ** 2))
         length = min(fraction * length, 1.0)
         self._expected = (1 - length * (1 - sigma)) * measures.left
@@ -301,7 +302,7 @@ class Embedding:
         return step, length
 
     def _recentre(self, point: EmbeddedPoint, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
-        """Return the aim with outliers after such a step moved towards sigma mu."""
+        """Return the aim that moves the outliers after such a step towards sigma mu."""
         low, high = aim.sigma * mu / OUTLYING, aim.sigma * mu * OUTLYING
         of_s = dict(aim.of_s)
         for i, cone in self._cones.items():

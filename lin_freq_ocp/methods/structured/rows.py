@@ -4,12 +4,12 @@ Rows on the state and the control of single times are
 
     lower_i <= m_i'(x_t, u_t) + (slacks of time t) <= upper_i,   or rows less their lower limits in second-order cones.
 
-A stage has the same number of slots at every time: first the single inequalities, then cones by their size. Rows fill
-them in their order; the slots that remain have no limit. The slacks of rows that couple times are spread over the
-stages, where they are not negative.
+Every stage has the same number of slots: first for single inequalities, then for cones by their size. Rows fill the
+slots in their order; the remaining slots have no limit. The slacks of rows that couple times are spread over the
+stages; rows of these stages keep them from being negative.
 
-Rows that couple times are on all entries of y at first, and on the channels only in the end (``on_channels``); a
-spectrum stays a spectrum. All are in the problem's own units.
+Rows that couple times are first formulated on all entries of y, and then restricted to the channels
+(``restrict_to_channels``); a spectrum stays a spectrum. All rows are in the units of the problem.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured.stages import (
     Balls,
+    CoupledRows,
     Coupling,
     Equations,
     Inequalities,
-    Rows,
     SparseRows,
     SpectrumRows,
 )
@@ -40,7 +40,7 @@ from lin_freq_ocp.program.program_rows import ProgramRows, cone_members
 class StageRowList:
     """Rows of single times one after the other; ``slack_times`` are those of all slacks of the program."""
 
-    targets: Indices  # (rows,): the multiplier that a row's dual belongs to; -1: none
+    targets: Indices  # (rows,): the multiplier of the dual of each row; -1: none
     times: Indices  # (rows,)
     matrix: sp.csr_array  # (rows, variables of the program)
     lower: Array  # (rows,)
@@ -49,10 +49,10 @@ class StageRowList:
     slack_times: Indices  # (slacks,)
 
 
-def stage_rows(program: LinearProgram, given: Mask, fixed: Mask) -> StageRowList:
-    """Return the rows of single times, without 0 = 0 and 0 <= limit where they hold.
+def stage_rows(program: LinearProgram, fixed: Mask, absent: Mask) -> StageRowList:
+    """Return the rows of single times, without rows 0 = 0 and 0 <= limit that are satisfied.
 
-    Signals that are ``given`` (signals,) need no bounds; the deviations of those that are ``fixed`` are zero.
+    ``fixed`` signals (signals,) need no bounds; those that are ``absent`` from the stages have the deviation zero.
     """
     parts = [rows for rows in program.rows if rows.times is not None]
     times, slack_times, loose = list[Indices](), list[Indices](), list[Mask]()
@@ -66,29 +66,33 @@ def stage_rows(program: LinearProgram, given: Mask, fixed: Mask) -> StageRowList
             slack_times.append(of_slacks)
         loose.append(np.full(len(rows.prices), rows.times is None))
     matrix = program.matrix(parts)
-    if fixed.any():
-        matrix.data[np.append(fixed, np.zeros(len(program.prices), dtype=bool))[matrix.indices]] = 0.0
+    if absent.any():
+        matrix.data[np.append(absent, np.zeros(len(program.prices), dtype=bool))[matrix.indices]] = 0.0
         matrix.eliminate_zeros()
     lower, upper = np.concatenate([rows.lower for rows in parts]), np.concatenate([rows.upper for rows in parts])
     firsts = np.cumsum([0, *(len(rows.lower) for rows in parts)])
     cones = np.concatenate([rows.cones + first for rows, first in zip(parts, firsts, strict=False)])
-    kept = ~np.concatenate(
-        [given[rows.entries] if rows.map is None else np.full(len(rows.lower), False) for rows in parts]
+    needed = ~np.concatenate(
+        [fixed[rows.entries] if rows.map is None else np.full(len(rows.lower), False) for rows in parts]
     )
     empty = np.diff(matrix.indptr) == 0
     empty[cone_members(cones)[0]] = False
     if empty.any():
         rounding = np.concatenate([rows.rounding(program.origin) for rows in parts])
-        kept &= ~(empty & (lower <= rounding) & (upper >= -rounding))
-    chosen, numbers = np.flatnonzero(kept), np.cumsum(kept) - 1
-    # slacks of rows that couple times are not negative
+        needed &= ~(empty & (lower <= rounding) & (upper >= -rounding))
+    chosen, numbers = np.flatnonzero(needed), np.cumsum(needed) - 1
+    # rows that keep the slacks of rows that couple times from being negative
     of_slacks, slacks = np.concatenate(slack_times), np.flatnonzero(np.concatenate(loose))
-    ones = np.ones(len(slacks)), program.signals + slacks, np.arange(len(slacks) + 1)
-    signs = sp.csr_array(ones, shape=(len(slacks), program.variables))
+    if len(chosen) < len(needed):
+        matrix = sp.csr_array(matrix[chosen])
+    if len(slacks):
+        ones = np.ones(len(slacks)), program.signals + slacks, np.arange(len(slacks) + 1)
+        signs = sp.csr_array(ones, shape=(len(slacks), program.variables))
+        matrix = stack_rows([(matrix, 0), (signs, 0)], program.variables)
     return StageRowList(
         np.append(np.concatenate([rows.targets for rows in parts])[chosen], np.full(len(slacks), -1)),
         np.append(np.concatenate(times)[chosen], of_slacks[slacks]),
-        stack_rows([(sp.csr_array(matrix[chosen]), 0), (signs, 0)], program.variables),
+        matrix,
         np.append(lower[chosen], np.zeros(len(slacks))),
         np.append(upper[chosen], np.full(len(slacks), np.inf)),
         cones - cones[:, :1] + numbers[cones[:, :1]],
@@ -112,7 +116,7 @@ def _row_times(rows: ProgramRows, of_values: Indices) -> tuple[Indices, Indices]
     np.maximum.at(times, row, slack_times[slack])
     split = (of_values >= 0) & (of_values != times)
     if split.any() or (times[row] != slack_times[slack]).any() or (times < 0).any() or (slack_times < 0).any():
-        raise UnsupportedError(f"method 'structured': the slacks or cones of {rows.name!r} join several times.")
+        raise UnsupportedError(f"method 'structured': the slacks or cones of {rows.name!r} couple several times.")
     return times, slack_times
 
 
@@ -158,7 +162,7 @@ def assign_slots(rows: StageRowList) -> StageSlots:
 
 
 def _ranks(keys: Indices) -> Indices:
-    """Return how many equal keys stand before each."""
+    """Return the number of equal keys before each key."""
     order = np.argsort(keys, kind="stable")
     in_order = keys[order]
     ranks = np.empty(len(keys), dtype=int)
@@ -171,11 +175,11 @@ Family = Equations | Inequalities | Balls
 
 @dataclass(frozen=True, eq=False)
 class CoupledPart:
-    """A family of rows, each with one value times a weight, plus slacks, and the multipliers of these (-1: none)."""
+    """A family of rows, each of them one value times a weight, plus slacks, with the multipliers of the values."""
 
     family: Family
-    targets: Indices  # one for each entry of its dual: rows, or (balls, 1 + dim)
-    weights: Array  # of these duals in the multipliers
+    targets: Indices  # the multiplier of each entry of the dual, (rows,) or (balls, 1 + dim); -1: none
+    weights: Array  # by which each dual counts in its multiplier
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,16 +204,20 @@ def stage_equations(rows: StageRowList, chosen: Indices, columns: Columns) -> Co
 
 def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -> Iterator[CoupledPart]:
     """Yield the families of rows that couple times."""
-    # of a spectrum, the slacks alone are sparse
-    sparse = columns.of_variables(program.matrix([rows]) if rows.spectrum is None else program.slack_matrix([rows]))
+    sparse: sp.csr_array | None = None
+    if rows.spectrum is None:
+        sparse = columns.of_variables(program.matrix([rows]))
+    elif len(rows.prices):  # of a spectrum, the slacks alone are sparse
+        sparse = columns.of_variables(program.slack_matrix([rows]))
 
-    def family_rows(chosen: Indices, sign: float = 1.0) -> Rows:
-        if rows.spectrum is None:
-            return SparseRows(sp.csr_array(sign * sparse[chosen]))
-        return _spectrum_rows(rows, rows.spectrum, chosen, sign, columns.width)
+    def family_rows(chosen: Indices, sign: float = 1.0) -> CoupledRows:
+        if rows.spectrum is not None:
+            return _spectrum_rows(rows, rows.spectrum, chosen, sign, columns.width)
+        assert sparse is not None
+        return SparseRows(sp.csr_array(sign * sparse[chosen]))
 
     weights = np.ones(len(rows.lower)) if rows.weights is None else rows.weights
-    # rows that say only that a slack is not negative are rows of stages
+    # rows that only keep a slack from being negative are rows of stages
     alone = (rows.entries >= 0) | (np.diff(rows.slacks.indptr) != 1) | (rows.lower != 0) | np.isfinite(rows.upper)
     alone[cone_members(rows.cones)[0]] = False
     equal = alone & (rows.lower == rows.upper)
@@ -224,16 +232,17 @@ def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -
     sizes = rows.cones[:, 1] - rows.cones[:, 0]
     for size in np.unique(sizes):
         members = rows.cones[sizes == size, :1] + np.arange(size)
-        radius, offset, heads = -rows.lower[members[:, 0]], -rows.lower[members[:, 1:]], sparse[members[:, 0]]
+        radius, offset = -rows.lower[members[:, 0]], -rows.lower[members[:, 1:]]
         if rows.spectrum is not None and (rows.entries[members[:, 0]] >= 0).any():
             raise _unfit_error(rows)
-        of_slacks = SparseRows(sp.csr_array(heads)) if heads.nnz else None
+        heads = None if sparse is None else sp.csr_array(sparse[members[:, 0]])
+        of_slacks = SparseRows(heads) if heads is not None and heads.nnz else None
         ball = Balls(family_rows(members[:, 1:].ravel()), radius, of_slacks, offset)
         yield CoupledPart(ball, rows.targets[members], -weights[members])
 
 
 def _spectrum_rows(rows: ProgramRows, form: SpectrumForm, chosen: Indices, sign: float, width: int) -> SpectrumRows:
-    """Return chosen rows times a sign as a spectrum of y_t."""
+    """Return chosen rows times a sign as a spectrum of signals on y."""
     entries = rows.entries[chosen]
     if (entries < 0).any() or (np.diff(entries) <= 0).any() or np.diff(rows.slacks.indptr)[chosen].any():
         raise _unfit_error(rows)
@@ -248,11 +257,13 @@ def _spectrum_rows(rows: ProgramRows, form: SpectrumForm, chosen: Indices, sign:
 
 
 def _unfit_error(rows: ProgramRows) -> UnsupportedError:
-    return UnsupportedError(f"method 'structured': {rows.name!r} is no band, mask or energy of a spectrum.")
+    return UnsupportedError(f"method 'structured': {rows.name!r} is not a stop band, mask or energy of a spectrum.")
 
 
-def on_channels(parts: Sequence[CoupledPart], width: int, terminal: Indices, terminal_state: Array) -> Coupling:
-    """Return all parts on the entries of y that they depend on."""
+def restrict_to_channels(
+    parts: Sequence[CoupledPart], width: int, terminal: Indices, terminal_state: Array
+) -> Coupling:
+    """Return all parts on the channels: the entries of y that they depend on."""
     used = np.zeros(width, dtype=bool)
     for part in parts:
         used |= part.family.used(width)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.methods.structured.stages import Coupling, Stages, inverse_sizes
+from lin_freq_ocp.methods.structured.stages import Stages, inverse_sizes
 from lin_freq_ocp.program.program import Scaling
 from lin_freq_ocp.program.units import UNIT_ROUNDING, UNNOTICED, cost_factor
 
@@ -20,17 +20,28 @@ from lin_freq_ocp.program.units import UNIT_ROUNDING, UNNOTICED, cost_factor
 def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None = None) -> tuple[Stages, Scaling]:
     """Return the stages with y in units ``columns`` (T+1, n+k), and the change of units.
 
-    Its rows are, flat, those of x_0, of stages, equations, inequalities and balls.
-
-    The cost is measured by its slopes in the priced entries of y, at y or else where all are one unit.
+    Its factors of rows are flat: x_0, stages, equations, inequalities, balls. The cost is scaled by its slopes in the
+    priced entries at y; without y, at the point whose entries are one unit.
     """
     n = stages.states
     G = stages.G * columns[:, None]
     of_stages = _stage_factors(G, stages.g, stages.cones)
-    coupling, of_coupling = _scale_coupling(stages.coupling, columns)
+    before, units = stages.coupling, columns[:, stages.coupling.channels]
+    equations = [part.scaled(units) for part in before.equations]
+    inequalities = [part.scaled(units) for part in before.inequalities]
+    balls = [part.scaled(units) for part in before.balls]
+    end = columns[-1, before.terminal]
+    coupling = replace(
+        before,
+        terminal_state=before.terminal_state / end,
+        equations=tuple(part for part, _ in equations),
+        inequalities=tuple(part for part, _ in inequalities),
+        balls=tuple(part for part, _ in balls),
+    )
+    of_coupling = [1 / end, *(factors for _, factors in (*equations, *inequalities, *balls))]
     H, h = stages.H * columns[:, :, None] * columns[:, None, :], stages.h * columns
     typical = np.ones(h.shape)
-    if y is not None:  # in the new units; a component that moves at all, no smaller than the change others would notice
+    if y is not None:  # in the new units; a component that moves is floored at the smallest change that affects others
         size = np.abs(y)
         typical = np.where(size.max(axis=0) > UNIT_ROUNDING, np.maximum(size / columns, UNNOTICED), 0.0)
     slopes = np.einsum("tij,tj->ti", np.abs(H), typical) + np.abs(h)
@@ -49,7 +60,7 @@ def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None =
         coupling=coupling,
         constant=stages.constant * cost,
     )
-    return changed, Scaling(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), of_coupling]), cost)
+    return changed, Scaling(columns, np.concatenate([1 / columns[0, :n], of_stages.ravel(), *of_coupling]), cost)
 
 
 def scale_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array, Array, Array]:
@@ -60,7 +71,7 @@ def scale_dynamics(A: Array, B: Array, d: Array, columns: Array) -> tuple[Array,
 
 
 def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
-    """Return the factor of every row, (T+1, p): its limit, or that of its cone, becomes 1 unless its norm is larger."""
+    """Return the factor of every row, (T+1, p), that makes the larger one of its norm and its (cone's) limit 1."""
     norms, limits = np.sqrt((G**2).sum(2)), np.where(np.isfinite(g), np.abs(g), 0.0)
     sizes, first = np.maximum(norms, limits), g.shape[1] - sum(cones)
     for size in cones:
@@ -71,23 +82,8 @@ def _stage_factors(G: Array, g: Array, cones: tuple[int, ...]) -> Array:
     return inverse_sizes(sizes)
 
 
-def _scale_coupling(coupling: Coupling, columns: Array) -> tuple[Coupling, Array]:
-    units, end = columns[:, coupling.channels], columns[-1, coupling.terminal]
-    equations = [part.scaled(units) for part in coupling.equations]
-    inequalities = [part.scaled(units) for part in coupling.inequalities]
-    balls = [part.scaled(units) for part in coupling.balls]
-    changed = replace(
-        coupling,
-        terminal_state=coupling.terminal_state / end,
-        equations=tuple(part for part, _ in equations),
-        inequalities=tuple(part for part, _ in inequalities),
-        balls=tuple(part for part, _ in balls),
-    )
-    return changed, np.concatenate([1 / end, *(factors for _, factors in (*equations, *inequalities, *balls))])
-
-
 def fix_unused_entries(stages: Stages, used: Mask) -> Stages:
-    """Return the stages with Hessian 1 for the entries of y that are not used at a time, (T+1, n+k)."""
+    """Return the stages with the Hessian 1 in place of 0 for unused entries of y; ``used`` is (T+1, n+k)."""
     H, (time, entry) = stages.H.copy(), np.nonzero(~used)
     H[time, entry, entry] = 1.0
     return replace(stages, H=H)

@@ -1,4 +1,4 @@
-"""The linear program of the method: stages, and rows that couple times.
+"""The linear program of the structured method: stages, and rows that couple times.
 
     minimise    sum_t 1/2 y_t'H_t y_t + h_t'y_t + constant,  t = 0 .. T,  y_t = (x_t, w_t)
     subject to  x_{t+1} = A_t x_t + B_t w_t + d_t,  t < T;   x_0 given where it is fixed
@@ -6,9 +6,9 @@
                 coupling rows F on several times: frequency constraints, a fixed x_T, linear equations and inequalities
 
 w_t contains the controls u_t, then slacks, on which no state depends. At t = T, A, B and d are zero, and u_T costs
-1/2 |u_T|^2, so that all stages have one form. Coupling rows depend on some entries of y_t only, the *channels*: signals
-Y (T+1, channels, k) are those entries, k signals side by side. A family of rows maps signals to values (count, k), and
-has the adjoint of that map.
+1/2 |u_T|^2, so that all stages have the same form. Coupling rows depend on some entries of y_t only, the *channels*:
+signals Y (T+1, channels, k) are those entries of k trajectories. A family of rows maps signals to values (count, k),
+and has the adjoint of that map.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,7 +24,7 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
-DENSE = 3e5  # entries up to which products with a matrix take less time than FFTs; measured
+DENSE = 3e5  # entries of a matrix up to which products with it take less time than FFTs; measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Coupling:
         round_ = sum(part.rows.count + (0 if part.heads is None else part.heads.count) for part in self.balls)
         return self.equation_count + unequal + round_
 
-    def families(self) -> Iterator[tuple[Rows, Indices]]:
+    def families(self) -> Iterator[tuple[CoupledRows, Indices]]:
         """Yield every family of rows after those of x_T, with the indices of its rows among all."""
         first = len(self.terminal)
         for part in (*self.equations, *self.inequalities):
@@ -111,19 +111,19 @@ class Coupling:
 class RowFamily:
     """Rows of one kind, (count,), that are compared with numbers one by one."""
 
-    rows: Rows
+    rows: CoupledRows
     right: Array
 
     def used(self, channels: int) -> Mask:
-        """Return which of so many channels have a coefficient."""
+        """Return which of the channels have a coefficient."""
         return self.rows.used(channels)
 
     def narrowed(self, used: Mask) -> Self:
-        """Return it on the used channels only."""
+        """Return the family on the used channels only."""
         return replace(self, rows=self.rows.narrowed(used))
 
     def scaled(self, units: Array) -> tuple[Self, Array]:
-        """Return it with rows of length 1 on signals in units (T+1, channels), and the factors of the rows."""
+        """Return the family in units (T+1, channels) with rows of length 1, and the factors of its rows."""
         factors = inverse_sizes(self.rows.scaled(np.ones(self.rows.count), units).norms())
         return replace(self, rows=self.rows.scaled(factors, units), right=self.right * factors), factors
 
@@ -145,12 +145,12 @@ class Inequalities(RowFamily):
 class Balls:
     """|v_j + offset_j| <= radius_j + slack_j for groups v_j of values (balls * dim,): masks and energies.
 
-    A soft ball has a slack, which is an entry of y that ``heads`` picks; it is not negative by a row of its stage.
+    A soft ball has a slack: the entry of y that ``heads`` selects, which a row of its stage keeps from being negative.
     """
 
-    rows: Rows
+    rows: CoupledRows
     radius: Array  # (balls,), above zero; 0 or above with slacks
-    heads: Rows | None = None
+    heads: CoupledRows | None = None
     offset: Array | None = None  # (balls, dim); None: zeros
 
     @property
@@ -165,17 +165,17 @@ class Balls:
         return np.column_stack([self.radius, offset])
 
     def used(self, channels: int) -> Mask:
-        """Return which of so many channels have a coefficient."""
+        """Return which of the channels have a coefficient."""
         return self.rows.used(channels) | (False if self.heads is None else self.heads.used(channels))
 
     def narrowed(self, used: Mask) -> Self:
-        """Return them on the used channels only."""
+        """Return the balls on the used channels only."""
         return replace(self, rows=self.rows.narrowed(used), heads=self.heads and self.heads.narrowed(used))
 
     def scaled(self, units: Array) -> tuple[Self, Array]:
-        """Return them on signals in units (T+1, channels), of radius 1 unless their slacks are larger, and factors.
+        """Return the balls in units (T+1, channels), and the factors of the entries of ``right``, flat.
 
-        There is one factor for each entry of ``right``, flat.
+        Their radius is 1, unless the rows of their slacks are longer.
         """
         count, sizes = len(self.radius), np.abs(self.radius)
         if self.heads is not None:
@@ -197,48 +197,6 @@ def inverse_sizes(sizes: Array) -> Array:
     return 1.0 / np.where(sizes > 0, sizes, 1.0)
 
 
-class Rows(Protocol):
-    """A family of linear rows on signals (T+1, channels, k)."""
-
-    @property
-    def count(self) -> int:
-        """Return the number of rows."""
-        ...
-
-    def forward(self, signals: Array) -> Array:
-        """Return the values of the rows, (count, k)."""
-        ...
-
-    def add_adjoint(self, weights: Array, signals: Array) -> None:
-        """Add the adjoint of weights (count, k) to signals."""
-        ...
-
-    def add_columns(self, chosen: Indices, signals: Array) -> None:
-        """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
-        ...
-
-    @property
-    def oversampling(self) -> int:
-        """Return how many rows there are for each point of the plain DFT; 1 for rows that are no spectrum."""
-        ...
-
-    def used(self, channels: int) -> Mask:
-        """Return which of so many channels have a coefficient."""
-        ...
-
-    def narrowed(self, used: Mask) -> Rows:
-        """Return the rows on the used channels only."""
-        ...
-
-    def norms(self) -> Array:
-        """Return the Euclidean norms of the rows, (count,)."""
-        ...
-
-    def scaled(self, factors: Array, units: Array) -> Rows:
-        """Return the rows times factors (count,), of signals in units (T+1, channels)."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class SpectrumRows:
     """(Re, Im) of scale_j sum_t window_t c'Y_t exp(-2 pi i bin_j t / points), of which those ``kept`` count."""
@@ -258,9 +216,9 @@ class SpectrumRows:
     def forward(self, signals: Array) -> Array:
         """Return the values of the rows, (count, k)."""
         signal = self.window[:, None] * np.einsum("c,tck->tk", self.coefficients, signals[: len(self.window)])
-        found = fft.rfft(signal, n=self.points, axis=0)[self.bins] * self.scale[:, None]
+        spectrum = fft.rfft(signal, n=self.points, axis=0)[self.bins] * self.scale[:, None]
         pairs = np.empty((2 * len(self.bins), signals.shape[2]))
-        pairs[0::2], pairs[1::2] = found.real, found.imag
+        pairs[0::2], pairs[1::2] = spectrum.real, spectrum.imag
         return pairs[self.kept]
 
     def add_adjoint(self, weights: Array, signals: Array) -> None:
@@ -286,11 +244,11 @@ class SpectrumRows:
 
     @property
     def oversampling(self) -> int:
-        """Return the number of points of the grid for each of the plain DFT."""
+        """Return the number of grid points for each point of the plain DFT."""
         return self.points // len(self.window)
 
     def used(self, channels: int) -> Mask:
-        """Return which of so many channels have a coefficient."""
+        """Return which of the channels have a coefficient."""
         return self.coefficients != 0
 
     def narrowed(self, used: Mask) -> SpectrumRows:
@@ -298,7 +256,7 @@ class SpectrumRows:
         return replace(self, coefficients=self.coefficients[used])
 
     def norms(self) -> Array:
-        """Return the Euclidean norms of the rows, (count,), of which those of a bin count as equal."""
+        """Return the Euclidean norms of the rows, (count,), the same for both rows of a bin."""
         real = (self.bins == 0) | (2 * self.bins == self.points)
         size = np.sqrt((self.coefficients**2).sum() * (self.window**2).sum() * np.where(real, 1.0, 0.5))
         return np.repeat(size * np.abs(self.scale), 2)[self.kept]
@@ -344,13 +302,13 @@ class SparseRows:
         return 1
 
     def used(self, channels: int) -> Mask:
-        """Return which of so many channels have a coefficient."""
+        """Return which of the channels have a coefficient."""
         return np.bincount(self.matrix.indices % channels, minlength=channels) > 0
 
     def narrowed(self, used: Mask) -> SparseRows:
         """Return the rows on the used channels only."""
-        channels, place, indices = len(used), np.cumsum(used) - 1, self.matrix.indices.astype(np.intp)
-        columns = indices // channels * int(used.sum()) + place[indices % channels]
+        channels, position, indices = len(used), np.cumsum(used) - 1, self.matrix.indices.astype(np.intp)
+        columns = indices // channels * int(used.sum()) + position[indices % channels]
         shape = self.count, self.matrix.shape[1] // channels * int(used.sum())
         return SparseRows(sp.csr_array((self.matrix.data, columns, self.matrix.indptr), shape=shape))
 
@@ -363,6 +321,10 @@ class SparseRows:
         """Return the rows times factors (count,), of signals in units (T+1, channels)."""
         data = self.matrix.data * units.ravel()[self.matrix.indices] * np.repeat(factors, np.diff(self.matrix.indptr))
         return SparseRows(sp.csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape))
+
+
+CoupledRows = SpectrumRows | SparseRows
+"""A family of linear rows on signals (T+1, channels, k); both classes have the same methods."""
 
 
 class AllRows:
@@ -396,13 +358,13 @@ class AllRows:
         """Return F y."""
         terminal, signals = self._coupling.terminal, y[:, self._coupling.channels]
         if self._dense:
-            found = self._matrix.T @ signals.ravel()
+            values = self._matrix.T @ signals.ravel()
         else:
-            found = np.zeros(self._coupling.count)
+            values = np.zeros(self._coupling.count)
             for rows, at in self._families:
-                found[at] = rows.forward(signals[:, :, None])[:, 0]
-        found[: len(terminal)] = y[-1, terminal]
-        return found
+                values[at] = rows.forward(signals[:, :, None])[:, 0]
+        values[: len(terminal)] = y[-1, terminal]
+        return values
 
     def add_adjoint(self, nu: Array, gradient: Array) -> None:
         """Add F'nu to a gradient (stages, n + k)."""

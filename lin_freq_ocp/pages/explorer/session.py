@@ -38,8 +38,8 @@ from lin_freq_ocp.problem.reformulations import semi_infinite_terms
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import family_of
-from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solver_cache import Change
 
 HORIZON = "horizon"
 HORIZON_NOTCHES = 60  # about so many between half and twice the problem's horizon

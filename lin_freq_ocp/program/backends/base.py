@@ -1,4 +1,4 @@
-"""What every solver returns, and the register of solvers: a new one is one file and one call of ``register``."""
+"""The answer of every solver, and the register of solvers: a new one is one file and one entry of ``REGISTER``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CONTRADICTION = 1e-6  # violation of bounds of order 1 by each other, or of rows
 
 
 class Claim(Enum):
-    """What a solver claims of its answer; the residuals decide."""
+    """The claim of a solver on its answer; the residuals decide."""
 
     SOLVED = "solved"
     INFEASIBLE = "infeasible"
@@ -37,7 +37,7 @@ class Solution:
     claim: Claim
     z: Array | None  # a point, with binaries the best found; with UNBOUNDED, a direction of descent
     y: Array | None  # duals; with INFEASIBLE, a Farkas ray (A'y = 0, support < 0 for the bounds); None with binaries
-    message: str  # the solver's own status
+    message: str  # the status in the words of the solver
     bound: float | None = None  # with binaries: claimed lower bound on the objective, constant included
 
 
@@ -48,42 +48,26 @@ Solver = Callable[[Program, float, float | None], Solution]
 
 
 @dataclass(frozen=True)
-class _Entry:
-    """A registered solver; the fields are those of ``register``."""
+class SolverEntry:
+    """A solver in the register.
+
+    Attributes
+    ----------
+    load : callable
+        Returns the solver, given the text after ``name:``.
+    package : str, optional
+        The package that must be installed.
+    binaries, cones : bool
+        Whether it solves programs with binaries, and whether it takes second-order cones.
+    example : str, optional
+        Such a text after ``name:``, if the solver needs one.
+    """
 
     load: Callable[[str], Solver]
-    package: str | None
-    binaries: bool
-    cones: bool
-    example: str | None
-
-
-REGISTER: dict[str, _Entry] = {}
-
-
-def register(
-    name: str,
-    load: Callable[[str], Solver],
-    package: str | None = None,
-    binaries: bool = False,
-    cones: bool = False,
-    example: str | None = None,
-) -> None:
-    """Register a solver.
-
-    Parameters
-    ----------
-    name : str
-    load : callable
-        Returns the solver, given what follows ``name:``.
-    package : str, optional
-        What must be installed.
-    binaries, cones : bool
-        Whether it is a solver of programs with binaries, and whether it takes second-order cones.
-    example : str, optional
-        Of what follows ``name:``, where something must.
-    """
-    REGISTER[name] = _Entry(load, package, binaries, cones, example)
+    package: str | None = None
+    binaries: bool = False
+    cones: bool = False
+    example: str | None = None
 
 
 def names(binaries: bool = False) -> list[str]:
@@ -92,7 +76,7 @@ def names(binaries: bool = False) -> list[str]:
 
 
 def backend(name: str, binaries: bool = False) -> Solver:
-    """Return the solver of that name, for programs with binaries or without.
+    """Return the solver with this name, for programs with binaries or without.
 
     Raises UnsupportedError if there is none, and MissingExtraError if its package is not installed.
     """
@@ -123,11 +107,15 @@ def backend(name: str, binaries: bool = False) -> Solver:
 
 
 def _module(name: str) -> ModuleType:
+    """Return a file of this folder, imported when its solver is first needed."""
     return import_module(f"lin_freq_ocp.program.backends.{name}")
 
 
-register("clarabel", lambda _: _module("clarabel_").solve, cones=True)
-register("osqp", lambda _: _module("osqp_").solve)
-register("qpsolvers", lambda member: _module("qpsolvers_").solver(member), example="piqp")
-register("scip", lambda _: _module("scip_").solve, package="pyscipopt", binaries=True, cones=True)
-register("daqp", lambda _: _module("daqp_").solve, package="daqp", binaries=True)
+REGISTER: dict[str, SolverEntry] = {
+    "clarabel": SolverEntry(lambda _: _module("clarabel_").solve, cones=True),
+    "osqp": SolverEntry(lambda _: _module("osqp_").solve),
+    "qpsolvers": SolverEntry(lambda member: _module("qpsolvers_").solver(member), example="piqp"),
+    "scip": SolverEntry(lambda _: _module("scip_").solve, package="pyscipopt", binaries=True, cones=True),
+    "daqp": SolverEntry(lambda _: _module("daqp_").solve, package="daqp", binaries=True),
+}
+"""The solvers by name; a new one is one more entry."""

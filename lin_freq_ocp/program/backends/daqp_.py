@@ -1,11 +1,11 @@
 """DAQP: branch and bound on dense strictly convex quadratic programs, by a dual active-set method.
 
-What it needs and a program has not:
+DAQP needs three things that a program does not have:
 
-- curvature in the binaries: delta^2 - delta is 0 at both of their values, and is added;
-- curvature elsewhere: where P is singular, a small multiple of |z|^2 is added, and what it can have changed is taken
-  off the bound;
-- no fixed variables: they are taken out.
+- curvature in the binaries: delta^2 - delta is added, which is 0 at both of their values;
+- curvature elsewhere: if P is singular, a small multiple of |z|^2 is added, and the bound is lowered by the largest
+  possible effect of that;
+- no fixed variables: they are removed.
 
 It cannot be interrupted: a Ctrl-C counts when it returns, at the latest at the time limit.
 """
@@ -18,14 +18,13 @@ import daqp
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program
 
 # Of delta^2 - delta: much more weakens the relaxations, much less makes all rows parallel in DAQP's metric. The second
-# is tried where DAQP cycles with the first or finds nothing: of 200 random problems, it never cycled with both.
+# is tried if DAQP cycles with the first or finds nothing: of 200 random problems, it never cycled with both.
 BINARY_CURVATURES = (0.1, 0.01)
 SINGULAR_BLOCK = 1e-7  # eigenvalue, relative to the largest row sum of P, below which a block of P is regularised ...
 BLOCK_REGULARISATION = 1e-7  # ... by this, relative to the same: some 1e-6 of the cost where variables are of order 1
@@ -51,7 +50,7 @@ CLAIMS = {
 
 
 def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
-    """Solve; what it stops with early has no bound."""
+    """Solve; an answer at a limit has no bound."""
     started, found = now(), list[Solution]()
     for curvature in BINARY_CURVATURES:
         left = None if time_limit is None else time_limit - (now() - started)
@@ -76,7 +75,15 @@ def _attempt(program: Program, curvature: float, time_limit: float | None, gap: 
     empty = ~A.any(axis=1)
     if rows.violation > CONTRADICTION or (np.maximum(lower, -upper)[empty] > CONTRADICTION).any():
         return NO_POINT
-    added, binaries = _regularisation(program), program.binaries
+    # blocks of P that are not strictly convex get a small multiple of the identity
+    added, binaries = np.zeros(len(program.q)), program.binaries
+    block = np.asarray(connected_components(program.P, directed=False)[1], dtype=np.intp)
+    block[binaries] = -1
+    largest = float(abs(program.P).sum(axis=0).max(initial=0.0)) or 1.0
+    for b in np.unique(block[block >= 0]):
+        columns = np.flatnonzero(block == b)
+        if np.linalg.eigvalsh(program.P[columns][:, columns].toarray())[0] < SINGULAR_BLOCK * largest:
+            added[columns] = BLOCK_REGULARISATION * largest
     hessian, gradient = program.P.toarray() + np.diag(added), program.q.copy()
     hessian[binaries, binaries] += 2 * curvature
     gradient[binaries] -= curvature
@@ -119,17 +126,3 @@ def _attempt(program: Program, curvature: float, time_limit: float | None, gap: 
     unsure = (own if bound is None else most) / max(1.0, abs(objective))
     unknown = f", optimal but for {unsure:.1e} by regularisation" if unsure > 0 else ""
     return Solution(claim, z, None, message + unknown, bound)
-
-
-def _regularisation(program: Program) -> Array:
-    """Return what is added to the diagonal of P, (variables,): nothing to blocks that are strictly convex."""
-    added = np.zeros(len(program.q))
-    _, labels = connected_components(program.P, directed=False)
-    block = np.asarray(labels, dtype=np.intp)
-    block[program.binaries] = -1
-    largest = float(abs(program.P).sum(axis=0).max(initial=0.0)) or 1.0
-    for b in np.unique(block[block >= 0]):
-        columns = np.flatnonzero(block == b)
-        if np.linalg.eigvalsh(program.P[columns][:, columns].toarray())[0] < SINGULAR_BLOCK * largest:
-            added[columns] = BLOCK_REGULARISATION * largest
-    return added

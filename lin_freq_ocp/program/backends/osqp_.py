@@ -1,4 +1,4 @@
-"""OSQP: an operator-splitting method for exactly our form, l <= A z <= u; duals P z + q + A'y = 0."""
+"""OSQP: an operator-splitting method for the form of ``Program``, l <= A z <= u; duals P z + q + A'y = 0."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
         max_iter=MAX_ITERATIONS,
         **limit,
     )
-    with redirect_stdout(StringIO()):  # it remarks on polishing even when told to be silent
+    with redirect_stdout(StringIO()):  # it prints a remark on polishing even if it is not verbose
         answer = run.solve(raise_error=False)
     message = str(answer.info.status)
     claim = CLAIMS.get(message, Claim.FAILED)

@@ -1,4 +1,4 @@
-"""Every solver that qpsolvers finds installed: min 1/2 z'P z + q'z, G z <= h, A z = b; P z + q + G'z_G + A'y = 0."""
+"""Every installed solver of qpsolvers: min 1/2 z'P z + q'z, G z <= h, A z = b; P z + q + G'z_G + A'y = 0."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.program.program import Program
 
-# How each solver spells its tolerance; one that is not here runs with its own
+# the options for the tolerance of each solver; others run with their default
 SETTINGS: dict[str, Callable[[float], dict[str, object]]] = {
     "clarabel": lambda tolerance: dict.fromkeys(("tol_feas", "tol_gap_abs", "tol_gap_rel"), tolerance),
     "piqp": lambda tolerance: dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs"), tolerance),
@@ -26,7 +26,7 @@ SETTINGS: dict[str, Callable[[float], dict[str, object]]] = {
     "scs": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iters": 200_000},
     "osqp": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": 200_000, "polishing": True},
 }
-# How each solver spells its time limit; one that is not here has none
+# the option for the time limit of each solver; others have none
 TIME_LIMITS = {
     "clarabel": "time_limit",
     "osqp": "time_limit",

@@ -18,12 +18,12 @@ from pyscipopt.scip import PY_SCIP_EVENTTYPE, Event, Expr, Variable
 from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.clock import LEAST_SECONDS, now
+from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Claim, Solution
 from lin_freq_ocp.program.program import Program, SingleBounds
 
-SCIP_FEASIBILITY = 1e-6  # SCIP's own; with less, its LP solver may fail, and a mode sequence is solved again anyway
+SCIP_FEASIBILITY = 1e-6  # SCIP's default; with less, its LP solver may fail, and a mode sequence is solved again anyway
 NEGLIGIBLE_EIGENVALUE = 1e-14  # eigenvalue of a block of P, relative to its largest, that is rounding of 0
 SCIP_INFINITE = 1e20  # as SCIP has it
 
@@ -32,7 +32,7 @@ SETTINGS: dict[str, bool | float | str] = {
     "lp/threads": 1,
     "parallel/maxnthreads": 1,
     "randomization/randomseedshift": 0,
-    "misc/catchctrlc": False,  # its own handler prints, and loses ours
+    "misc/catchctrlc": False,  # SCIP's handler prints, and replaces ours
 }
 
 CLAIMS = {
@@ -52,24 +52,19 @@ WATCHED = (PY_SCIP_EVENTTYPE.PRESOLVEROUND, PY_SCIP_EVENTTYPE.LPSOLVED, PY_SCIP_
 
 
 def solve(program: Program, gap: float, time_limit: float | None) -> Solution:
-    """Solve; the best point found is returned also when a limit or Ctrl-C ended the search."""
-    started = now()
+    """Solve; if a limit or Ctrl-C ends the search, the best point so far is returned."""
+    end = np.inf if time_limit is None else now() + time_limit
     rows = program.single_bounds()
     if rows.violation > CONTRADICTION:
         return NO_POINT
     model, variables = convex_model(program, rows)
     set_objective(model, program, variables)
-    solution = run_scip(model, variables, seconds_left(time_limit, started), gap)
-    return solution or decide_claim(lambda nothing: solve(nothing, gap, seconds_left(time_limit, started)), program)
-
-
-def seconds_left(time_limit: float | None, started: float) -> float | None:
-    """Return what is left of a limit, at least so much that SCIP says that it was reached."""
-    return None if time_limit is None else max(time_limit - (now() - started), LEAST_SECONDS)
+    solution = run_scip(model, variables, seconds_left(end), gap)
+    return solution or decide_claim(lambda costless: solve(costless, gap, seconds_left(end)), program)
 
 
 def run_scip(model: Model, variables: list[Variable], time_limit: float | None, gap: float) -> Solution | None:
-    """Run SCIP on a model; None if it says that the problem is infeasible or unbounded, and not which."""
+    """Run SCIP on a model; None if SCIP reports 'infeasible or unbounded'."""
     model.setParams({**SETTINGS, "limits/gap": gap})
     if time_limit is not None:
         model.setParam("limits/time", time_limit)
@@ -89,7 +84,7 @@ def run_scip(model: Model, variables: list[Variable], time_limit: float | None, 
 
 
 def decide_claim(solve_one: Callable[[Program], Solution], program: Program) -> Solution:
-    """Return which of infeasible and unbounded it is: without a cost, a program is not unbounded."""
+    """Return whether the program is infeasible or unbounded, by solving it without its cost."""
     found = solve_one(replace(program, P=sp.csc_array(program.P.shape), q=np.zeros_like(program.q)))
     claim = Claim.UNBOUNDED if found.claim is Claim.SOLVED else found.claim
     return Solution(claim, None, None, f"infeasible or unbounded; without its cost: {found.message}")

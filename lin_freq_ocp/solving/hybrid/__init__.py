@@ -1,4 +1,4 @@
-"""From a problem with modes, kinks or levels to a judged outcome."""
+"""From a problem with modes, kinks or levels to a judged outcome: the methods that this folder registers."""
 
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics

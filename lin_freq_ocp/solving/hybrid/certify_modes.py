@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 
@@ -17,13 +16,13 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
 
-MOST_FLIPS = 16  # flips that are verified, the steepest first: each takes a fit of multipliers
+MOST_FLIPS = 16  # flips that are verified, the steepest first: each needs a fit of multipliers
 
 
 def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Certificate:
-    """Judge a trajectory of dynamics with modes with the best multipliers that are found, ordered by ``_rank``.
+    """Judge a trajectory of dynamics with modes with the best multipliers, ordered by ``_rank``.
 
-    Every flip that they name is tried: the judge checks a direction of descent in the mode sequence with the flip.
+    Every flip that they suggest is tried: the judge checks a direction of descent in the mode sequence with the flip.
     """
     best, _ = best_multipliers(problem, trajectory)
     problem = problem.affine_at(trajectory)
@@ -33,9 +32,9 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     facts, descent = _verify_flips(problem, trajectory, sequence, _facts(best))
     if best.failed and best.feasible:  # abnormal multipliers may satisfy all conditions
         inverse = fixed_modes(problem, sequence)
-        found = abnormal_multipliers(inverse.problem, trajectory)
-        if found is not None:
-            abnormal = judge(problem, trajectory, inverse.multipliers(found, trajectory))
+        multipliers = abnormal_multipliers(inverse.problem, trajectory)
+        if multipliers is not None:
+            abnormal = judge(problem, trajectory, inverse.multipliers(multipliers, trajectory))
             if not abnormal.failed:
                 return replace(abnormal, descent=descent)
     return replace(best, borders=facts, descent=descent)
@@ -44,29 +43,26 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
 def best_multipliers(
     problem: OptimalControlProblem, trajectory: Trajectory, first: Multipliers | None = None
 ) -> tuple[Certificate, Multipliers]:
-    """Return the best multipliers that are found, and the certificate with them; ``first`` are judged before others.
+    """Return the best multipliers with their certificate; ``first`` are judged before others.
 
-    NumericalError if ``first`` is not given, and no fit could be solved.
+    NumericalError if no fit could be solved and ``first`` is None.
     """
     best: tuple[Certificate, Multipliers] | None = None
-    for multipliers in chain([] if first is None else [first], _candidates(problem, trajectory, first is not None)):
-        certificate = judge(problem, trajectory, multipliers)
-        if best is None or _rank(certificate) > _rank(best[0]):
-            best = certificate, multipliers
-        if not best[0].failed and _facts(best[0]).flip_stationary:
-            break
-        if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
-            break  # no others can help
-    assert best is not None  # candidates yields, or raises
-    return best
-
-
-def _candidates(problem: OptimalControlProblem, trajectory: Trajectory, optional: bool) -> Iterator[Multipliers]:
+    fits = candidates(problem.affine_at(trajectory), trajectory)  # in every mode sequence of the trajectory
     try:
-        yield from candidates(problem.affine_at(trajectory), trajectory)
+        for multipliers in chain([] if first is None else [first], fits):
+            certificate = judge(problem, trajectory, multipliers)
+            if best is None or _rank(certificate) > _rank(best[0]):
+                best = certificate, multipliers
+            if not best[0].failed and _facts(best[0]).flip_stationary:
+                break
+            if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
+                break  # no other multipliers can help
     except NumericalError:
-        if not optional:
+        if first is None:
             raise
+    assert best is not None  # there are candidates, or an error
+    return best
 
 
 def _facts(certificate: Certificate) -> SwitchingFacts:
@@ -76,6 +72,7 @@ def _facts(certificate: Certificate) -> SwitchingFacts:
 
 
 def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
+    """Return the order of certificates: conditions, flips, other facts at boundaries, and the largest residual."""
     facts = _facts(certificate)
     stationary = not certificate.failed, facts.flip_stationary, facts.elsewhere
     return *stationary, -len(facts.flips), -certificate.worst.relative
@@ -84,7 +81,7 @@ def _rank(certificate: Certificate) -> tuple[bool, bool, bool, int, float]:
 def _verify_flips(
     problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices, facts: SwitchingFacts
 ) -> tuple[SwitchingFacts, Direction | None]:
-    """Return the facts with the result of every flip, and the steepest direction of descent that was verified."""
+    """Return the facts with the result of every flip, and the steepest verified direction of descent."""
     improves, direction = _try_sequence(problem, trajectory, sequence)
     directions, flips = [direction], list[Flip]()
     for flip in facts.flips[:MOST_FLIPS]:
@@ -96,17 +93,17 @@ def _verify_flips(
         else:
             answer = improves
         flips.append(flip._replace(improves=answer))
-    found = [direction for direction in directions if direction is not None]
+    verified = [direction for direction in directions if direction is not None]
     rest = facts.flips[MOST_FLIPS:]
-    return replace(facts, flips=(*flips, *rest)), min(found, key=lambda direction: direction.slope, default=None)
+    return replace(facts, flips=(*flips, *rest)), min(verified, key=lambda direction: direction.slope, default=None)
 
 
 def _try_sequence(
     problem: OptimalControlProblem, trajectory: Trajectory, sequence: Indices
 ) -> tuple[bool | None, Direction | None]:
-    """Return whether a mode sequence improves on the trajectory to first order, and the direction along which it does.
+    """Return whether a mode sequence improves on the trajectory to first order, and the direction of descent.
 
-    None: neither a direction of descent nor multipliers of its own were found.
+    The first is None if neither a direction of descent nor multipliers of the sequence are known.
     """
     linear = problem.with_modes(sequence)
     try:

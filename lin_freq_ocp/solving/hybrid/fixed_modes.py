@@ -1,6 +1,6 @@
 """One mode sequence of piecewise-affine dynamics, or of controls with levels, as a linear problem, and the way back.
 
-The linear problem is a restriction: its rays and its bound say nothing of other sequences, which the search tree has.
+The linear problem is a restriction: its rays and its bound do not hold for the other sequences of the search tree.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class FixedModes(Inverse):
     sequence: Indices
 
     def trajectories(self, reduced: Trajectory) -> Iterator[Trajectory]:
-        """Yield a solver's trajectory, with the controls that the modes fix exactly at their levels.
+        """Yield a solver's trajectory with the controls that the modes fix exactly at their levels.
 
-        First with the states that follow, then, from a free start, with the solver's: unstable dynamics magnify
-        rounding.
+        Its states are simulated; from a free initial state, a second trajectory has the solver's states, as unstable
+        dynamics magnify rounding errors.
         """
         controls, start = self.given.dynamics.controls_of(self.sequence), self.given.initial_box
         if controls is None:
@@ -37,15 +37,15 @@ class FixedModes(Inverse):
             yield Trajectory(reduced.x, controls)
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:
-        """Return the trajectory with exact levels."""
+        """Return the first of these trajectories."""
         return next(self.trajectories(reduced))
 
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
-        """Return the multipliers with the weights of all modes that a trajectory is in."""
+        """Return the multipliers with the weights of all modes whose regions contain the trajectory."""
         return reduced if at is None else multipliers_with_weights(self.given, at, self.sequence, reduced)
 
     def recover(self, answer: AnyAnswer) -> AnyAnswer:
-        """Return the answer for the given problem; a ray, which excludes one sequence, is left out."""
+        """Return the answer for the given problem, without a ray: that would exclude one sequence only."""
         return replace(super().recover(answer), ray=None)
 
 

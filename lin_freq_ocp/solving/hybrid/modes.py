@@ -1,7 +1,7 @@
 """The methods for piecewise-affine dynamics: search, solve the best sequence alone, judge the point and the tree.
 
-The tree is the evidence of the outcome. In a control loop, a search leaves its relaxations and a cover of the sequences
-to that of the next step.
+The tree is the evidence of the outcome. In a control loop, the search of the next step reuses the relaxations and a
+cover of the sequences.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
-from lin_freq_ocp.solving.hybrid.smooth import judged_outcome
-from lin_freq_ocp.solving.kept import SearchCache
+from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
+from lin_freq_ocp.solving.solver_cache import SearchCache
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,18 +75,18 @@ def tree_of(outcome: Outcome) -> TreeEvidence | None:
     return outcome.evidence if isinstance(outcome.evidence, TreeEvidence) else None
 
 
-class KeptTree(SearchCache):
+class TreeCache(SearchCache):
     """The relaxations of a search, and a cover of the sequences of the next step."""
 
     def __init__(self):
-        self._of: OptimalControlProblem | None = None  # from which the problem of a step differs in its start alone
+        self._last: OptimalControlProblem | None = None  # the base of the last search
         self._relaxation: ModeRelaxation | None = None
         self._cover: Sequence[CoverNode] = ()
         self._base: OptimalControlProblem | None = None
         self.solved = 0
 
-    def begins(self, base: OptimalControlProblem | None) -> None:
-        """Say from which problem the next differs in its start alone; None if in more."""
+    def set_base(self, base: OptimalControlProblem | None) -> None:
+        """Set the problem from which the next one differs in its initial state alone; None without one."""
         self._base = base
 
     def search(
@@ -96,29 +96,29 @@ class KeptTree(SearchCache):
         progress: Callable[[SearchProgress], None] | None,
         start: Indices | None,
     ) -> SearchOutcome:
-        """Search from what the step before has left, and keep what this leaves."""
-        kept, cover = self._relaxation, self._cover
-        if kept is not None and self._base is not None and self._base is self._of:
-            search = TreeSearch(problem, limits, progress, kept.moved, compiled_from=0)
+        """Search with the relaxations and the cover of the last search, and cache those of this one."""
+        relaxation, cover = self._relaxation, self._cover
+        if relaxation is not None and self._base is not None and self._base is self._last:
+            search = TreeSearch(problem, limits, progress, relaxation.moved, compiled_from=0)
         else:
             search = TreeSearch(problem, limits, progress, compiled_from=0)
-            cover = [replace(node, duals=None) for node in cover]  # theirs are the units of other data
-        self._cover, self.solved = (), 0  # should this one fail
+            cover = [replace(node, duals=None) for node in cover]  # whose units belong to other data
+        self._cover, self.solved = (), 0  # in case the search fails
         outcome = search.run(start, cover=cover)
         self.solved = outcome.nodes
-        self._of, self._relaxation, self._cover = self._base, search.final_relaxation, search.cover_after_step()
+        self._last, self._relaxation, self._cover = self._base, search.final_relaxation, search.cover_after_step()
         return replace(outcome, resume=None)  # the cover is that of this tree
 
 
-SEQUENCE_BACKEND = "clarabel"  # solves the best sequence, accurately, for its multipliers
+SEQUENCE_BACKEND = "clarabel"  # solves the best sequence accurately, for its multipliers
 PROOF_MARGIN = 1.5  # multiple of the measured time of the proof that is kept back when a search is continued
 LEAST_FURTHER = 0.1  # of the time searched before: a shorter continuation is not worth a second proof
-LEAST_PROOF_SECONDS = 0.25  # seconds for the best sequence, and for the leaves, when the search has used all the time
+LEAST_PROOF_SECONDS = 0.25  # seconds for the best sequence and the leaves, even if the search has used all the time
 
 
 @dataclass(frozen=True)
 class _Search:
-    """The options of a search of our own over mode sequences, and the way from its end to an outcome."""
+    """The options of a search over mode sequences, and the outcome from the end of the search."""
 
     gap: float = GAP
     node_limit: int | None = None
@@ -187,7 +187,7 @@ class BranchAndBound(_Search):
         first = None if request.start is None else request.start.sequence
         if self.executor is not None:
             return search_in_parts(problem, limits, self.executor, request.progress, first)
-        if isinstance(request.tree, KeptTree):
+        if isinstance(request.tree, TreeCache):
             return request.tree.search(problem, limits, request.progress, first)
         return TreeSearch(problem, limits, progress=request.progress).run(first)
 
@@ -240,7 +240,7 @@ class MixedInteger:
     takes_start: ClassVar[bool] = False
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Search, beginning with the solver's sequence; the message names a claim that proves wrong."""
+        """Search from the solver's sequence on; the message names a claim that turns out wrong."""
         require_convex(problem)
         backend = "scip" if self.backend == "auto" else self.backend
         limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes)
@@ -249,17 +249,18 @@ class MixedInteger:
         left = max(limits.seconds - sum(claim.seconds.values()), LEAST_PROOF_SECONDS)
         clock = now()
         outcome = TreeSearch(problem, replace(limits, seconds=left), progress=request.progress).run(claim.sequence)
-        late = now() > end  # the search's own limit was what was left
+        late = now() > end  # the message of the search names the rest of the limit
         if late and outcome.message and not outcome.interrupted:
             outcome = replace(outcome, message=limits.out_of_time)
         seconds = {**claim.seconds, "solve": claim.seconds["solve"] + now() - clock}
         result = replace(_judge_search(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
-        found, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
+        claimed, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
         certificate, agreed = result.certificate, False
         if claim.cost is not None and certificate is not None:
             agreed = abs(claim.cost - certificate.cost) <= max(limits.gap, AGREEMENT) * certificate.cost_scale
         if result.status == Status.OPTIMAL and not agreed:
-            return replace(result, message=f"{backend} ended with {found} ('{claim.message}'), the optimum is {proven}")
+            message = f"{backend} ended with {claimed} ('{claim.message}'), the optimum is {proven}"
+            return replace(result, message=message)
         return result
 
 
@@ -275,35 +276,36 @@ def _judge_search(
     seconds: dict[str, float],
     end: float,
 ) -> Outcome:
+    """Return the outcome of a search: its best sequence solved alone, and its tree checked leaf by leaf."""
     clock = now()
     left = max(end - clock, LEAST_PROOF_SECONDS)
-    end = clock + left
-    point = None if outcome.sequence is None else _point(problem, outcome.sequence, None if left == np.inf else left)
+    end, limit = clock + left, None if left == np.inf else left
+    point = None if outcome.sequence is None else _solve_sequence(problem, outcome.sequence, limit)
     certificate = None if point is None else point[2]
     proof = tree_bound(problem, outcome.tree, end)
     unproven = now() > end
     needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
     if unproven and not outcome.interrupted:
         outcome = replace(outcome, message=f"{outcome.message or 'time limit'}; not all leaves were proven in time")
-    for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, the second is solved more accurately
+    for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, solutions of the second are more accurate
         if not outcome.message and not proof.value >= needed:
             weak = np.flatnonzero(proof.bounds < needed)
-            better = refine_leaves(problem, outcome.tree, weak, end, kind)
-            closer = tree_bound(problem, better, end)
-            if closer.value > proof.value:
-                outcome, proof = replace(outcome, tree=better), closer
+            tree = refine_leaves(problem, outcome.tree, weak, end, kind)
+            bound = tree_bound(problem, tree, end)
+            if bound.value > proof.value:
+                outcome, proof = replace(outcome, tree=tree), bound
     if certificate is not None:
         certificate = replace(certificate, bound=proof.bound_for(problem))
-    found = None if certificate is None or point is None else (*point[:2], certificate)
+    judged = None if certificate is None or point is None else (*point[:2], certificate)
     ending, seconds = _status(outcome, certificate, proof, gap), {**seconds, "certify": now() - clock}
     evidence = TreeEvidence(outcome.tree, proof)
-    return judged_outcome(problem, method, found, ending, seconds, outcome.interrupted, outcome.sequence, evidence)
+    return outcome_of_search(problem, method, judged, ending, seconds, outcome.interrupted, outcome.sequence, evidence)
 
 
-def _point(
+def _solve_sequence(
     problem: OptimalControlProblem, sequence: Indices, time_limit: float | None
 ) -> tuple[Trajectory, Multipliers, Certificate] | None:
-    """Return the first answer for a mode sequence alone that the judge calls feasible, else the first of all."""
+    """Return the first feasible answer for a mode sequence alone, as the judge finds; else the first of all."""
     first = None
     inverse = fixed_modes(problem, sequence)
     for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, SolveOptions(time_limit=time_limit)):
@@ -312,10 +314,10 @@ def _point(
         for trajectory in inverse.trajectories(candidate.trajectory):
             weights = inverse.multipliers(candidate.multipliers, trajectory)
             certificate, multipliers = best_multipliers(problem, trajectory, weights)
-            found = trajectory, multipliers, certificate
+            point = trajectory, multipliers, certificate
             if certificate.feasible:
-                return found
-            first = first or found
+                return point
+            first = first or point
     return first
 
 
@@ -327,15 +329,15 @@ def _status(
         if outcome.message:
             return Status.LIMIT, outcome.message
         if outcome.sequence is None and proof.value == np.inf:
-            message = f"proven by a search tree: its leaves hold no trajectory, {proof.leaves} in all"
+            message = f"proven by a search tree: none of its {proof.leaves} leaves contains a trajectory"
             return Status.INFEASIBLE, message
-        return Status.NUMERICAL_ERROR, "no trajectory was found, and that there is none is not proven"
+        return Status.NUMERICAL_ERROR, "no trajectory was found, and infeasibility is not proven"
     status = certificate.status_within(gap)
     if status == Status.OPTIMAL and not outcome.interrupted:
         return status, ""
     if outcome.message:
         return Status.LIMIT, outcome.message
     if not certificate.feasible:
-        message = f"the best mode sequence, solved alone, does not satisfy: {certificate.worst.name}"
+        message = f"the best mode sequence, solved alone, violates: {certificate.worst.name}"
         return Status.NUMERICAL_ERROR, message
-    return status, f"the search closed its tree, of which only the bound {proof.value:.12g} is proven"
+    return status, f"the search closed its tree, but only the bound {proof.value:.12g} is proven"

@@ -1,4 +1,4 @@
-"""The method for pulse trains: angles by branch and bound, the best of them refined by Newton's method and judged.
+"""The method for pulse trains: branch and bound over angles, whose best is refined by Newton's method and judged.
 
 The local search over angles is sequential quadratic programming.
 """
@@ -21,16 +21,16 @@ from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.solving.hybrid.smooth import judged_outcome, polished
+from lin_freq_ocp.solving.hybrid.smooth import Judged, outcome_of_search, refine_optimum
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
 
-COST_ROUNDING = 1e-15  # of the cost over what its terms add up to: steps end at rounding
-AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: below what the judge allows
+COST_ROUNDING = 1e-15  # change of the cost, relative to the sum of its terms, that is rounding: steps end there
+AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge
 
 
 def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array, float] | None:
-    """Return the angles of a local optimum near those given, (d,), and its cost; None if none was found."""
+    """Return the angles (d,) of a local optimum near ``angles``, and its cost; None if the search fails."""
     from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize  # slow to import
 
     low, high = bound.low, bound.high
@@ -51,7 +51,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
             constraints.append(NonlinearConstraint(values, low[rows], high[rows], jac=slopes))
     if len(order):
         constraints.append(LinearConstraint(order, 0.0, np.inf))
-    found = minimize(
+    optimum = minimize(
         relative_cost,
         angles,
         jac=True,
@@ -60,7 +60,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
         constraints=constraints,
         options={"ftol": COST_ROUNDING, "maxiter": 200},
     )
-    at = np.clip(np.maximum.accumulate(found.x), 0.0, QUARTER)
+    at = np.clip(np.maximum.accumulate(optimum.x), 0.0, QUARTER)
     cost, _, values, _ = bound.at(steps, at)
     violation = float(np.maximum(low - values, values - high).max(initial=0.0))
     return None if violation > AMPLITUDE_VIOLATION else (at, cost)
@@ -68,7 +68,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
 
 GAP = 1e-6  # default of the relative gap to prove
 LOCAL_WIDTH = 0.05  # half width of a box [rad] from which a local search starts at its centre
-EXCLUDED_BY_BOXES = "proven by branch and bound: no box of angles holds a pulse train"
+EXCLUDED_BY_BOXES = "proven by branch and bound: no box of angles contains a pulse train"
 ANGLES = "branch and bound over boxes of the angles"
 
 
@@ -94,7 +94,7 @@ class Angles:
     takes_start: ClassVar[bool] = False
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Halve boxes until the bound is that of the best local optimum found near them, and judge it."""
+        """Halve boxes until the bound reaches the cost of the best local optimum, and judge that."""
         search = _TrainSearch(problem, self.gap, now(), request)
         message, interrupted = "", False
         try:
@@ -105,7 +105,7 @@ class Angles:
 
 
 class _TrainSearch:
-    """One search: the boxes, and the best train found."""
+    """One search: the boxes, and the best train so far."""
 
     def __init__(self, problem: OptimalControlProblem, gap: float, started: float, request: Request):
         dynamics = problem.dynamics
@@ -137,30 +137,27 @@ class _TrainSearch:
 
     @property
     def _cutoff(self) -> float:
-        """Return the bound that is enough: half of the gap is left for the refined answer."""
+        """Return the bound at which the search ends: half of the gap is reserved for the refined answer."""
         return np.inf if self._best is None else self._cost - self._gap / 2 * abs(self._cost)
-
-    def _local(self, steps: Array, angles: Array) -> LocalOptimum:
-        """Return a train as a local optimum whose multipliers are still to be found; the last step is to level 0."""
-        every = np.append(steps, -np.sign(steps.sum() or -1.0) * self._dynamics.step)
-        dwell = np.diff(np.concatenate([[0.0], angles, [QUARTER]]))
-        first = self._problem.ends[0].project(np.zeros(self._problem.state_dim))
-        first[CURRENT] = -(steps * (QUARTER - angles)).sum()
-        u = np.column_stack([dwell, np.sign(every) / 2])
-        trajectory, sequence = simulate(self._problem, u, first), (every < 0).astype(np.intp)
-        return LocalOptimum(sequence, trajectory, zero_multipliers(self._problem, 1.0), self._cost, 0.0)
 
     def outcome(self, message: str, interrupted: bool) -> Outcome:
         """Return the refined answer with its bound, or why there is none."""
         solved, problem = now(), self._problem
-        found = None if self._best is None else polished(problem, self._local(*self._best))
-        if found is not None:
-            trajectory, multipliers, certificate = found
+        judged: Judged | None = None
+        if self._best is not None:
+            steps, angles = self._best
+            every = np.append(steps, -np.sign(steps.sum() or -1.0) * self._dynamics.step)  # the last is to level 0
+            dwell = np.diff(np.concatenate([[0.0], angles, [QUARTER]]))
+            first = problem.ends[0].project(np.zeros(problem.state_dim))
+            first[CURRENT] = -(steps * (QUARTER - angles)).sum()
+            train = simulate(problem, np.column_stack([dwell, np.sign(every) / 2]), first)
+            local = LocalOptimum((every < 0).astype(np.intp), train, zero_multipliers(problem, 1.0), self._cost, 0.0)
+            trajectory, multipliers, certificate = refine_optimum(problem, local)
             certificate = replace(certificate, bound=Bound(self._bound.value, RIGOROUS, sets=ANGLES))
-            found, status = (trajectory, multipliers, certificate), certificate.status_within(self._gap)
+            judged, status = (trajectory, multipliers, certificate), certificate.status_within(self._gap)
         else:
             excluded = not message and self._bound.value == np.inf
             status, message = (Status.INFEASIBLE, EXCLUDED_BY_BOXES) if excluded else (Status.LIMIT, message)
         ending = status, "" if status == Status.OPTIMAL else message
         seconds = {"setup": 0.0, "solve": solved - self._started, "certify": now() - solved}
-        return judged_outcome(problem, Angles.shorthand, found, ending, seconds, interrupted)
+        return outcome_of_search(problem, Angles.shorthand, judged, ending, seconds, interrupted)

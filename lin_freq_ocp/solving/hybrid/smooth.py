@@ -1,4 +1,4 @@
-"""The method for piecewise-smooth dynamics: search, polish by Newton's method, judge, and bound."""
+"""The method for piecewise-smooth dynamics: search, refine by Newton's method, judge, and bound from below."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ UNBOUNDED = "no global bound was found in time"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
 
 GLOBAL_GAP = 1e-4  # default of the relative gap to prove
-GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short horizons, and not too long to wait for
-# Part of its cost by which a start may be below the answer: the judge's tolerance allows violations as large.
+GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short horizons
+# relative cost by which a start may be below the answer: violations within the judge's tolerance gain as much
 SAVED_BY_TOLERANCE = 1e-6
-FEASIBILITY_LOSS = 1.0  # of each step, where no cost is known and only the existence of a trajectory is asked for
+FEASIBILITY_LOSS = 1.0  # of each step, if no cost is known and only the existence of a trajectory is in question
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
@@ -84,38 +84,38 @@ class Nonsmooth:
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
         solved = now()
         best = search.best
-        found = None if best is None or not best.feasible else polished(problem, best)
-        found = found if request.start is None else _not_above(problem, request.start, found)
-        status, message = _status(search, found)
+        judged = None if best is None or not best.feasible else refine_optimum(problem, best)
+        judged = judged if request.start is None else _take_start(problem, request.start, judged)
+        status, message = _status(search, judged)
         if self.global_bound:
             limited = request.time_limit < np.inf
             left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
-            if status == Status.LOCALLY_OPTIMAL and found is not None:
-                bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, now() + left)
+            if status == Status.LOCALLY_OPTIMAL and judged is not None:
+                bounding = _Bounding(search, judged, self.gap or GLOBAL_GAP, now() + left)
                 message = bounding.run() if left > 0 else UNBOUNDED
-                found = bounding.found  # the bound may lead to a better answer
-                status = found[2].status_within(bounding.gap)
-            elif found is None and not search.message and left > 0 and _is_excluded(problem, left):
+                judged = bounding.judged  # the bound may lead to a better answer
+                status = judged[2].status_within(bounding.gap)
+            elif judged is None and not search.message and left > 0 and _is_excluded(problem, left):
                 status, message = Status.INFEASIBLE, EXCLUDED_BY_INTERVALS
         seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
-        return judged_outcome(problem, "nonsmooth", found, (status, message), seconds, search.interrupted)
+        return outcome_of_search(problem, "nonsmooth", judged, (status, message), seconds, search.interrupted)
 
 
-def judged_outcome(
+def outcome_of_search(
     problem: OptimalControlProblem,
     method: str,
-    found: Judged | None,
+    judged: Judged | None,
     ending: tuple[Status, str],
     seconds: dict[str, float],
     interrupted: bool,
     sequence: Indices | None = None,
     evidence: Evidence | None = None,
 ) -> Outcome:
-    """Return the outcome of a search that found an answer or none; ``ending`` is its status with the message.
+    """Return the outcome of a search with its best judged point, if any; ``ending`` is its status with the message.
 
-    The mode sequence is that of the trajectory, if none is given.
+    By default, the mode sequence is that of the trajectory.
     """
-    trajectory, multipliers, certificate = (None, None, None) if found is None else found
+    trajectory, multipliers, certificate = (None, None, None) if judged is None else judged
     return Outcome(
         problem=problem,
         status=ending[0],
@@ -132,48 +132,48 @@ def judged_outcome(
     )
 
 
-def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
-    """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves both."""
+def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
+    """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves them."""
     affine = problem.affine_at(local.trajectory)
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
-    found = local.trajectory, multipliers, certificate
+    plain = local.trajectory, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):
-        return found
+        return plain
     try:
         run = newton(problem, local.trajectory, multipliers, local.sequence)
     except UnsupportedError:
-        return found
+        return plain
     after = judge(problem, run.trajectory, run.multipliers)
     refined = run.trajectory, run.multipliers, after
-    return min(found, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
+    return min(plain, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
 
 
-def _not_above(problem: OptimalControlProblem, start: Start, found: Judged | None) -> Judged | None:
-    """Return the answer, or the start itself where that is a trajectory of less cost."""
+def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | None) -> Judged | None:
+    """Return the answer, or the start itself if that is a trajectory of lower cost."""
     if start.trajectory is None:
-        return found
+        return judged
     certificate = judge(problem, start.trajectory, zero_multipliers(problem, 1.0))
-    saved = found[2].cost - certificate.cost if found is not None and found[2].feasible else np.inf
+    saved = judged[2].cost - certificate.cost if judged is not None and judged[2].feasible else np.inf
     if not certificate.feasible or saved <= SAVED_BY_TOLERANCE * abs(certificate.cost):
-        return found
+        return judged
     certificate, multipliers = best_multipliers(problem, start.trajectory, zero_multipliers(problem, 1.0))
     return start.trajectory, multipliers, certificate
 
 
 @dataclass
 class _Bounding:
-    """The global bound of an answer, and better answers that it leads to; ``run`` it once."""
+    """The global bound of an answer, and better answers along its paths; ``run`` it once."""
 
     search: LocalSearch
-    found: Judged
+    judged: Judged
     gap: float
     deadline: float
     best: float = -float("inf")
     sets: str = ""
 
     def __post_init__(self):
-        self._known = {_modes(self.search.problem, self.found[0]).tobytes()}
+        self._known = {_modes(self.search.problem, self.judged[0]).tobytes()}
 
     def run(self) -> str:
         """Bound until the gap is proven or the time is over; return the message of the answer."""
@@ -191,22 +191,22 @@ class _Bounding:
             self.search.interrupted = True
         if self.best == -float("inf"):
             return message or UNBOUNDED
-        trajectory, multipliers, certificate = self.found
+        trajectory, multipliers, certificate = self.judged
         bound = Bound(self.best, RIGOROUS, sets=self.sets)
-        self.found = trajectory, multipliers, replace(certificate, bound=bound)
-        return "" if self._proven else message or f"the global bound leaves a gap of {self.found[2].gap:.1e}"
+        self.judged = trajectory, multipliers, replace(certificate, bound=bound)
+        return "" if self._proven else message or f"the global bound leaves a gap of {self.judged[2].gap:.1e}"
 
     @property
     def _wanted_gap(self) -> float:
-        return self.gap * self.found[2].cost_scale
+        return self.gap * self.judged[2].cost_scale
 
     @property
     def _proven(self) -> bool:
-        return self.found[2].cost - self.best <= self._wanted_gap
+        return self.judged[2].cost - self.best <= self._wanted_gap
 
     def _improve(self) -> bool:
-        """Whether a path of the bound leads to a better answer, which is taken."""
-        _, multipliers, certificate = self.found
+        """Replace the answer by a better one along a path of the bound; return whether there is one."""
+        _, multipliers, certificate = self.judged
         levels = value_bounds(
             self.search.problem,
             multipliers,
@@ -225,20 +225,20 @@ class _Bounding:
                 continue
             self._known.add(level.sequence.tobytes())
             if self.search.look_near(level.path, level.sequence) and self.search.best is not None:
-                better = polished(self.search.problem, self.search.best)
+                better = refine_optimum(self.search.problem, self.search.best)
                 if better[2].pmp == "satisfied":
-                    self.found = better
+                    self.judged = better
                     return True
         return False
 
     def _report(self, level: int, share: float) -> None:
         if self.search.progress is not None:
-            cost = self.found[2].cost
+            cost = self.judged[2].cost
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
 
 
 def _is_excluded(problem: OptimalControlProblem, seconds: float) -> bool:
-    """Whether intervals prove, without the frequency constraints, that there is no trajectory: D is infinite."""
+    """Whether intervals prove that there is no trajectory, even without frequency constraints: D is infinite."""
     try:
         deadline = now() + seconds
         levels = value_bounds(
@@ -250,19 +250,20 @@ def _is_excluded(problem: OptimalControlProblem, seconds: float) -> bool:
 
 
 def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
+    """Return the mode sequence of a trajectory, (T,)."""
     return piecewise_smooth(problem).sequence_of(trajectory.x, trajectory.u)
 
 
-def _status(search: LocalSearch, found: Judged | None) -> tuple[Status, str]:
-    """Return the status of the result without a bound, and the message."""
-    if search.message and (found is None or search.interrupted):
+def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
+    """Return the status of the answer without a bound, and the message."""
+    if search.message and (judged is None or search.interrupted):
         return Status.LIMIT, search.message
-    if found is None:
+    if judged is None:
         nearest = ", where the dynamics are not defined"
         if search.best is not None:
             nearest = f"; the nearest violates dynamics by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
-    status = found[2].status_within(0.0)
+    status = judged[2].status_within(0.0)
     if status == Status.NUMERICAL_ERROR:
-        return status, f"the point found does not satisfy the maximum principle: {found[2].worst.name}"
+        return status, f"the best point does not satisfy the maximum principle: {judged[2].worst.name}"
     return status, LOCAL

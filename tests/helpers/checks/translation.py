@@ -23,7 +23,7 @@ COST_AGREEMENT = 1e-7  # difference of two costs, relative to what the terms of 
 ROUNDING = 200 * float(np.finfo(float).eps)  # of data and states, times the distance: what may become of it in a cost
 CONTROL_AGREEMENT = 1e-3  # difference of two controls, relative to the largest: costs are flat at an optimum
 LESS = ("locally_optimal", "numerical_error", "violated", False)  # what is said where nothing is proven
-ROUNDED = "count it from nearer"  # in the message of an answer that rounding has spoilt
+ROUNDED = "measure it from a nearer origin"  # in the message of an answer that rounding has spoilt
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.structured import active
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
@@ -16,9 +17,9 @@ from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
 from lin_freq_ocp.methods.structured.stages import Coupling, Equations, Inequalities
-from lin_freq_ocp.solving.kept import Change, Kept
 from lin_freq_ocp.solving.linear import Structured
 from lin_freq_ocp.solving.method import Request
+from lin_freq_ocp.solving.solver_cache import Change, SolverCache
 from tests.methods.structured.examples import spectrum, stages
 
 COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(find_spec("numba") is None, reason="without numba"))]
@@ -131,8 +132,8 @@ def touching(T=80):
 
 
 def again(kept, change, tolerance=None):
-    problem = change.of(kept.problem)
-    return Structured(tolerance).solve(problem, Request(again=(kept, change)))
+    problem = change.apply(kept.problem)
+    return Structured(tolerance).solve(problem, Request(cached=(kept, change)))
 
 
 def test_solves_again_are_by_active_rows_and_as_from_scratch(monkeypatch):
@@ -143,7 +144,7 @@ def test_solves_again_are_by_active_rows_and_as_from_scratch(monkeypatch):
         return ends[-1]
 
     monkeypatch.setattr("lin_freq_ocp.methods.structured.solver.solve_active", recorded)
-    kept = Kept(problem)
+    kept = SolverCache(problem)
     again(kept, Change())
     assert not ends  # nothing is near
     for k in range(10):
@@ -159,21 +160,21 @@ def test_solves_again_are_by_active_rows_and_as_from_scratch(monkeypatch):
 
 def test_references_are_exchanged():
     problem, matrices = touching(), set()
-    kept = Kept(problem)
+    kept = SolverCache(problem)
     for k, aim in enumerate((0.0, 0.1, 0.3, -0.2)):
         references = {"x_ref": np.tile([aim, 0.2 * aim], (81, 1)), "u_ref": [0.1 * aim]}
         change = Change([0.01 * k, 1.0], references=references)
-        found, expected = again(kept, change), lfo.solve(change.of(problem), method="structured")
+        found, expected = again(kept, change), lfo.solve(change.apply(problem), method="structured")
         assert found.status == expected.status == "optimal"
         assert found.cost == pytest.approx(expected.cost, rel=1e-7, abs=1e-9)
         np.testing.assert_allclose(found.trajectory.u, expected.control, atol=1e-5)
-        matrices.add(id(kept.prepared.assembly(change.of(problem)).stages.G))
+        matrices.add(id(kept.stage_cache.assembly(change.apply(problem)).stages.G))
     assert len(matrices) == 1
 
 
 def test_verdicts_are_those_from_scratch():
     problem, statuses = touching(), []
-    kept = Kept(problem)
+    kept = SolverCache(problem)
     for state in ([0.0, 1.0], [0.3, 3.0], [0.0, 0.9], [0.39, 2.0], [-0.9, 1.0]):
         found, expected = (
             again(kept, Change(state)),
@@ -195,11 +196,12 @@ def test_single_changes_suffice(monkeypatch):
 
 def test_an_answer_that_is_not_proven_is_solved_from_scratch(monkeypatch):
     problem = touching()
-    kept = Kept(problem)
+    kept = SolverCache(problem)
     expected = again(kept, Change())
     wrong = replace(expected.trajectory, u=1.01 * expected.trajectory.u)
     monkeypatch.setattr(
-        "lin_freq_ocp.solving.linear.solve_again", lambda *given: Candidate("optimal", wrong, expected.multipliers)
+        "lin_freq_ocp.solving.linear.solve_from_warm_start",
+        lambda *given: Candidate(Status.OPTIMAL, wrong, expected.multipliers),
     )
     found = again(kept, Change())
     assert found.status == "optimal"

@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, PLANT, A, B, T
 from helpers.stage_programs import solved_stages, stage_operator
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.structured.assembly import stages_of
+from lin_freq_ocp.methods.structured.assembly import assemble_stages
 from lin_freq_ocp.methods.structured.stages import SparseRows, Stages
 from lin_freq_ocp.problem.problem_data import changed
 from lin_freq_ocp.problem.terms.penalties import NormBall
@@ -44,7 +44,7 @@ def worst_violation(stages: Stages, y: np.ndarray) -> float:
 @pytest.mark.parametrize("kind", KINDS)
 def test_trajectories_cost_the_same(kind):
     problem, rng = KINDS[kind](), np.random.default_rng(1)
-    assembly = stages_of(problem)
+    assembly = assemble_stages(problem)
     for _ in range(3):
         u, tube = rng.standard_normal((T, 2)), problem.control_tube
         u = np.where(tube.lower == tube.upper, tube.lower, u)
@@ -61,7 +61,7 @@ def test_trajectories_cost_the_same(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_optimum_is_that_of_the_sparse_program(kind):
     problem = KINDS[kind]()
-    known, assembly = lfo.solve(problem, method="convex"), stages_of(problem)
+    known, assembly = lfo.solve(problem, method="convex"), assemble_stages(problem)
     assert worst_violation(assembly.stages, assembly.point(known.trajectory)) < 1e-8
     status, y, z = solved_stages(assembly.stages)
     assert status in ("Solved", "AlmostSolved")
@@ -74,7 +74,7 @@ def test_the_optimum_is_that_of_the_sparse_program(kind):
 @pytest.mark.parametrize("kind", ["boxes", "cone", "soft rows", "control ball"])
 def test_stages_do_not_depend_on_units(kind):
     problem, units = KINDS[kind](), (np.array([1e6, 1e-3]), np.array([1e-6, 1e2]), 1e4)
-    plain, changed = stages_of(problem).stages, stages_of(in_units(problem, *units)).stages
+    plain, changed = assemble_stages(problem).stages, assemble_stages(in_units(problem, *units)).stages
     for field in ("A", "B", "d", "H", "h", "G", "g", "initial"):
         np.testing.assert_allclose(getattr(changed, field), getattr(plain, field), rtol=1e-9, atol=1e-12)
     assert plain.constant == pytest.approx(changed.constant)
@@ -106,9 +106,9 @@ def in_units(problem, x, u, cost):
 
 
 def test_limits_are_of_order_one():
-    stages = stages_of(KINDS["control ball"]()).stages
+    stages = assemble_stages(KINDS["control ball"]()).stages
     np.testing.assert_allclose(stages.g[:-1, 0], 1.0)  # the heads
-    masks = stages_of(KINDS["fine mask"]()).stages.coupling.balls
+    masks = assemble_stages(KINDS["fine mask"]()).stages.coupling.balls
     assert masks
     for part in masks:
         np.testing.assert_allclose(part.radius, 1.0)
@@ -127,7 +127,7 @@ def test_long_masks_need_no_dense_rows():
             lfo.MagnitudeBound(0.5, band=lfo.low_pass(0.5), oversampling=2, penalty=1.0),
         ],
     )
-    stages = stages_of(problem).stages
+    stages = assemble_stages(problem).stages
     numbers = sum(array.size for array in (stages.A, stages.B, stages.H, stages.G))
     for part in stages.coupling.balls:
         assert not isinstance(part.rows, SparseRows)
@@ -153,13 +153,13 @@ def test_a_conic_form_that_joins_times_is_refused(kind):
     joining = OnlyLargest(np.inf, np.full(term.shape[0], 0.4), np.asarray(1.0))
     problem.__dict__["terms"] = (Term("peak", term.kind, term.map, joining),)
     with pytest.raises(UnsupportedError, match="'peak'"):
-        stages_of(problem)
+        assemble_stages(problem)
 
 
 @pytest.mark.parametrize("kind", ["LInf cost", "soft mask", "soft linear constraint"])
 def test_a_small_solution_has_units_of_its_own(kind):
     problem, rng = KINDS[kind](), np.random.default_rng(1)
-    assembly, cost = stages_of(problem), problem.quadratic
+    assembly, cost = assemble_stages(problem), problem.quadratic
     assert assembly.revised(np.ones(assembly.stages.h.shape)) is None
     x = cost.x_ref + 1e-6 * rng.standard_normal((T + 1, 2))
     u = cost.u_ref + np.array([1e-5, 1e-3]) * rng.standard_normal((T, 2))
@@ -180,7 +180,7 @@ def test_a_small_solution_has_units_of_its_own(kind):
 @pytest.mark.parametrize("kind", ["fixed ends", "partly fixed ends", "end boxes", "mask", "soft rows", "time-varying"])
 def test_numbers_of_dynamics_and_fixed_ends_are_exchanged(kind):
     problem = KINDS[kind]()
-    assembly = stages_of(problem)
+    assembly = assemble_stages(problem)
     slower = changed(problem, dynamics=lfo.LinearDynamics(0.9 * A, 1.1 * B, [0.02, 0.01]))
     ends = [replaced_where_fixed(end) for end in (problem.initial_state, problem.terminal_state)]
     slower = slower.with_ends(*ends)
@@ -203,7 +203,7 @@ def replaced_where_fixed(end):
 
 def test_other_changes_are_not_exchanged():
     problem = KINDS["boxes"]()
-    assembly = stages_of(problem)
+    assembly = assemble_stages(problem)
     assert assembly.exchanged(replace(problem, control_set=lfo.Box(-0.5, 0.5))) is None
     assert assembly.exchanged(problem.with_ends(lfo.Box(-1, 1))) is None
     assert assembly.exchanged(problem.with_ends([0.5, 0.2])) is not None
@@ -212,7 +212,7 @@ def test_other_changes_are_not_exchanged():
 def test_what_never_moves_does_not_measure_the_cost():
     idle = lfo.LinearDynamics(A, B * [1.0, 0.0])
     cost = lfo.QuadraticCost(Q=1.0, R=np.diag([0.1, 1e12]))
-    assembly = stages_of(lfo.OptimalControlProblem(idle, T, cost, initial_state=[1.0, -0.5]))
+    assembly = assemble_stages(lfo.OptimalControlProblem(idle, T, cost, initial_state=[1.0, -0.5]))
     _, y, _ = solved_stages(assembly.stages)
     y[:, 3] = 0.0
     revised = assembly.revised(y)
@@ -246,7 +246,7 @@ def banded(unit: float) -> lfo.OptimalControlProblem:
 
 
 def test_rows_that_couple_times_do_not_depend_on_units():
-    plain, changed = stages_of(banded(1.0)).stages, stages_of(banded(1e6)).stages
+    plain, changed = assemble_stages(banded(1.0)).stages, assemble_stages(banded(1e6)).stages
     rng = np.random.default_rng(1)
     y = rng.standard_normal(plain.h.size)
     for one, other in zip(stage_operator(plain), stage_operator(changed), strict=True):

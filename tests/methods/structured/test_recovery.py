@@ -9,12 +9,12 @@ import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, PLANT, T, infeasible
 from helpers.stage_programs import solved_stages, stage_operator
 from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.methods.structured.assembly import origin_of, stages_of
+from lin_freq_ocp.methods.structured.assembly import assemble_stages, choose_origin
 
 
 def test_references_and_fixed_controls_are_the_origin():
     problem = KINDS["coasting"]()
-    (origin, found), fixed = origin_of(problem), np.arange(T) % 3 != 0
+    (origin, found), fixed = choose_origin(problem), np.arange(T) % 3 != 0
     np.testing.assert_array_equal(origin.x, problem.quadratic.x_ref)
     np.testing.assert_array_equal(origin.u[fixed], 0.1)
     np.testing.assert_array_equal(origin.u[~fixed], problem.quadratic.u_ref[~fixed])
@@ -23,7 +23,7 @@ def test_references_and_fixed_controls_are_the_origin():
 
 
 def test_held_controls_act_on_nothing():
-    stages, held = stages_of(KINDS["coasting"]()).stages, np.arange(T) % 3 != 0
+    stages, held = assemble_stages(KINDS["coasting"]()).stages, np.arange(T) % 3 != 0
     assert not stages.B[:-1, :, :2][held].any()
     assert stages.B[:-1, :, :2][~held].any()
     assert not stages.G[:-1, :, 2:4][held].any()
@@ -35,11 +35,11 @@ def test_held_controls_act_on_nothing():
 @pytest.mark.parametrize("kind", ["coasting with a band", "linear constraint"])
 def test_controls_of_rows_that_couple_times_are_not_held(kind):
     problem = KINDS[kind]()
-    assert not origin_of(problem)[1].any()
+    assert not choose_origin(problem)[1].any()
 
 
 def test_fixed_controls_of_a_band_are_equations():
-    equations = stages_of(KINDS["coasting with a band"]()).stages.coupling.equations
+    equations = assemble_stages(KINDS["coasting with a band"]()).stages.coupling.equations
     assert [part.rows.count for part in equations] == [2, 6]  # of the bin, and at the times of two in three
 
 
@@ -64,7 +64,7 @@ def pulled_back(problem, multipliers):
 @pytest.mark.parametrize("kind", KINDS)
 def test_multipliers_make_the_gradient_of_their_duals(kind):
     problem, rng = KINDS[kind](), np.random.default_rng(2)
-    assembly = stages_of(problem)
+    assembly = assemble_stages(problem)
     matrices, _ = stage_operator(assembly.stages)
     z = [rng.standard_normal(len(M)) for M in matrices]
     stages = assembly.stages
@@ -92,7 +92,7 @@ def test_multipliers_make_the_gradient_of_their_duals(kind):
 )
 def test_rays_prove_infeasibility(kind):
     problem = infeasible(kind)
-    assembly = stages_of(problem)
+    assembly = assemble_stages(problem)
     status, _, z = solved_stages(assembly.stages)
     assert status == "PrimalInfeasible"
     assert prove_infeasible(problem, assembly.multipliers(z, 0.0)) is not None
@@ -101,7 +101,7 @@ def test_rays_prove_infeasibility(kind):
 def test_a_direction_of_descent():
     cost = lfo.QuadraticCost(r=[-1.0, 0.0])
     problem = lfo.OptimalControlProblem(PLANT, T, cost, control_set=lfo.Box([-1, -1], [np.inf, 1]))
-    assembly = stages_of(problem)
+    assembly = assemble_stages(problem)
     status, y, _ = solved_stages(assembly.stages)
     assert status == "DualInfeasible"
     change = assembly.direction(y)

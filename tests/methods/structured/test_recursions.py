@@ -265,9 +265,9 @@ def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
     from lin_freq_ocp.methods.structured.kkt import kernels
 
     assert isinstance(loops(), kernels.CompiledLoops)
-    assert isinstance(loops(patient=False), kernels.CompiledLoops)  # compiled by now
+    assert isinstance(loops(wait=False), kernels.CompiledLoops)  # compiled by now
     monkeypatch.setattr(kernels, "KERNELS", SimpleNamespace(ready=False))
-    assert isinstance(loops(patient=False), BandedLoops)
+    assert isinstance(loops(wait=False), BandedLoops)
 
 
 def test_without_numba_arrays_do_the_same(monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.reduced import CLIP, LEAST_EXCESS, TwoLevel, clip
+from lin_freq_ocp.methods.structured.kkt.reduced import CLIP, LEAST_REST, TwoLevel, clip
 from methods.structured.linear_systems import random_system, solved
 
 GROWTHS = (0.0, 12.0, -5.0)
@@ -69,7 +69,7 @@ def test_clipped_weights_and_their_excess_are_the_whole():
     np.add.at(whole, excess.times, np.einsum("k,ka,kb->kab", excess.weights, excess.directions, excess.directions))
     np.testing.assert_allclose(whole, Phi, rtol=1e-9, atol=1e-9)
     seen = np.linalg.eigvalsh(clipped[:-1] @ S)
-    assert seen.max() <= 3 * (1 + LEAST_EXCESS) * CLIP
+    assert seen.max() <= 3 * (1 + LEAST_REST) * CLIP
     assert np.linalg.eigvalsh(clipped).min() > 0
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.linear_kinds import KINDS, T
-from lin_freq_ocp.methods.structured.assembly import stages_of
+from lin_freq_ocp.methods.structured.assembly import assemble_stages
 from lin_freq_ocp.methods.structured.rows import assign_slots, stage_rows
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall
@@ -58,9 +58,9 @@ def test_rows_without_coefficients_are_kept_if_they_do_not_hold(limit, kept):
 
 
 def test_slacks_of_different_times_share_entries():
-    stages = stages_of(KINDS["soft end"]()).stages
+    stages = assemble_stages(KINDS["soft end"]()).stages
     assert stages.h.shape[1] == 2 + 2 + 4  # two controls, and the slacks of x_T
-    soft = stages_of(KINDS["soft mask"]()).stages
+    soft = assemble_stages(KINDS["soft mask"]()).stages
     assert soft.h.shape[1] == 2 + 2 + 1  # of four balls in all, at different times
     present = soft.present.any(axis=1)
     assert present.sum() == 4

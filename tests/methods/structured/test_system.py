@@ -35,14 +35,14 @@ def soft_stages(seed=0, **options):
     return replace(problem, B=B, h=h, g=g)
 
 
-def flat(values):
+def flatten_inequalities(values):
     return np.concatenate([part.ravel() for part in values])
 
 
 def dense_rows(system):
     """Return the matrix of all rows on y."""
     shape = system.stages.h.shape
-    columns = [flat(system.rows(row.reshape(shape))) for row in np.eye(int(np.prod(shape)))]
+    columns = [flatten_inequalities(system.rows(row.reshape(shape))) for row in np.eye(int(np.prod(shape)))]
     return np.array(columns).T
 
 
@@ -54,7 +54,7 @@ def split_like(vector, values):
 def clarabel_cost(problem):
     """Return the optimal value by Clarabel, of the same rows as a sparse program; None if it is infeasible."""
     system = System(problem, loops(False))
-    A, b = dense_rows(system), flat(system.b)
+    A, b = dense_rows(system), flatten_inequalities(system.b)
     of_rows = [np.arange(part.size).reshape(part.shape) for part in system.b]
     first = np.cumsum([0, *(part.size for part in system.b)])
     lower, upper = np.full(len(b), -np.inf), b.copy()
@@ -87,12 +87,10 @@ def clarabel_cost(problem):
     program = Program(
         sp.csc_array(H),
         problem.h.ravel(),
-        0.0,
         sp.csc_array(sign[:, None] * A[order]),
         np.where(sign > 0, lower[order], -b[order]),
         np.where(sign > 0, upper[order], np.inf),
-        {},
-        tuple(slices),
+        cones=tuple(slices),
     )
     assert n == problem.A.shape[1]
     solution = backend("clarabel")(program, 1e-10, None)
@@ -124,7 +122,7 @@ def test_the_adjoint_is_the_transpose_of_the_rows():
     rng = np.random.default_rng(0)
     z = split_like(rng.standard_normal(A.shape[0]), system.b)
     z[0][-1] = 0.0  # no dynamics behind T
-    np.testing.assert_allclose(system.adjoint(z).ravel(), A.T @ flat(z), atol=1e-12)
+    np.testing.assert_allclose(system.adjoint(z).ravel(), A.T @ flatten_inequalities(z), atol=1e-12)
 
 
 @pytest.mark.parametrize("side", [RangeSpaceSolver, low_rank])

@@ -11,7 +11,7 @@ from helpers.linear_kinds import KINDS
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.assembly import stages_of
+from lin_freq_ocp.methods.structured.assembly import assemble_stages
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds
 from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
@@ -20,7 +20,7 @@ from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
 
 @pytest.mark.parametrize("limit", [4.0, 6.0, 9.0])
 def test_no_step_is_begun_that_would_end_late(limit):
-    problem = stages_of(KINDS["mask"]()).stages
+    problem = assemble_stages(KINDS["mask"]()).stages
     system = System(problem, loops(False))
     with use_clock(Clock(1.0)):
         answer = Embedding(
@@ -55,7 +55,7 @@ def test_what_needs_longer_than_the_limit_is_not_begun(monkeypatch):
 def test_estimates_grow_with_the_horizon_the_rows_and_loops_that_are_not_compiled():
     def seconds(horizon, compiled=False, **fields):
         problem = lfo.library.pendulum(horizon=horizon, **fields)
-        return step_seconds(stages_of(problem).stages, loops(compiled))
+        return step_seconds(assemble_stages(problem).stages, loops(compiled))
 
     assert seconds(2000) > 1.9 * seconds(1000) > 0
     assert seconds(1000) > seconds(1000, cutoff=None)
@@ -64,4 +64,4 @@ def test_estimates_grow_with_the_horizon_the_rows_and_loops_that_are_not_compile
     masked = lfo.OptimalControlProblem(
         problem.dynamics, 400, problem.cost, initial_state=[1.0] * 4, control_spectrum=fine
     )
-    assert step_seconds(stages_of(masked).stages, loops(False)) > seconds(400, cutoff=None)
+    assert step_seconds(assemble_stages(masked).stages, loops(False)) > seconds(400, cutoff=None)

@@ -413,7 +413,7 @@ def smooth_optimum(
     """
     model = SmoothModel.at(problem, start)
     first = (WARM_MU, MOST_STEPS) if warm else (FIRST_MU, FEW_STEPS)
-    barrier = Barrier(model, loops(patient=end == np.inf), end, *first)
+    barrier = Barrier(model, loops(wait=end == np.inf), end, *first)
     answer = barrier.run(model.assembly.point(start))
     if answer.end is End.UNDEFINED:
         return None, answer.end

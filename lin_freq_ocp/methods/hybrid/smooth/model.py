@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.formulas.jets import jets, values_of
-from lin_freq_ocp.methods.structured.assembly import Assembly, stages_of
+from lin_freq_ocp.methods.structured.assembly import Assembly, assemble_stages
 from lin_freq_ocp.methods.structured.kkt.system import Values
 from lin_freq_ocp.methods.structured.stages import Stages
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
@@ -49,7 +49,7 @@ class SmoothModel:
     @classmethod
     def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
         """Return the model with units that follow from the linearisation at a trajectory."""
-        assembly = stages_of(replace(problem, dynamics=problem.dynamics_along(trajectory)))
+        assembly = assemble_stages(replace(problem, dynamics=problem.dynamics_along(trajectory)))
         stages = assembly.stages
         H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
         largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))

@@ -1,1 +1,1 @@
-"""One step's linear system: recursions over time, and a dense or iterative system for the rows that couple times."""
+"""The linear system of a step: recursions over time, and a dense or iterative system for the rows that couple times."""

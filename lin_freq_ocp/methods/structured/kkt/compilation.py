@@ -1,7 +1,7 @@
-"""Compilation by numba, once: machine code stays in numba's cache, next to the source or where else it can be written.
+"""Compilation by numba, once: numba caches the machine code next to the source, or in another folder if that is locked.
 
-A file next to the cached code says for which sources and which machine it is complete. Only then is nothing compiled
-at the first call; it also notes changes of inlined functions, which numba does not.
+A file next to the cached code names the sources and the machine for which the cache is complete; the first call then
+compiles nothing. It also registers changes of inlined functions, which numba does not notice.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
 
 REALS = tuple(types.Array(types.float64, dimensions, "C", readonly=True) for dimensions in range(4))
-"""Types of contiguous arrays by their dimensions; what may be written can be given for what is only read."""
+"""Types of contiguous arrays by their dimensions; they accept arrays that can be written, too."""
 
 WRITTEN = tuple(types.Array(types.float64, dimensions, "C") for dimensions in range(4))
 INDICES = types.Array(types.intp, 1, "C", readonly=True)
@@ -47,21 +47,17 @@ class _Dispatcher(Protocol):
 
 
 def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
-    """Return the function as compiled code; without a folder for the cache, each process compiles it again."""
+    """Return the function as compiled code; if no folder is writable, each process compiles it again."""
     try:
-        return _compile(function, True)
+        compiled = numba.njit(cache=True, fastmath=FASTMATH, error_model="numpy")(function)
     except RuntimeError:  # numba found no folder that it can write
-        return _compile(function, False)
+        compiled = numba.njit(cache=False, fastmath=FASTMATH, error_model="numpy")(function)
+    return cast("Callable[Arguments, Value]", compiled)
 
 
 def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
-    """Return a function that becomes part of its only caller: compiled alone as well, it would take twice as long."""
+    """Return a function that becomes part of its only caller, which saves half of the time to compile it."""
     decorate = numba.njit(inline="always", fastmath=FASTMATH, error_model="numpy")
-    return cast("Callable[Arguments, Value]", decorate(function))
-
-
-def _compile(function: Callable[Arguments, Value], cache: bool) -> Callable[Arguments, Value]:
-    decorate = numba.njit(cache=cache, fastmath=FASTMATH, error_model="numpy")
     return cast("Callable[Arguments, Value]", decorate(function))
 
 
@@ -69,12 +65,12 @@ class Kernels:
     """The functions of a module that Python calls, each with the types of its arguments."""
 
     registered: ClassVar[list[Kernels]] = []
-    """Those of all modules imported so far: ``python -m lin_freq_ocp.methods.structured`` compiles them."""
+    """The kernels of all imported modules, which ``python -m lin_freq_ocp.methods.structured`` compiles."""
 
     def __init__(self, sources: tuple[str, ...], *signatures: tuple[Callable[..., object], tuple[types.Type, ...]]):
-        """Compile nothing yet; ``sources`` are the files that the code is made of, that of the functions first."""
+        """Compile nothing yet; ``sources`` are the files of the code, first the one that defines the functions."""
         self._sources = [Path(source) for source in sources]
-        self._kernels = [(cast("_Dispatcher", function), given) for function, given in signatures]
+        self._kernels = [(cast("_Dispatcher", function), signature) for function, signature in signatures]
         self._loaded = False
         self.registered.append(self)
 
@@ -85,7 +81,7 @@ class Kernels:
         return self.loaded or (record is not None and record.exists())
 
     def prepare(self) -> None:
-        """Compile everything, or take it from the cache; a terminal is told when that takes long."""
+        """Compile everything, or load it from the cache; if that takes long, say so in the terminal."""
         if self.loaded:
             return
         if self.ready:
@@ -95,7 +91,7 @@ class Kernels:
         _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
         with self._lock():
             if not self.ready:  # no other process has compiled it meanwhile
-                # what is cached of other sources goes, and versions of inlined functions, which numba does not compare
+                # remove code of other sources, and of other inlined functions, which numba does not compare
                 for ending in ("complete", "nbi", "nbc"):
                     for path in self._folder.glob(f"{self._sources[0].stem}.*.{ending}") if self._folder else ():
                         path.unlink(missing_ok=True)
@@ -106,15 +102,15 @@ class Kernels:
         _tell(f"lin_freq_ocp: compiled in {now() - start:.0f} s")
 
     def _load(self) -> None:
-        """Compile each function, or take it from the cache."""
-        for kernel, given in self._kernels:
-            with suppress(OSError):  # the code is there, only the cache could not be written
-                kernel.compile(given)
+        """Compile each function, or load it from the cache."""
+        for kernel, signature in self._kernels:
+            with suppress(OSError):  # the function is compiled, but the cache could not be written
+                kernel.compile(signature)
             kernel.disable_compile()
 
     @contextmanager
     def _lock(self) -> Generator[None]:
-        """Wait for another process that compiles the same; where files cannot be locked, both compile."""
+        """Wait while another process compiles the same code; if files cannot be locked, both compile."""
         with ExitStack() as stack:
             if self._folder is not None:
                 with suppress(OSError):  # a folder may be unwritable
@@ -136,7 +132,7 @@ class Kernels:
 
     @property
     def _record(self) -> Path | None:
-        """The file that says that all code is cached."""
+        """The file whose existence says that all code is cached."""
         if self._folder is None:
             return None
         sources = [(path.stat().st_size, path.stat().st_mtime_ns) for path in self._sources]

@@ -1,9 +1,9 @@
 """Dense linear algebra: Cholesky factors, and sweeps for many columns, where b stages become one product of matrices.
 
-All outputs of a block of stages are linear in what enters it, so that its matrix is found once by b steps (for all
-blocks side by side) and then serves any number of columns. In sequence remain n x n products, one a block. Missing
-stages are filled in before the first: x passes through them. At t = T, the identity in the place of A_T = 0 carries x_T
-out of the last block, and the gradient in x_T into it.
+The outputs of a block of stages are linear in its inputs. The matrix of that map is computed once, in b steps for all
+blocks together, and serves any number of columns. Only one n x n product a block remains sequential. If the stages do
+not fill all blocks, stages that leave x unchanged precede the first. At t = T, the identity in the place of A_T = 0
+carries x_T out of the last block, and the gradient in x_T into it.
 """
 
 from __future__ import annotations
@@ -18,23 +18,24 @@ from scipy.linalg import blas, lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
-LEAST_SHIFT = 1e-14  # of the diagonal of ones, at first, for a matrix that rounding made indefinite
+LEAST_SHIFT = 1e-14  # of the diagonal of ones: the first shift of a matrix that rounding errors make indefinite
 PIVOT = 1e-14
-"""Least pivot relative to the diagonal entry before elimination: below it there is rounding only."""
+"""Least pivot relative to the diagonal entry before elimination: smaller ones are rounding errors."""
 CURVED = 1e-9
-"""Least pivot relative to the curvature of a stage's own, of a problem that counts as strictly convex."""
+"""Least pivot of a strictly convex problem, relative to the curvature of the stage alone."""
 NARROW = 8
-"""So few columns are solved for alone: finding the matrices of the blocks costs more."""
+"""Number of columns up to which each is solved for alone: the matrices of the blocks would cost more."""
 CALL = 500
 """The overhead of a call of a product of dense matrices, in multiplications a column; measured."""
 ROWS = 512
-"""Rows of N whose Gram matrix is added at once: enough for fast products, few enough for the cache."""
+"""Rows of N in one product of a Gram matrix: enough for fast products, few enough for the cache."""
 
 
 class Cholesky:
-    """M = D^-1 L L' D^-1, M shifted as far as it must be; only the lower triangle of M counts, and M is overwritten.
+    """M = D^-1 L L' D^-1, with M shifted until it is definite; it reads the lower triangle of M, and overwrites M.
 
-    The factor of a matrix that is not finite is not finite either. ``definite``: M needed no more than the least shift.
+    The factor of a matrix with infinite or undefined entries has such entries, too. ``definite`` says that the least
+    shift sufficed.
     """
 
     def __init__(self, M: Array):
@@ -76,27 +77,33 @@ def gram(rows: Array, total: Array | None = None) -> Array:
     return blas.dsyrk(1.0, rows.T, beta=1.0, c=total.T, overwrite_c=1).T if rows.size else total
 
 
-class BlockRegulator(ABC):
-    """A regulator whose responses come from blocks."""
+class Regulator(ABC):
+    """The factored stages (recursions.py); many responses at once are computed by blocks of stages."""
 
     _closed: RegulatorMap | None = None
 
     @abstractmethod
     def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
-        """Return y, eta and lam0."""
+        """Return y (T+1, nz), eta (T+1, n) with eta_T = 0, and lam0 (n,).
+
+        r is (T+1, nz), c (T+1, n) with c_T = 0, x0 (n,) with zero where x_0 is free.
+        """
 
     @abstractmethod
     def gains(self) -> Gains:
-        """Return what the Riccati recursion finds."""
+        """Return the gains and factors of the Riccati recursion."""
 
     def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
-        """Return the responses on the channels, and x_T."""
+        """Return the entries ``channels`` of y, (T+1, channels, m), and x_T, (n, m), for m gradients; c = 0, x0 = 0.
+
+        R (T+1, channels, m) are gradients on these entries, each of them named once; E (n, m) is added on x_T.
+        """
         if R.shape[2] <= NARROW:
             return self._solve_one_by_one(channels, R, E)
         return self._closed_loop(channels).responses(R, E)
 
     def gram(self, channels: Indices, R: Array, E: Array) -> Array:
-        """Return the lower triangle of minus the gradients times their responses."""
+        """Return the lower triangle of minus the gradients times their responses, (m, m), positive semidefinite."""
         if R.shape[2] <= NARROW:
             Y, X = self._solve_one_by_one(channels, R, E)
             return -(np.tensordot(R, Y, ((0, 1), (0, 1))) + E.T @ X)
@@ -122,7 +129,7 @@ class BlockRegulator(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """What the Riccati recursion found."""
+    """Gains and factors of the Riccati recursion."""
 
     B: Array  # (T+1, n, k)
     K: Array  # (T+1, k, n): w = K x + ...
@@ -140,7 +147,7 @@ class RegulatorMap:
     """
 
     def __init__(self, gains: Gains, channels: Indices):
-        """Find the matrices of the blocks of the backward sweep."""
+        """Compute the matrices of the blocks of the backward sweep."""
         self._gains, self.channels = gains, channels
         self._free_cost = Cholesky(gains.P0[np.ix_(~gains.fixed, ~gains.fixed)])
         B, K = gains.B, gains.K
@@ -159,10 +166,10 @@ class RegulatorMap:
         down = np.concatenate([U @ B[:, :, driven].swapaxes(1, 2), carry_last_state(gains.Ac).swapaxes(1, 2)], axis=1)
         inputs = np.concatenate([U @ of_w[driven], of_x + K.swapaxes(1, 2) @ of_w], axis=1)
         self._N, self._p = self._lift(down, inputs, len(driven), range(b)[::-1])
-        self._room: Array | None = None
+        self._inputs: Array | None = None
 
     def _lift(self, step: Array, inputs: Array, outputs: int, order: range) -> tuple[Array, Array]:
-        """Return outputs of all stages, and the state after a block, by the state before it and by inputs."""
+        """Return the maps from the state before a block, and its inputs, to all its outputs and the state after it."""
         n, each = step.shape[2], inputs.shape[2]
         blocks, b = self._times.shape
         filling = np.concatenate([np.zeros((outputs, n)), np.eye(n)])
@@ -170,48 +177,48 @@ class RegulatorMap:
             pad_blocks(step, self._times, filling),
             pad_blocks(inputs, self._times, np.zeros(inputs.shape[1:])),
         )
-        state, found = np.zeros((blocks, n, n + b * each)), np.empty((blocks, b, outputs, n + b * each))
+        state, maps = np.zeros((blocks, n, n + b * each)), np.empty((blocks, b, outputs, n + b * each))
         state[:, :, :n] = np.eye(n)
         for s in order:
             both = step[:, s] @ state
             both[:, :, n + s * each : n + (s + 1) * each] += inputs[:, s]
-            found[:, s], state = both[:, :outputs], both[:, outputs:]
-        return found.reshape(blocks, b * outputs, n + b * each), state.copy()
+            maps[:, s], state = both[:, :outputs], both[:, outputs:]
+        return maps.reshape(blocks, b * outputs, n + b * each), state.copy()
 
     def _backward(self, R: Array, E: Array) -> tuple[Array, Array]:
-        """Return what enters each block, (blocks, n + b channels, m), and p_0, (n, m)."""
+        """Return the inputs of each block, (blocks, n + b channels, m), and p_0, (n, m)."""
         n, m = E.shape
         blocks, size = self._p.shape[::2]
-        if self._room is None or self._room.shape[2] != m:
-            self._room = np.zeros((blocks, size, m))
-        room, first, count = self._room, self._b - (self._times.size - len(R)), R.shape[1]
-        room[0, size - first * count :] = R[:first].reshape(first * count, m)
-        room[1:, n:] = R[first:].reshape(blocks - 1, size - n, m)
+        if self._inputs is None or self._inputs.shape[2] != m:
+            self._inputs = np.zeros((blocks, size, m))
+        inputs, first, count = self._inputs, self._b - (self._times.size - len(R)), R.shape[1]
+        inputs[0, size - first * count :] = R[:first].reshape(first * count, m)
+        inputs[1:, n:] = R[first:].reshape(blocks - 1, size - n, m)
         p = E
         for i in range(blocks - 1, -1, -1):
-            room[i, :n] = p
-            p = self._p[i] @ room[i]
-        return room, p
+            inputs[i, :n] = p
+            p = self._p[i] @ inputs[i]
+        return inputs, p
 
     def gram(self, R: Array, E: Array) -> Array:
         """Return the lower triangle of N'N, (m, m), for gradients R (T+1, channels, m), and E (n, m) on x_T."""
-        room, p = self._backward(R, E)
-        found = gram(self._free_cost.whitened(p[~self._gains.fixed]))
+        inputs, p = self._backward(R, E)
+        total = gram(self._free_cost.whitened(p[~self._gains.fixed]))
         per = -(-ROWS // max(1, self._N.shape[1]))
-        for first in range(0, len(room), per):
+        for first in range(0, len(inputs), per):
             part = slice(first, first + per)
-            found = gram((self._N[part] @ room[part]).reshape(-1, room.shape[2]), found)
-        return found
+            total = gram((self._N[part] @ inputs[part]).reshape(-1, inputs.shape[2]), total)
+        return total
 
     def responses(self, R: Array, E: Array) -> tuple[Array, Array]:
         """Return the solution on the channels, and x_T, for gradients R (T+1, channels, m), and E (n, m) on x_T."""
         of_y, of_x = self._upward
-        room, p = self._backward(R, E)
+        inputs, p = self._backward(R, E)
         n, m = E.shape
         x, free = np.zeros((n, m)), ~self._gains.fixed
         x[free] = -self._free_cost.solve(p[free])
-        up = np.empty((len(room), of_x.shape[2], m))
-        np.matmul(self._N, room, out=up[:, n:])
+        up = np.empty((len(inputs), of_x.shape[2], m))
+        np.matmul(self._N, inputs, out=up[:, n:])
         for i in range(len(up)):
             up[i, :n] = x
             x = of_x[i] @ up[i]
@@ -219,7 +226,7 @@ class RegulatorMap:
 
     @cached_property
     def _upward(self) -> tuple[Array, Array]:
-        """Return the matrices of the blocks of the forward sweep, which takes N."""
+        """Return the matrices of the blocks of the forward sweep, whose inputs are those of N."""
         B, K, W = self._gains.B, self._gains.K, self._W
         of_w, of_x = self._entries[B.shape[1] :].T, self._entries[: B.shape[1]].T
         up = np.concatenate([of_x + of_w @ K, carry_last_state(self._gains.Ac)], axis=1)
@@ -233,7 +240,7 @@ class OpenLoop:
     """
 
     def __init__(self, A: Array, B: Array, Phi: Array, breaks: Indices):
-        """Find the matrices of the blocks, none of which goes across a break."""
+        """Compute the matrices of the blocks; no block contains a break."""
         stages, n, k = B.shape
         self._times, self._first = self._partition(np.concatenate([[0], breaks, [stages]]), n, k)
         blocks, b = self._times.shape
@@ -253,7 +260,7 @@ class OpenLoop:
             both[:, :, : n + b * k] += gradient[:, s]
             gw[:, s], p = both[:, n:], both[:, :n]
         self._x, self._p, self._gw = x.copy(), p.copy(), gw.reshape(blocks, b * k, 2 * n + b * k)
-        self._room: Array | None = None
+        self._inputs: Array | None = None
 
     @staticmethod
     def _partition(bounds: Indices, n: int, k: int) -> tuple[Indices, Indices]:
@@ -277,38 +284,38 @@ class OpenLoop:
         """
         n, (_, k, m) = self._x.shape[1], W.shape
         blocks, _, size = self._p.shape
-        if self._room is None or self._room.shape[2] != m:
-            self._room = np.zeros((blocks, size, m))
-        room, place = self._room, self._times >= 0
-        inputs = room[:, n:-n].reshape(*place.shape, k, m)
-        inputs[place] = W
+        if self._inputs is None or self._inputs.shape[2] != m:
+            self._inputs = np.zeros((blocks, size, m))
+        inputs, present = self._inputs, self._times >= 0
+        of_w = inputs[:, n:-n].reshape(*present.shape, k, m)
+        of_w[present] = W
         segment = {int(block): i for i, block in enumerate(self._first[1:])}
         gstarts, ends = np.empty_like(starts), np.empty_like(starts)
         x, p = np.zeros((n, m)), np.zeros((n, m))
         for i in range(blocks):
             if i in segment:
                 ends[segment[i]], x = x, starts[segment[i]]
-            room[i, :n] = x
-            x = self._x[i] @ room[i, :-n]
+            inputs[i, :n] = x
+            x = self._x[i] @ inputs[i, :-n]
         for i in range(blocks - 1, -1, -1):
-            room[i, -n:] = p
-            p = self._p[i] @ room[i]
+            inputs[i, -n:] = p
+            p = self._p[i] @ inputs[i]
             if i in segment:
                 gstarts[segment[i]], p = p, np.zeros((n, m))
-        gw = (self._gw @ room).reshape(*place.shape, k, m)
-        return gw[place], gstarts, ends, x
+        gw = (self._gw @ inputs).reshape(*present.shape, k, m)
+        return gw[present], gstarts, ends, x
 
 
 def block_length(n: int, inputs: float) -> int:
-    """Return the number of stages a block that makes sweeps cheapest, for so many inputs and outputs a stage."""
+    """Return the number of stages a block that makes sweeps cheapest, by the inputs and outputs a stage."""
     return ceil(sqrt(4 * n * n + CALL) / inputs)
 
 
 def pad_blocks(values: Array, times: Indices, filling: Array) -> Array:
     """Return values[times], (blocks, b, ...), with the filling where times is negative."""
-    found = values[times]
-    found[times < 0] = filling
-    return found
+    blocks = values[times]
+    blocks[times < 0] = filling
+    return blocks
 
 
 def carry_last_state(A: Array) -> Array:

@@ -16,12 +16,12 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt import dense
 from lin_freq_ocp.methods.structured.kkt.compilation import INDICES, REALS, WRITTEN, Kernels, jit
-from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, BlockRegulator, Gains
+from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, Gains, Regulator
 
 
 @jit
 def cholesky(M: Array, size: int) -> None:
-    """Replace the leading block by its lower factor; a pivot of a zero row is set by the largest diagonal entry."""
+    """Replace the leading block by its lower factor; the largest diagonal entry sets the pivot of a zero row."""
     largest = 0.0
     for j in range(size):
         largest = max(largest, M[j, j])
@@ -367,31 +367,28 @@ KERNELS = Kernels(
 )
 
 
-class CompiledRegulator(BlockRegulator):
+class CompiledRegulator(Regulator):
     """The factors of the Riccati recursion."""
 
     def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):
         """Factor the stages."""
         self._A, self._B, self._fixed, self._free = A, B, fixed, np.flatnonzero(~fixed)
-        self._K, self._L, self._Ac, self._P, self._P0 = factor(A, B, Phi, self._free)
+        self._factors = factor(A, B, Phi, self._free)
 
     def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
         """Return y, eta and lam0."""
-        return solve(self._A, self._B, self._K, self._L, self._Ac, self._P, self._P0, self._free, r, c, x0)
+        return solve(self._A, self._B, *self._factors, self._free, r, c, x0)
 
     def gains(self) -> Gains:
-        """Return what the Riccati recursion found."""
-        return Gains(self._B, self._K, self._L, self._Ac, self._P[0], self._fixed)
+        """Return the gains and factors of the Riccati recursion."""
+        K, L, Ac, P, _ = self._factors
+        return Gains(self._B, K, L, Ac, P[0], self._fixed)
 
 
 class CompiledLoops:
     """All loops by numba."""
 
     compiled: ClassVar[bool] = True
-
-    def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> CompiledRegulator:
-        """Factor the stages."""
-        return CompiledRegulator(A, B, Phi, fixed)
 
     def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
         """Return whether the problem is strictly convex on its dynamics."""
@@ -401,6 +398,7 @@ class CompiledLoops:
         """Return H + G'W^-2 G."""
         return gram(H, G, weights, points, np.cumsum([G.shape[1] - sum(cones), *cones]))
 
+    factor = CompiledRegulator
     times = staticmethod(times)
     transposed_times = staticmethod(transposed_times)
     forward = staticmethod(forward)

@@ -6,9 +6,9 @@ control without a stop band are its samples, t <= T. Vectors are the rows of arr
 contiguous memory.
 
 Slacks, on which only their own stage depends, are eliminated first. The unknowns v are z, free entries of x_0, and
-starts: open loop diverges on unstable dynamics, and so the simulation starts anew at break times (multiple shooting).
-The rows E on v are, in this order, starts - ends of the simulations before them, x_T, and coupling rows that are no
-stop band. This leaves the reduced system, which ``Reduced`` solves:
+starts: as open loop diverges for unstable dynamics, the simulation starts anew at break times (multiple shooting). The
+rows E on v are, in this order, starts - ends of the simulations before them, x_T, and coupling rows other than stop
+bands. ``Reduced`` solves the remaining system:
 
     M v + E'nu = r,   E v - C nu = e,   M the Hessian of 1/2 y'Phi y in v
 """
@@ -25,7 +25,7 @@ from scipy import fft
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.system import Compliance, SystemSolution
-from lin_freq_ocp.methods.structured.stages import Rows, SpectrumRows, Stages
+from lin_freq_ocp.methods.structured.stages import CoupledRows, SpectrumRows, Stages
 
 GROWTH = 1e3  # of the states between breaks: three digits are lost at most
 
@@ -34,7 +34,7 @@ class Reduced(Protocol):
     """A way to solve the reduced system."""
 
     def factor(self, Phi: Array, C: Array) -> bool:
-        """Prepare for Phi (T+1, nz, nz) without slacks, and C (rows, rows); return whether M is seen to be definite."""
+        """Factor for Phi (T+1, nz, nz) without slacks, and C (rows, rows); return whether M is known to be definite."""
         ...
 
     def solve(self, r: Array, e: Array) -> tuple[Array, Array]:
@@ -43,7 +43,7 @@ class Reduced(Protocol):
 
 
 class NullSpaceSolver:
-    """The solver that satisfies stop bands exactly; ``reduced`` solves the system that they leave."""
+    """The solver that satisfies stop bands exactly; ``reduced`` solves the remaining system."""
 
     indefinite: ClassVar[bool] = True
 
@@ -55,11 +55,11 @@ class NullSpaceSolver:
         self._reduced = reduced(self._space)
 
     def exchanged(self, stages: Stages) -> NullSpaceSolver:
-        """Return the same for stages with other dynamics and Hessians."""
+        """Return the solver for stages with other dynamics and Hessians."""
         return NullSpaceSolver(stages, self._loops, self._solved_by)
 
     def factor(self, Phi: Array, compliance: Compliance) -> bool:
-        """Prepare for Phi (T+1, n+k, n+k) and C."""
+        """Factor for Phi (T+1, n+k, n+k) and C."""
         space = self._space
         C = np.zeros((space.row_count, space.row_count))
         compliance.add_to(C, space.chosen[space.chosen < len(compliance.rows)])
@@ -73,12 +73,12 @@ class NullSpaceSolver:
         y = np.zeros_like(core)
         y[0, :n] = np.where(space.fixed, x0, 0.0)
         y[:, n:] = space.coefficients.particular(f)
-        y, ends = space.simulated(np.zeros(space.size), y, c)
+        y, ends = space.simulate(np.zeros(space.size), y, c)
         of_v = space.gradient(core + self._loops.times(self._Phi, y))
         right = np.concatenate([np.zeros(space.continuity), f[space.chosen]])
         v, nu = self._reduced.solve(-of_v, right - space.values(y, ends))
-        y, _ = space.simulated(v, y, c)
-        of_y, prices = space.priced(nu)
+        y, _ = space.simulate(v, y, c)
+        of_y, prices = space.price_rows(nu)
         of_y += core + self._loops.times(self._Phi, y)
         p, gw, _ = self._loops.backward(space.A, space.B, of_y, space.breaks, prices)
         coupling = np.zeros(len(f))
@@ -91,30 +91,30 @@ class NullSpaceSolver:
 
 
 class Slacks:
-    """Elimination of entries of w that only their own stage sees: slacks, and u_T of controls with stop bands.
+    """Elimination of entries of w that only their own stage contains: slacks, and u_T of controls with stop bands.
 
-    Of the core (x, u) of a stage and its slacks s, Phi_ss s + Phi_sc (x, u) + gradient_s = 0 gives s, and leaves on the
-    core Phi_cc - Phi_cs Phi_ss^-1 Phi_sc. All of this is local in time.
+    For the core (x, u) of a stage and its slacks s, Phi_ss s + Phi_sc (x, u) + gradient_s = 0 gives s, and leaves
+    Phi_cc - Phi_cs Phi_ss^-1 Phi_sc on the core. All of this is local in time.
     """
 
     def __init__(self, stages: Stages, banded: Sequence[int]):
         """Find the slacks; ``banded`` are the entries of w with stop bands."""
         n = stages.states
-        own: Mask = ~np.any(stages.B, axis=(0, 1))
-        own[[entry - n for entry in stages.coupling.channels if entry >= n]] = False
-        self.controls = np.flatnonzero(~own)
+        undriven: Mask = ~np.any(stages.B, axis=(0, 1))
+        undriven[[entry - n for entry in stages.coupling.channels if entry >= n]] = False
+        self.controls = np.flatnonzero(~undriven)
         self.core = np.concatenate([np.arange(n), n + self.controls])
-        self._slacks = n + np.flatnonzero(own)
+        self._slacks = n + np.flatnonzero(undriven)
         self._last = np.union1d(self._slacks, n + np.array(banded, dtype=np.intp))
         self._left = np.flatnonzero(~np.isin(self.core, self._last))
 
     def reduced(self, Phi: Array) -> Array:
-        """Return Phi (T+1, n+k, n+k) on the core, with 1 for entries that are not left at T."""
+        """Return Phi (T+1, n+k, n+k) on the core, with 1 for entries that are eliminated at T."""
         self._inner = _Elimination(Phi[:-1], self.core, self._slacks)
         self._end = _Elimination(Phi[-1:], self.core[self._left], self._last)
         end = np.eye(len(self.core))[None]
-        end[:, self._left[:, None], self._left] = self._end.left
-        return np.ascontiguousarray(np.concatenate([self._inner.left, end]))
+        end[:, self._left[:, None], self._left] = self._end.complement
+        return np.ascontiguousarray(np.concatenate([self._inner.complement, end]))
 
     def gradient(self, gradient: Array) -> Array:
         """Return a gradient (T+1, n+k) on the core."""
@@ -129,31 +129,31 @@ class Slacks:
 
 
 class _Elimination:
-    """Schur complements of some entries of all stages."""
+    """The elimination of some entries of all stages, by Schur complements."""
 
-    def __init__(self, Phi: Array, kept: Indices, gone: Indices):
-        self._kept, self._gone = kept, gone
-        self.left = np.ascontiguousarray(Phi[:, kept[:, None], kept])
-        if len(gone):
-            across = Phi[:, gone[:, None], kept]
-            self._own = Phi[:, gone[:, None], gone]
-            self._gain = np.linalg.solve(self._own, across)
-            self.left -= across.swapaxes(1, 2) @ self._gain
+    def __init__(self, Phi: Array, core: Indices, eliminated: Indices):
+        self._core, self._eliminated = core, eliminated
+        self.complement = np.ascontiguousarray(Phi[:, core[:, None], core])
+        if len(eliminated):
+            across = Phi[:, eliminated[:, None], core]
+            self._block = Phi[:, eliminated[:, None], eliminated]
+            self._gain = np.linalg.solve(self._block, across)
+            self.complement -= across.swapaxes(1, 2) @ self._gain
 
     def gradient(self, gradient: Array) -> Array:
-        """Return the gradient on the entries that are kept."""
-        left = gradient[:, self._kept]
-        if len(self._gone):
-            left = left - np.einsum("tsc,ts->tc", self._gain, gradient[:, self._gone])
-        return left
+        """Return the gradient on the remaining entries."""
+        remaining = gradient[:, self._core]
+        if len(self._eliminated):
+            remaining = remaining - np.einsum("tsc,ts->tc", self._gain, gradient[:, self._eliminated])
+        return remaining
 
-    def recovered(self, kept: Array, gradient: Array) -> Array:
+    def recovered(self, core: Array, gradient: Array) -> Array:
         """Return all entries."""
         y = np.empty_like(gradient)
-        y[:, self._kept] = kept
-        if len(self._gone):
-            free = np.linalg.solve(self._own, gradient[:, self._gone, None])[:, :, 0]
-            y[:, self._gone] = -free - np.einsum("tsc,tc->ts", self._gain, kept)
+        y[:, self._core] = core
+        if len(self._eliminated):
+            free = np.linalg.solve(self._block, gradient[:, self._eliminated, None])[:, :, 0]
+            y[:, self._eliminated] = -free - np.einsum("tsc,tc->ts", self._gain, core)
         return y
 
 
@@ -169,9 +169,9 @@ class StopBand:
 
 @dataclass(frozen=True, eq=False)
 class Remaining:
-    """A family of rows that fixes no coefficients, and its rows of F."""
+    """A family of coupling rows other than stop bands, and its rows of F."""
 
-    rows: Rows
+    rows: CoupledRows
     at: Indices
 
 
@@ -191,8 +191,8 @@ def sort_rows(stages: Stages) -> tuple[list[StopBand], list[Remaining]]:
     return bands, rest
 
 
-def _stop_band(stages: Stages, rows: Rows, at: Indices) -> StopBand | None:
-    """Return the stop band that rows are, if they are the plain DFT of a single control."""
+def _stop_band(stages: Stages, rows: CoupledRows, at: Indices) -> StopBand | None:
+    """Return rows as a stop band if they are the plain DFT of a single control, otherwise None."""
     if not isinstance(rows, SpectrumRows) or rows.points != stages.horizon:
         return None
     used, T, n = np.flatnonzero(rows.coefficients), stages.horizon, stages.states
@@ -223,45 +223,45 @@ class Coefficients:
         self.horizon = stages.horizon
         self._scale = unit_scale(self.horizon)
         self._bands = [(int(np.flatnonzero(controls == band.entry)[0]), band) for band in bands]
-        self._kept: list[Indices | None] = []
+        self._free: list[Indices | None] = []
         for j in range(len(controls)):
             stopped = [band.coefficients for control, band in self._bands if control == j]
             exist = self._scale > 0
             for part in stopped:
                 exist[part] = False
-            self._kept.append(np.flatnonzero(exist) if stopped else None)
-        counts = [self.horizon + 1 if kept is None else len(kept) for kept in self._kept]
+            self._free.append(np.flatnonzero(exist) if stopped else None)
+        counts = [self.horizon + 1 if free is None else len(free) for free in self._free]
         self._ends = np.cumsum([0, *counts])
         self.count = int(self._ends[-1])
         self.stop_rows = np.concatenate([np.zeros(0, dtype=np.intp), *(band.rows for band in bands)])
-        self.banded = np.array([kept is not None for kept in self._kept], dtype=bool)
+        self.banded = np.array([free is not None for free in self._free], dtype=bool)
 
     def analysis(self, w: Array) -> Array:
         """Return N'w, (m, count), for signals (T+1, controls, m)."""
         z = np.empty((w.shape[2], self.count))
-        for j, kept in enumerate(self._kept):
-            own = z[:, self._ends[j] : self._ends[j + 1]]
-            if kept is None:
-                own[:] = w[:, j].T
+        for j, free in enumerate(self._free):
+            part = z[:, self._ends[j] : self._ends[j + 1]]
+            if free is None:
+                part[:] = w[:, j].T
             else:
                 signals = np.ascontiguousarray(w[:-1, j].T)
-                np.multiply(self._transform(signals)[:, kept], self._scale[kept], out=own)
+                np.multiply(self._transform(signals)[:, free], self._scale[free], out=part)
         return z
 
     def synthesis(self, z: Array) -> Array:
         """Return N z, (T+1, controls, m), for coefficients (m, count)."""
-        w = np.zeros((self.horizon + 1, len(self._kept), len(z)))
-        for j, kept in enumerate(self._kept):
-            own = z[:, self._ends[j] : self._ends[j + 1]]
-            if kept is None:
-                w[:, j] = own.T
+        w = np.zeros((self.horizon + 1, len(self._free), len(z)))
+        for j, free in enumerate(self._free):
+            part = z[:, self._ends[j] : self._ends[j + 1]]
+            if free is None:
+                w[:, j] = part.T
             else:
-                w[:-1, j] = self._signals(kept, own).T
+                w[:-1, j] = self._signals(free, part).T
         return w
 
     def particular(self, f: Array) -> Array:
-        """Return u_p (T+1, controls), which has no kept coefficient and satisfies the stop bands, F u_p = f."""
-        w = np.zeros((self.horizon + 1, len(self._kept)))
+        """Return u_p (T+1, controls), which satisfies the stop bands, F u_p = f, and has no free coefficients."""
+        w = np.zeros((self.horizon + 1, len(self._free)))
         for j, band in self._bands:
             values = f[band.rows] / band.gain
             if values.any():
@@ -275,11 +275,11 @@ class Coefficients:
             nu[band.rows] = -pairs[band.coefficients] * self._scale[band.coefficients] / band.gain
 
     def stopped(self, j: int, signals: Array) -> Array:
-        """Return signals (m, T) of a control without their kept coefficients."""
-        kept = self._kept[j]
-        if kept is None:
+        """Return signals (m, T) of a control without their free coefficients."""
+        free = self._free[j]
+        if free is None:
             return np.zeros_like(signals)
-        return signals - self._signals(kept, self._transform(signals)[:, kept] * self._scale[kept])
+        return signals - self._signals(free, self._transform(signals)[:, free] * self._scale[free])
 
     @staticmethod
     def _transform(signals: Array) -> Array:
@@ -306,9 +306,9 @@ class NullSpace:
         self._starts = self.coefficients.count + len(self.breaks) * self.states
         self.size = self._starts + len(self.free)
         self.terminal, self._rest = stages.coupling.terminal, rest
-        place = np.full(stages.H.shape[1], -1)
-        place[slacks.core] = np.arange(len(slacks.core))
-        self._channels = place[stages.coupling.channels]
+        position = np.full(stages.H.shape[1], -1)
+        position[slacks.core] = np.arange(len(slacks.core))
+        self._channels = position[stages.coupling.channels]
         self.continuity = len(self.breaks) * self.states
         self.counts = [self.continuity, len(self.terminal), *(len(part.at) for part in rest)]
         self.row_count = sum(self.counts)
@@ -316,14 +316,14 @@ class NullSpace:
         self.zero = np.zeros((len(self.breaks), self.states))
         self._still = np.zeros_like(stages.d)
 
-    def simulated(self, v: Array, y: Array | None = None, c: Array | None = None) -> tuple[Array, Array]:
+    def simulate(self, v: Array, y: Array | None = None, c: Array | None = None) -> tuple[Array, Array]:
         """Add the controls of v to y (T+1, nz), write its states, and return it with the ends (K, n)."""
-        n, kept = self.states, self.coefficients.count
+        n, count = self.states, self.coefficients.count
         if y is None:
             y = np.zeros((self.horizon + 1, n + self.controls))
-        y[:, n:] += self.coefficients.synthesis(v[None, :kept])[:, :, 0]
+        y[:, n:] += self.coefficients.synthesis(v[None, :count])[:, :, 0]
         y[0, self.free] = v[self._starts :]
-        starts = np.ascontiguousarray(v[kept : self._starts]).reshape(self.zero.shape)
+        starts = np.ascontiguousarray(v[count : self._starts]).reshape(self.zero.shape)
         return y, self.loops.forward(self.A, self.B, self._still if c is None else c, self.breaks, starts, y)
 
     def gradient(self, of_y: Array, prices: Array | None = None) -> Array:
@@ -335,16 +335,16 @@ class NullSpace:
 
     def curvature(self, Phi: Array, v: Array) -> Array:
         """Return the gradient in v of 1/2 y'Phi y."""
-        y, _ = self.simulated(v)
+        y, _ = self.simulate(v)
         return self.gradient(self.loops.times(Phi, y))
 
     def values(self, y: Array, ends: Array) -> Array:
-        """Return what y adds to the rows when its simulations start from zero."""
+        """Return the values of the rows for y whose simulations start from zero."""
         signals = y[:, self._channels, None] if self._rest else y[:, :0, None]
         rest = [part.rows.forward(signals)[:, 0] for part in self._rest]
         return np.concatenate([-ends.ravel(), y[-1, self.terminal], *rest])
 
-    def priced(self, nu: Array) -> tuple[Array, Array]:
+    def price_rows(self, nu: Array) -> tuple[Array, Array]:
         """Return the gradient in y (T+1, nz), and the prices (K, n), of multipliers of the rows."""
         prices, terminal, rest = np.split(nu, np.cumsum(self.counts[:2]))
         of_y = np.zeros((self.horizon + 1, self.states + self.controls))
@@ -360,20 +360,20 @@ class NullSpace:
 
     def rows(self) -> Array:
         """Return the rows as a matrix (rows, size)."""
-        found = np.empty((self.row_count, self.size))
+        matrix = np.empty((self.row_count, self.size))
         for i in range(self.row_count):
-            of_y, prices = self.priced(np.eye(1, self.row_count, i)[0])
-            found[i] = self.gradient(of_y, prices)
-        return found
+            of_y, prices = self.price_rows(np.eye(1, self.row_count, i)[0])
+            matrix[i] = self.gradient(of_y, prices)
+        return matrix
 
 
 def break_times(A: Array, growth: float) -> Indices:
-    """Return the times within 1 .. T-1 before which a product of transition matrices has grown so far."""
-    found: list[int] = []
+    """Return the times within 1 .. T-1 before which a product of transition matrices exceeds the growth."""
+    times: list[int] = []
     product = np.eye(A.shape[1])
     for t in range(len(A) - 2):
         product = A[t] @ product
         if np.abs(product).max() > growth:
-            found.append(t + 1)
+            times.append(t + 1)
             product = np.eye(A.shape[1])
-    return np.array(found, dtype=np.intp)
+    return np.array(times, dtype=np.intp)

@@ -1,8 +1,8 @@
 """The range-space KKT solver: the unknowns are the multipliers of the coupling rows F.
 
 The Schur complement on them is S = F P F' + C, a sum of squares, where P is the response of the regulator. A fixed x_T
-adds rho |x_T - its state|^2 to what the recursion minimises: it leaves the answer alone and keeps the closed loop
-stable on long horizons of unstable dynamics.
+adds rho |x_T - its value|^2 to the cost of the recursion: that does not change the answer, and keeps the closed loop
+stable over long horizons of unstable dynamics.
 
 Masks on a grid finer than that of their band have low rank, G V'. The other rows are E. With J = (E; V') P (E; V')' and
 the compliances C_e and C_g of E and of the rows G V', the Schur complement is
@@ -10,13 +10,13 @@ the compliances C_e and C_g of E and of the rows G V', the Schur complement is
     (J_ee + C_e) nu_e + J_ev g = r_e,   G (J_ve nu_e + J_vv g) + C_g nu = r_g,   g = G'nu.
 
 With the Schur complement L L' of J_ee + C_e in J, a = L'g lies between them. For r = r_g - G J_ve (J_ee + C_e)^-1 r_e,
-H = G L, and rows split into weak ones (w), whose compliance is not small, and strong ones:
+H = G L, and with the rows split into weak ones (w), whose compliance is not small, and strong ones (s),
 
     M = 1 + H_w' C_w^-1 H_w,   (H_s M^-1 H_s' + C_s) nu_s = r_s - H_s M^-1 H_w' C_w^-1 r_w,
     M a = H_w' C_w^-1 r_w + H_s' nu_s,   nu_w = C_w^-1 (r_w - H_w a).
 
-Sums of positive matrices lose no digits. The difference in nu_w loses as many as the stiffness of a weak row exceeds
-that of the response; hence the split.
+Sums of positive matrices lose no digits. The difference in nu_w loses digits if a weak row is much stiffer than the
+response; hence the split.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from lin_freq_ocp.methods.structured.kkt.system import Compliance, KKTSolver, Sy
 from lin_freq_ocp.methods.structured.stages import Balls, Stages
 
 TERMINAL_WEIGHT = 1e2  # of the distance from the terminal state, relative to the largest curvature
-LEAST_CURVATURE = 1e-3  # of order 1 are the units
-STRONG = 1e6  # stiffness of a row times its response from which it is solved for itself: six of sixteen digits are lost
-SPARE = 40  # directions more than bins of a band: its ends leak into as many, growing like log T
-WORTH = 0.75  # rank relative to the number of rows below which the low rank pays
+LEAST_CURVATURE = 1e-3  # in units of order 1
+STRONG = 1e6  # stiffness of a row times its response, from which the row is strong: six of sixteen digits would be lost
+SPARE = 40  # directions in addition to the bins of a band: its edges leak into as many, which grow like log T
+WORTH = 0.75  # rank relative to the number of rows, below which the low rank pays
 
 
 def range_space_solver(stages: Stages, loops: Loops) -> KKTSolver:
-    """Return the solver: with rows on a fine grid by their low rank, else dense."""
+    """Return the solver: the low-rank one if there are rows on a fine grid, otherwise the dense one."""
     response = CouplingResponse(stages, loops)
     fine = fine_rows(response)
     return RangeSpaceSolver(response) if fine is None else LowRankSolver(response, fine)
@@ -59,7 +59,7 @@ class CouplingResponse:
         self._weights[self.coupling.terminal] = TERMINAL_WEIGHT * max(curvature, LEAST_CURVATURE)
 
     def exchanged(self, stages: Stages) -> CouplingResponse:
-        """Return the same for stages with other dynamics and Hessians."""
+        """Return the response of stages with other dynamics and Hessians."""
         other = copy(self)
         other.stages = stages
         return other
@@ -73,12 +73,12 @@ class CouplingResponse:
 
     def missing(self, gradient: Array, c: Array, x0: Array, f: Array) -> Array:
         """Return F y - f of the answer without the rows F."""
-        y, _, _ = self._regulator.solve(self._to_end(gradient, f), c, x0)
+        y, _, _ = self._regulator.solve(self._shift_terminal(gradient, f), c, x0)
         return self.rows.values(y) - f
 
     def step(self, gradient: Array, c: Array, x0: Array, f: Array, nu: Array) -> SystemSolution:
         """Return the answer with the multipliers nu of the rows F."""
-        gradient, terminal = self._to_end(gradient, f), self.coupling.terminal
+        gradient, terminal = self._shift_terminal(gradient, f), self.coupling.terminal
         self.rows.add_adjoint(nu, gradient)
         y, eta, initial = self._regulator.solve(gradient, c, x0)
         nu = nu.copy()
@@ -89,20 +89,21 @@ class CouplingResponse:
         """Return the lower triangle of R'P R of gradients R on channels (T+1, channels, k) and on x_T (n, k)."""
         return self._regulator.gram(self.coupling.channels, signals, end)
 
-    def _to_end(self, gradient: Array, f: Array) -> Array:
+    def _shift_terminal(self, gradient: Array, f: Array) -> Array:
+        """Return the gradient with that of the weight on the distance from the terminal state."""
         gradient, terminal = gradient.copy(), self.coupling.terminal
         gradient[-1, terminal] -= self._weights[terminal] * f[: len(terminal)]
         return gradient
 
 
 class _RangeSpace:
-    """A solver on multipliers of rows that do not depend on dynamics and Hessians; only the response does."""
+    """A solver for the multipliers of the rows; dynamics and Hessians enter by the response only."""
 
     indefinite: ClassVar[bool] = False
     _response: CouplingResponse
 
     def exchanged(self, stages: Stages) -> Self:
-        """Return the same for stages with other dynamics and Hessians."""
+        """Return the solver for stages with other dynamics and Hessians."""
         other = copy(self)
         other._response = self._response.exchanged(stages)
         return other
@@ -116,7 +117,7 @@ class RangeSpaceSolver(_RangeSpace):
         self._rows = response.rows.gradients
 
     def factor(self, Phi: Array, compliance: Compliance) -> bool:
-        """Prepare for Phi (T+1, n+k, n+k) and C."""
+        """Factor for Phi (T+1, n+k, n+k) and C."""
         self._response.factor(Phi)
         S = self._response.gram(*self._rows)
         compliance.add_to(S)
@@ -125,26 +126,27 @@ class RangeSpaceSolver(_RangeSpace):
 
     def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> SystemSolution:
         """Return the solution for gradient (T+1, n+k), c (T+1, n), x0 (n,), f (rows,)."""
-        given = gradient, c, x0, f
-        nu = self._schur.solve(self._response.missing(*given)) if self._count else np.zeros(0)
-        return self._response.step(*given, nu)
+        right = gradient, c, x0, f
+        nu = self._schur.solve(self._response.missing(*right)) if self._count else np.zeros(0)
+        return self._response.step(*right, nu)
 
 
 def fine_rows(response: CouplingResponse) -> Indices | None:
-    """Return the rows of low rank of F, if there are any that pay."""
-    first, found, rank = response.coupling.equation_count, list[Indices](), SPARE
+    """Return the rows of F on a fine grid, if their low rank pays."""
+    first, fine, rank = response.coupling.equation_count, list[Indices](), SPARE
     first += sum(part.rows.count for part in response.coupling.inequalities)
     for part in response.coupling.balls:
         count = part.rows.count + (0 if part.heads is None else part.heads.count)
         if _is_fine(part):
-            found.append(first + np.arange(count))
+            fine.append(first + np.arange(count))
             rank += count // part.rows.oversampling
         first += count
-    rows = np.concatenate(found) if found else np.arange(0)
+    rows = np.concatenate(fine) if fine else np.arange(0)
     return rows if rank < WORTH * len(rows) else None
 
 
 def _is_fine(part: Balls) -> bool:
+    """Whether hard balls are on a grid finer than that of the DFT."""
     return part.rows.oversampling > 1 and part.heads is None
 
 
@@ -158,13 +160,22 @@ class LowRankSolver(_RangeSpace):
         self._of_hard = [fine for part, fine in zip(coupling.balls, self._chosen, strict=True) if part.heads is None]
         ends = np.cumsum([0, *(part.rows.count for part in coupling.balls if _is_fine(part))])
         self._families = [slice(a, b) for a, b in pairwise(ends.tolist())]  # of the fine rows
-        V, self._G = self._basis()
+        # V (T+1, channels, rank) is orthonormal, by a random range finder, and the fine rows are G V'
+        rng, families = np.random.default_rng(0), [rows for rows, at in coupling.families() if np.isin(at[0], fine)]
+        shape = len(response.stages.H), len(coupling.channels)
+        rank = min(SPARE + sum(rows.count // rows.oversampling for rows in families), shape[0] * shape[1])
+        signals = np.zeros((*shape, rank))
+        for rows in families:
+            rows.add_adjoint(rng.standard_normal((rows.count, rank)), signals)
+        basis = la.qr(signals.reshape(-1, rank), mode="economic", overwrite_a=True, check_finite=False)[0]
+        V: Array = np.ascontiguousarray(basis.reshape(signals.shape), dtype=float)
+        self._G = np.concatenate([rows.forward(V) for rows in families])
         of_plain, end = response.rows.chosen(self._plain)
         none = np.zeros((len(end), V.shape[2]))
         self._gradients = np.concatenate([of_plain, V], axis=2), np.concatenate([end, none], axis=1)
 
     def factor(self, Phi: Array, compliance: Compliance) -> bool:
-        """Prepare for Phi (T+1, n+k, n+k) and C."""
+        """Factor for Phi (T+1, n+k, n+k) and C."""
         self._response.factor(Phi)
         J, e = self._response.gram(*self._gradients), len(self._plain)
         of_plain = tuple(ball for ball, fine in zip(compliance.balls, self._chosen, strict=True) if not fine)
@@ -175,9 +186,9 @@ class LowRankSolver(_RangeSpace):
         self._roots = [roots for roots, fine in zip(compliance.roots, self._of_hard, strict=True) if fine]
         # which of the fine rows are strong, ball by ball
         response, strong = np.einsum("ij,ij->i", self._H, self._H), list[Mask]()
-        for roots, own in zip(self._roots, self._families, strict=True):
+        for roots, family in zip(self._roots, self._families, strict=True):
             balls, d = roots.shape[:2]
-            stiff = (roots * roots).sum((1, 2)) * response[own].reshape(balls, d).max(1) > STRONG
+            stiff = (roots * roots).sum((1, 2)) * response[family].reshape(balls, d).max(1) > STRONG
             strong.append(np.repeat(stiff, d))
         self._strong = np.concatenate(strong)
         self._stiff_H = self._apply_roots(self._H)
@@ -188,7 +199,7 @@ class LowRankSolver(_RangeSpace):
             T = gram(self._M.whitened(self._strong_H.T))
             of_fine = [ball for ball, fine in zip(compliance.balls, self._chosen, strict=True) if fine]
             parts = zip(of_fine, self._families, strict=True)
-            blocks = tuple(ball[self._strong[own][:: ball.shape[1]]] for ball, own in parts)
+            blocks = tuple(ball[self._strong[family][:: ball.shape[1]]] for ball, family in parts)
             Compliance(np.zeros(0), blocks).add_to(T)
             self._T = Cholesky(T)
         return True
@@ -209,25 +220,11 @@ class LowRankSolver(_RangeSpace):
         nu[self._fine], nu[self._plain] = of_fine, alone - self._eliminated @ (self._G.T @ of_fine)
         return self._response.step(gradient, c, x0, f, nu)
 
-    def _basis(self) -> tuple[Array, Array]:
-        """Return V (T+1, channels, rank), orthonormal, by a random range, and G, so that the fine rows are G V'."""
-        response, rng = self._response, np.random.default_rng(0)
-        families = [(rows, at) for rows, at in response.coupling.families() if np.isin(at[0], self._fine)]
-        rank = SPARE + sum(rows.count // rows.oversampling for rows, _ in families)
-        shape = len(response.stages.H), len(response.coupling.channels)
-        rank = min(rank, shape[0] * shape[1])
-        signals = np.zeros((*shape, rank))
-        for rows, _ in families:
-            rows.add_adjoint(rng.standard_normal((rows.count, rank)), signals)
-        basis = la.qr(signals.reshape(-1, rank), mode="economic", overwrite_a=True, check_finite=False)[0]
-        V: Array = np.ascontiguousarray(basis.reshape(signals.shape), dtype=float)
-        return V, np.concatenate([rows.forward(V) for rows, _ in families])
-
     def _apply_roots(self, v: Array) -> Array:
-        """Return R v for rows (rows, k), R'R = C_w^-1, zero in the strong ones."""
-        found = np.empty_like(v)
-        for roots, own in zip(self._roots, self._families, strict=True):
+        """Return R v for v (rows, k), with R'R = C_w^-1 and zeros in the strong rows."""
+        result = np.empty_like(v)
+        for roots, family in zip(self._roots, self._families, strict=True):
             balls, d = roots.shape[:2]
-            np.matmul(roots, v[own].reshape(balls, d, -1), out=found[own].reshape(balls, d, -1))
-        found[self._strong] = 0.0
-        return found
+            np.matmul(roots, v[family].reshape(balls, d, -1), out=result[family].reshape(balls, d, -1))
+        result[self._strong] = 0.0
+        return result

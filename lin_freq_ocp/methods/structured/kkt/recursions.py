@@ -6,60 +6,73 @@ and B_T are zero, so that w_T is eliminated like every other. A regulator is the
     minimise sum_t 1/2 y_t'Phi_t y_t + r_t'y_t   subject to   x_{t+1} = A_t x_t + B_t w_t + c_t,  x_0 given where fixed,
     Phi_t y_t + r_t + (eta_{t-1}, 0) - (A_t, B_t)'eta_t + [t = 0] (lam0, 0) = 0,   lam0 = 0 where x_0 is free.
 
-By LAPACK, a single solution comes from the LU factors of the banded matrix of all stages; its unknowns are, stage by
-stage, lam_t, x_t and w_t, where lam_0 = lam0 and lam_t = eta_{t-1}. Many responses at once come from the Riccati
-recursion. Sweeps in open loop for many columns are those of ``OpenLoop`` (dense.py) in both implementations.
+LAPACK computes a single solution by the LU factors of the banded matrix of all stages, whose unknowns are, stage by
+stage, lam_t, x_t and w_t, with lam_0 = lam0 and lam_t = eta_{t-1}; the Riccati recursion gives many responses at once.
+In both implementations, ``OpenLoop`` (dense.py) does the open-loop sweeps for many columns.
 """
 
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 import numpy as np
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, BlockRegulator, Gains
+from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, Gains, Regulator
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.methods.structured.kkt.kernels import CompiledLoops
 
 
-class Regulator(Protocol):
-    """The factored stages."""
-
-    def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
-        """Return y (T+1, nz), eta (T+1, n) with eta_T = 0, and lam0 (n,).
-
-        r is (T+1, nz), c (T+1, n) with c_T = 0, x0 (n,) with zero where x_0 is free.
-        """
-        ...
-
-    def responses(self, channels: Indices, R: Array, E: Array) -> tuple[Array, Array]:
-        """Return the entries ``channels`` of y, (T+1, channels, m), and x_T, (n, m), for m gradients; c = 0, x0 = 0.
-
-        R (T+1, channels, m) are gradients on these entries, each of them named once; E (n, m) is added on x_T.
-        """
-        ...
-
-    def gram(self, channels: Indices, R: Array, E: Array) -> Array:
-        """Return the lower triangle of minus the gradients times their responses, (m, m), positive semidefinite."""
-        ...
+Loops: TypeAlias = "BandedLoops | CompiledLoops"
+"""The loops over stages; both classes have the methods of ``BandedLoops``, which say what they return."""
 
 
-class Loops(Protocol):
-    """Factors, and sweeps in open loop; all arrays contiguous.
+def loops(compiled: bool | None = None, wait: bool = True) -> Loops:
+    """Return the compiled loops, or those by NumPy and LAPACK.
+
+    By default, the loops are compiled if numba is installed. Without ``wait``, they are the compiled ones only if
+    nothing remains to be compiled.
+    """
+    if compiled is False or (compiled is None and find_spec("numba") is None):
+        return BandedLoops()
+    from lin_freq_ocp.methods.structured.kkt.kernels import KERNELS, CompiledLoops
+
+    if compiled is None and not wait and not KERNELS.ready:
+        return BandedLoops()
+    KERNELS.prepare()
+    return CompiledLoops()
+
+
+class BandedLoops:
+    """Factors, and sweeps in open loop, by NumPy and LAPACK; all arrays contiguous.
 
     In open loop the states start anew from ``starts`` at ``breaks``, (K,) increasing times within 1 .. T.
     """
 
-    compiled: ClassVar[bool]
+    compiled: ClassVar[bool] = False
 
-    def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> Regulator:
+    def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> BandedRegulator:
         """Factor the stages: A (T+1, n, n), B (T+1, n, k), Phi (T+1, nz, nz) positive semidefinite, fixed (n,)."""
-        ...
+        return BandedRegulator(A, B, Phi, fixed)
 
     def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
-        """Return whether the problem of a regulator with a symmetric Phi is strictly convex on its dynamics."""
-        ...
+        """Whether the problem with a symmetric Phi is strictly convex on its dynamics: no pivot is a rounding error."""
+        AB, n = np.concatenate([A, B], axis=2), A.shape[1]
+        P, least = np.zeros((n, n)), CURVED * np.abs(np.einsum("tii->ti", Phi))
+        for t in range(len(A) - 1, -1, -1):
+            M = Phi[t] + AB[t].T @ (P @ AB[t])
+            L, info = lapack.dpotrf(M[n:, n:], lower=1, clean=1)
+            if info or not (np.diag(L) ** 2 > least[t, n:]).all():
+                return False
+            K = lapack.dtrtrs(L, M[n:, :n], lower=1)[0]
+            P = M[:n, :n] - K.T @ K
+        if fixed.all():
+            return True
+        L, info = lapack.dpotrf(P[np.ix_(~fixed, ~fixed)], lower=1, clean=1)
+        return not info and bool((np.diag(L) ** 2 > least[0, :n][~fixed]).all())
 
     def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
         """Return H_t + G_t' W_t^-2 G_t, (T+1, nz, nz), for G (T+1, p, nz), whose last rows are second-order cones.
@@ -67,76 +80,6 @@ class Loops(Protocol):
         weights (T+1, p - sum(cones) + len(cones)): 1/w^2 of the orthant rows, then 1/eta^2 of the cones; zero where
         there is no such row. points (T+1, sum(cones)): the w of the cones, W^2 = eta^2 (2 w w' - J), w'J w = 1.
         """
-        ...
-
-    def times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t v_t, (T+1, rows), for M (T+1, rows, columns) and v (T+1, columns)."""
-        ...
-
-    def transposed_times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t'v_t, (T+1, columns), for v (T+1, rows)."""
-        ...
-
-    def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
-        """Write in y (T+1, nz) the states x_1 .. x_T that follow from its x_0 and w; starts (K, n), c (T+1, n).
-
-        Return the ends (K, n): the states at the breaks before they are replaced.
-        """
-        ...
-
-    def backward(
-        self, A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return the costates p (T+1, n), the gradient in w (T+1, k), and that in the starts (K, n).
-
-        p_t = gradient_x + A_t'p_{t+1}, gw_t = gradient_w + B_t'p_{t+1}; at a break p_t is the gradient in its start,
-        and then -prices, (K, n), takes its place. The multiplier of x_{t+1} = A_t x_t + B_t w_t + c_t is -p_{t+1}.
-        """
-        ...
-
-
-def loops(compiled: bool | None = None, patient: bool = True) -> Loops:
-    """Return the compiled loops or those by NumPy and LAPACK.
-
-    By default the first, if numba is installed. Who is not patient takes them only if nothing remains to be compiled.
-    """
-    if compiled is False or (compiled is None and find_spec("numba") is None):
-        return BandedLoops()
-    from lin_freq_ocp.methods.structured.kkt.kernels import KERNELS, CompiledLoops
-
-    if compiled is None and not patient and not KERNELS.ready:
-        return BandedLoops()
-    KERNELS.prepare()
-    return CompiledLoops()
-
-
-class BandedLoops:
-    """All loops by NumPy and LAPACK."""
-
-    compiled: ClassVar[bool] = False
-
-    def factor(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> BandedRegulator:
-        """Factor the stages."""
-        return BandedRegulator(A, B, Phi, fixed)
-
-    def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
-        """Whether all pivots of the Riccati recursion are above rounding."""
-        AB, n = np.concatenate([A, B], axis=2), A.shape[1]
-        P, own = np.zeros((n, n)), CURVED * np.abs(np.einsum("tii->ti", Phi))
-        for t in range(len(A) - 1, -1, -1):
-            M = Phi[t] + AB[t].T @ (P @ AB[t])
-            L, info = lapack.dpotrf(M[n:, n:], lower=1, clean=1)
-            if info or not (np.diag(L) ** 2 > own[t, n:]).all():
-                return False
-            K = lapack.dtrtrs(L, M[n:, :n], lower=1)[0]
-            P = M[:n, :n] - K.T @ K
-        if fixed.all():
-            return True
-        L, info = lapack.dpotrf(P[np.ix_(~fixed, ~fixed)], lower=1, clean=1)
-        return not info and bool((np.diag(L) ** 2 > own[0, :n][~fixed]).all())
-
-    def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
-        """Return H + G'W^-2 G."""
         linear = G.shape[1] - sum(cones)
         rows = G[:, :linear]
         out = H + rows.swapaxes(1, 2) @ (weights[:, :linear, None] * rows)
@@ -153,15 +96,18 @@ class BandedLoops:
         return out
 
     def times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t v_t."""
+        """Return M_t v_t, (T+1, rows), for M (T+1, rows, columns) and v (T+1, columns)."""
         return np.einsum("tij,tj->ti", matrices, vectors)
 
     def transposed_times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t'v_t."""
+        """Return M_t'v_t, (T+1, columns), for v (T+1, rows)."""
         return np.einsum("tij,ti->tj", matrices, vectors)
 
     def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
-        """Write the states of y, and return the ends."""
+        """Write in y (T+1, nz) the states x_1 .. x_T that follow from its x_0 and w; starts (K, n), c (T+1, n).
+
+        Return the ends (K, n): the states at the breaks before they are replaced.
+        """
         n = A.shape[1]
         right = np.empty((len(A), n))
         right[0], right[1:] = y[0, :n], np.einsum("tij,tj->ti", B[:-1], y[:-1, n:]) + c[:-1]
@@ -173,7 +119,11 @@ class BandedLoops:
     def backward(
         self, A: Array, B: Array, gradient: Array, breaks: Indices, prices: Array
     ) -> tuple[Array, Array, Array]:
-        """Return the costates, and the gradients in w and in the starts."""
+        """Return the costates p (T+1, n), the gradient in w (T+1, k), and that in the starts (K, n).
+
+        p_t = gradient_x + A_t'p_{t+1}, gw_t = gradient_w + B_t'p_{t+1}; at a break p_t is the gradient in its start,
+        and then -prices, (K, n), takes its place. The multiplier of x_{t+1} = A_t x_t + B_t w_t + c_t is -p_{t+1}.
+        """
         n = A.shape[1]
         right = gradient[:, :n].copy()
         right[breaks - 1] -= np.einsum("tji,tj->ti", A[breaks - 1], prices)
@@ -196,17 +146,17 @@ def simulate(A: Array, breaks: Indices, right: Array, transposed: bool) -> Array
     return lapack.dtbtrs(matrix, right.reshape(-1, 1), uplo="L", trans=trans, diag="U")[0].reshape(stages, n)
 
 
-class BandedRegulator(BlockRegulator):
-    """LU factors of all stages, and the gains of the Riccati recursion when they are first needed."""
+class BandedRegulator(Regulator):
+    """LU factors of all stages; the Riccati recursion runs when its gains are first needed."""
 
     def __init__(self, A: Array, B: Array, Phi: Array, fixed: Mask):
         """Factor the stages."""
         self._A, self._B, self._Phi, self._fixed = A, B, Phi, fixed
-        self._found: Gains | None = None
+        self._gains: Gains | None = None
         self._band = 2 * A.shape[1] + B.shape[2] - 1
         matrix = banded_matrix(A, B, Phi, fixed)
         self._lu, self._pivots, info = lapack.dgbtrf(matrix, self._band, self._band)
-        if info > 0:  # diagonal entries of y are raised to what rounding leaves of the others
+        if info > 0:  # diagonal entries of y are raised to the rounding errors of the others
             diagonal = matrix.T.reshape(len(A), -1, 3 * self._band + 1)[:, A.shape[1] :, 2 * self._band]
             diagonal += PIVOT * np.where(diagonal > 0, diagonal, diagonal.max(initial=0.0) or 1.0)
             self._lu, self._pivots, _ = lapack.dgbtrf(matrix, self._band, self._band)
@@ -216,15 +166,15 @@ class BandedRegulator(BlockRegulator):
         stages, n = c.shape
         right = np.empty((stages, 2 * n + self._B.shape[2]))
         right[0, :n], right[1:, :n], right[:, n:] = x0, c[:-1], -r
-        found, _ = lapack.dgbtrs(self._lu, self._band, self._band, right.ravel(), self._pivots)
-        found = found.reshape(right.shape)
+        unknowns, _ = lapack.dgbtrs(self._lu, self._band, self._band, right.ravel(), self._pivots)
+        unknowns = unknowns.reshape(right.shape)
         eta = np.zeros((stages, n))
-        eta[:-1] = found[1:, :n]
-        return found[:, n:].copy(), eta, np.where(self._fixed, found[0, :n], 0.0)
+        eta[:-1] = unknowns[1:, :n]
+        return unknowns[:, n:].copy(), eta, np.where(self._fixed, unknowns[0, :n], 0.0)
 
     def gains(self) -> Gains:
-        """Return what the Riccati recursion of kernels.py finds."""
-        if self._found is None:
+        """Return the gains of the Riccati recursion, which kernels.py derives."""
+        if self._gains is None:
             B, Phi, AB = self._B, self._Phi, np.concatenate([self._A, self._B], axis=2)
             stages, n, k = B.shape
             P, root = np.zeros((n, n)), np.concatenate([np.eye(n), np.zeros((k, n))])
@@ -236,12 +186,12 @@ class BandedRegulator(BlockRegulator):
                 closed = AB[t] @ root
                 P = root.T @ (Phi[t] @ root) + closed.T @ (P @ closed)
                 P = (P + P.T) / 2
-            self._found = Gains(B, K, L, self._A + B @ K, P, self._fixed)
-        return self._found
+            self._gains = Gains(B, K, L, self._A + B @ K, P, self._fixed)
+        return self._gains
 
 
 def banded_matrix(A: Array, B: Array, Phi: Array, fixed: Mask) -> Array:
-    """Return the matrix of all stages as LAPACK stores it for an LU factorisation, with 2n + k - 1 diagonals a side."""
+    """Return the matrix of all stages in LAPACK's banded form for LU factors, with 2n + k - 1 diagonals a side."""
     stages, n, k = B.shape
     nz, size = n + k, 2 * n + k
     band = size - 1
@@ -264,7 +214,7 @@ def banded_matrix(A: Array, B: Array, Phi: Array, fixed: Mask) -> Array:
 
 
 def cholesky(S: Array) -> Array:
-    """Return the lower factor of a positive semidefinite matrix; a pivot below the rounding is raised."""
+    """Return the lower factor of a positive semidefinite matrix; pivots below rounding errors are raised."""
     L, info = lapack.dpotrf(S, lower=1, clean=1)
     if info:
         diagonal = np.diag(S)

@@ -1,12 +1,13 @@
 """The reduced system of the null-space solver, M v + E'nu = r, E v - C nu = e: dense, or by conjugate gradients.
 
-A matrix with very large weights would lose the digits of the others: the part of a weight beyond a clip is a row with
-the compliance 1/weight. All rows are B = (Y, E), where Y are these directions, with the compliance (D^-1, C).
+Very large weights would swamp the digits of the others in M. So weights are clipped, and the rest of a large weight
+becomes a row with the compliance 1/weight. All rows are B = (Y, E), where Y are the directions of these weights, with
+the compliance (D^-1, C).
 
 A weight on a direction a of y_t counts as a'S a, where S is the covariance of y_t under white noise in the stopped
 coefficients, relative to the weight of the control: a weight on a position hardly couples free and stopped
-coefficients, a weight on the control does. The white noise in all coefficients has a small part in S, so that rounding
-does not take the digits that a very large weight on a state leaves the others.
+coefficients, a weight on the control does. White noise in all coefficients has a small share in S, so that very large
+weights on a state do not swamp the digits of the others either.
 
 On long horizons, projected conjugate gradients (Gould, Hribar and Nocedal, 2001; for C > 0 Dollar et al., 2006) need no
 matrix larger than the unknowns times the rows B. Their preconditioner is the same system with a regulator in the place
@@ -34,19 +35,19 @@ from lin_freq_ocp.methods.structured.kkt.null_space import NullSpace, break_time
 from lin_freq_ocp.methods.structured.kkt.system import largest
 
 WEIGHT = 10.0  # of E'E, relative to the mean diagonal of M: of order 1, for both to keep their digits
-RAISED = (1.0, 1e2, 1e4)  # factors of the weight, for an M that is definite only on what the rows leave
+RAISED = (1.0, 1e2, 1e4)  # factors of the weight, for an M that is definite only on the null space of the rows
 COLUMNS = 128  # of M at once
 CACHED_BYTES = 3e8  # of the signals of the coefficients, which are cached between steps
-PROJECTIONS = 2  # on the rows: the second leaves rounding, which large weights multiply
+PROJECTIONS = 2  # on the rows: large weights magnify the error of the first
 CLIP = 5.0  # of a'S a: (4/6)^2, so the approximation is within a factor of 2; 2 to 100 cost the same
-LEAST_EXCESS = 0.5  # of a weight, relative to the clip, that is worth a direction
-MOST_DIRECTIONS = 300  # with weights beyond the clip; the largest are taken
+LEAST_REST = 0.5  # of a weight after the clip, relative to the clip, from which its direction becomes a row
+MOST_DIRECTIONS = 300  # with weights above the clip: the largest
 NOISES = 4  # signals for a covariance
-NOISE_GROWTH = 10.0  # of states between restarts: what grows further is slow, and left to the free coefficients
-SHARE = 1e-3  # of the noise in all coefficients: weights from CLIP/SHARE times those of the control on
-REDUCTION = 1e-9  # of the residual in one solution, so that seldom another is needed
+NOISE_GROWTH = 10.0  # of states between restarts: slower motion belongs to the free coefficients
+SHARE = 1e-3  # of the noise in all coefficients: it clips weights above CLIP/SHARE times those of the control
+REDUCTION = 1e-9  # of the residual in one solution, so that a second is seldom needed
 MOST_ITERATIONS = 100  # 5 to 15 are common
-PATIENCE = 10  # iterations in which the residual should fall: else rounding holds it
+PATIENCE = 10  # iterations without a smaller residual, after which it is rounding
 JUMP_WEIGHT = 10.0  # rho relative to the weight of the control: of order 1, for both to keep their digits
 BLOCK_BYTES = 3e7  # of the signals of one block: they stay in the cache
 MOST_COLUMNS = 64
@@ -55,21 +56,33 @@ MOST_COLUMNS = 64
 class DenseReduced:
     """Cholesky factors of M + rho E'E and of the Schur complement of the rows.
 
-    M comes from one sweep forward and one backward for each column. E'E is added to it for the rows with C = 0: that
-    leaves the solution alone, and makes it definite where only these rows determine the starts.
+    A forward and a backward sweep give each column of M. Adding E'E for the rows with C = 0 does not change the
+    solution, and makes M definite if only these rows determine the starts.
     """
 
     def __init__(self, space: NullSpace):
         self._space, self._E, self._noise = space, space.rows(), Noise(space)
-        kept = space.coefficients.count
-        self._blocks = [slice(a, min(kept, a + COLUMNS)) for a in range(0, kept, COLUMNS)]
-        cached = 8 * (space.horizon + 1) * space.controls * kept <= CACHED_BYTES
+        count = space.coefficients.count
+        self._blocks = [slice(a, min(count, a + COLUMNS)) for a in range(0, count, COLUMNS)]
+        cached = 8 * (space.horizon + 1) * space.controls * count <= CACHED_BYTES
         self._signals = [self._signals_of(block) for block in self._blocks] if cached else None
 
     def factor(self, Phi: Array, C: Array) -> bool:
-        """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
+        """Factor for Phi (T+1, nz, nz) and C (rows, rows)."""
         clipped, large = self._noise.clipped(Phi)
-        M, E = self._hessian(clipped), self._E
+        space, free, E = self._space, self._space.coefficients.count, self._E
+        # M column by column: a forward and a backward sweep for the coefficients, simulations for the other unknowns
+        M = np.empty((space.size, space.size))
+        sweeps = OpenLoop(space.A, space.B, clipped, space.breaks)
+        for i, block in enumerate(self._blocks):
+            W = self._signals[i] if self._signals is not None else self._signals_of(block)
+            starts = np.zeros((*space.zero.shape, W.shape[2]))
+            GW, of_starts, _, _ = sweeps.columns(starts, W)
+            M[block, :free] = space.coefficients.analysis(GW)
+            M[block, free : free + space.continuity] = of_starts.reshape(-1, W.shape[2]).T
+        for i in range(free, space.size):
+            M[i] = space.curvature(clipped, np.eye(1, space.size, i)[0])
+            M[:free, i] = M[i, :free]
         self._exact = ~C.any(axis=1)
         exact = E[self._exact]
         size = WEIGHT * float(np.abs(np.diag(M)).mean()) / (1 + float((exact * exact).sum(0).max(initial=0.0)))
@@ -87,21 +100,6 @@ class DenseReduced:
         v, nu = self._rows.project(v, self._rows.right(e))
         return v, nu[self._rows.directions :]
 
-    def _hessian(self, Phi: Array) -> Array:
-        space, kept = self._space, self._space.coefficients.count
-        M = np.empty((space.size, space.size))
-        sweeps = OpenLoop(space.A, space.B, Phi, space.breaks)
-        for i, block in enumerate(self._blocks):
-            W = self._signals[i] if self._signals is not None else self._signals_of(block)
-            starts = np.zeros((*space.zero.shape, W.shape[2]))
-            GW, of_starts, _, _ = sweeps.columns(starts, W)
-            M[block, :kept] = space.coefficients.analysis(GW)
-            M[block, kept : kept + space.continuity] = of_starts.reshape(-1, W.shape[2]).T
-        for i in range(kept, space.size):
-            M[i] = space.curvature(Phi, np.eye(1, space.size, i)[0])
-            M[:kept, i] = M[i, :kept]
-        return M
-
     def _signals_of(self, block: slice) -> Array:
         coefficients = self._space.coefficients
         return coefficients.synthesis(np.eye(block.stop - block.start, coefficients.count, block.start))
@@ -116,7 +114,7 @@ class LargeWeights(NamedTuple):
 
 
 class _Projection:
-    """The rows B = (Y, E) on v, and the solutions that satisfy them."""
+    """The rows B = (Y, E) on v, and the projection of a solution onto them."""
 
     def __init__(self, space: NullSpace, large: LargeWeights, E: Array, C: Array, inverse: Callable[[Array], Array]):
         """Factor their Schur complement; ``inverse`` gives M^-1 of rows (count, size), as rows."""
@@ -156,18 +154,18 @@ class Noise:
         for j, banded in enumerate(space.coefficients.banded):
             noise = random.standard_normal((NOISES, T))
             for share, signals in ((1.0, space.coefficients.stopped(j, noise)), (SHARE, noise)):
-                own = np.zeros((n + m, n + m))
+                covariance = np.zeros((n + m, n + m))
                 for signal in signals:
                     y = np.zeros((T + 1, n + m))
                     y[:-1, n + j] = signal
                     space.loops.forward(space.A, space.B, still, breaks, starts, y)
-                    own += y[:-1].T @ y[:-1] / (NOISES * T)
-                if not banded:  # weights on single unknowns take no digits
-                    own[n + j], own[:, n + j] = 0.0, 0.0
-                self._covariances[j] += share * own
+                    covariance += y[:-1].T @ y[:-1] / (NOISES * T)
+                if not banded:  # weights on single unknowns swamp no others
+                    covariance[n + j], covariance[:, n + j] = 0.0, 0.0
+                self._covariances[j] += share * covariance
 
     def clipped(self, Phi: Array) -> tuple[Array, LargeWeights]:
-        """Return Phi (T+1, nz, nz) with clipped weights, and what they lack."""
+        """Return Phi (T+1, nz, nz) with clipped weights, and the rest of the weights."""
         return clip(Phi, np.einsum("j,jab->ab", 1 / control_weights(Phi, self._states), self._covariances))
 
 
@@ -180,8 +178,8 @@ def control_weights(Phi: Array, n: int) -> Array:
 def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, LargeWeights]:
     """Return Phi with clipped weights, and the rest of the largest ones with their directions, ``most`` at most.
 
-    Directions are columns of Cholesky factors, the noisiest diagonal entry first: large weights on single entries, such
-    as bounds, do not touch the digits of the others.
+    Directions are columns of Cholesky factors, the noisiest diagonal entry first, so that large weights on single
+    entries, such as bounds, do not swamp the others.
     """
     rest, noise, every = Phi[:-1].copy(), np.diag(S), np.arange(len(Phi) - 1)
     times, directions, weights, limits = [every[:0]], [rest[:0, 0]], [rest[:0, 0, 0]], [rest[:0, 0, 0]]
@@ -200,13 +198,15 @@ def clip(Phi: Array, S: Array, most: int = MOST_DIRECTIONS) -> tuple[Array, Larg
     peeled = LargeWeights(np.concatenate(times), np.concatenate(directions), np.concatenate(weights))
     limit = np.concatenate(limits)
     chosen = np.argsort(limit / peeled.weights)[:most]
-    chosen = np.sort(chosen[peeled.weights[chosen] > limit[chosen] * (1 + LEAST_EXCESS)])
-    left = peeled.weights.copy()
-    left[chosen] = limit[chosen]
+    chosen = np.sort(chosen[peeled.weights[chosen] > limit[chosen] * (1 + LEAST_REST)])
+    clipped_weights = peeled.weights.copy()
+    clipped_weights[chosen] = limit[chosen]
     clipped = Phi.copy()
     clipped[:-1] = rest
-    np.add.at(clipped, peeled.times, np.einsum("k,ka,kb->kab", left, peeled.directions, peeled.directions))
-    return clipped, LargeWeights(peeled.times[chosen], peeled.directions[chosen], (peeled.weights - left)[chosen])
+    np.add.at(clipped, peeled.times, np.einsum("k,ka,kb->kab", clipped_weights, peeled.directions, peeled.directions))
+    return clipped, LargeWeights(
+        peeled.times[chosen], peeled.directions[chosen], (peeled.weights - clipped_weights)[chosen]
+    )
 
 
 class TwoLevel:
@@ -219,7 +219,7 @@ class TwoLevel:
         self.iterations: list[int] = []
 
     def factor(self, Phi: Array, C: Array) -> bool:
-        """Prepare for Phi (T+1, nz, nz) and C (rows, rows)."""
+        """Factor for Phi (T+1, nz, nz) and C (rows, rows)."""
         self._clipped, self._large = self._noise.clipped(Phi)
         self._second.factor(self._clipped)
         self._rows = _Projection(self._space, self._large, self._E, C, self._second.solve_many)
@@ -230,15 +230,15 @@ class TwoLevel:
         right = self._rows.right(e)
         zero = np.zeros_like(right)
         v, nu = self._rows.project(np.zeros_like(r), right) if e.any() else (np.zeros_like(r), zero.copy())
-        left = r - self._apply(v, nu) if nu.any() else r.copy()
+        residual = r - self._apply(v, nu) if nu.any() else r.copy()
         target, direction, of_rows = REDUCTION * largest([r]), np.zeros_like(r), zero
         slope, least, since, iterations = 1.0, np.inf, 0, 0
-        while (error := largest([left])) > target and iterations < MOST_ITERATIONS:
+        while (error := largest([residual])) > target and iterations < MOST_ITERATIONS:
             least, since = (error, iterations) if error < least else (least, since)
             if iterations - since > PATIENCE:
                 break
-            step, prices = self._rows.project(self._second.solve(left), zero)
-            slope, before = float(left @ step), slope
+            step, prices = self._rows.project(self._second.solve(residual), zero)
+            slope, before = float(residual @ step), slope
             beta = slope / before if iterations else 0.0
             direction, of_rows = step + beta * direction, prices + beta * of_rows
             bent = self._apply(direction, of_rows)
@@ -247,7 +247,7 @@ class TwoLevel:
                 break
             v += slope / curvature * direction
             nu += slope / curvature * of_rows
-            left -= slope / curvature * bent
+            residual -= slope / curvature * bent
             iterations += 1
         self.iterations.append(iterations)
         return v, nu[self._rows.directions :]
@@ -255,9 +255,9 @@ class TwoLevel:
     def _apply(self, v: Array, nu: Array) -> Array:
         """Return M v, of clipped weights, plus nu times all rows."""
         space, large = self._space, self._large
-        y, _ = space.simulated(v)
+        y, _ = space.simulate(v)
         of_large, of_rows = np.split(nu, [len(large.times)])
-        of_y, prices = space.priced(of_rows)
+        of_y, prices = space.price_rows(of_rows)
         of_y += space.loops.times(self._clipped, y)
         np.add.at(of_y, large.times, of_large[:, None] * large.directions)
         return space.gradient(of_y, prices)
@@ -298,10 +298,10 @@ class SecondLevel:
 
     def solve(self, r: Array) -> Array:
         """Return the approximate M^-1 r."""
-        space, n, kept = self._space, self._space.states, self._space.coefficients.count
+        space, n, count = self._space, self._space.states, self._space.coefficients.count
         gradient = np.zeros((len(self._A), n + space.controls))
-        gradient[self._at, n:] = -space.coefficients.synthesis(r[None, :kept])[:, :, 0]
-        starts, first = np.split(-r[kept:], [space.continuity])
+        gradient[self._at, n:] = -space.coefficients.synthesis(r[None, :count])[:, :, 0]
+        starts, first = np.split(-r[count:], [space.continuity])
         gradient[self._starts, :n] = starts.reshape(-1, n)
         gradient[0, space.free] += first
         y, _, _ = self._regulator.solve(gradient, self._still, self._still[0])
@@ -310,20 +310,20 @@ class SecondLevel:
 
     def solve_many(self, rows: Array) -> Array:
         """Return the approximate M^-1 of rows (count, size), as rows."""
-        space, n, kept = self._space, self._space.states, self._space.coefficients.count
-        found = np.empty_like(rows)
+        space, n, count = self._space, self._space.states, self._space.coefficients.count
+        solutions = np.empty_like(rows)
         controls, states = slice(-space.controls, None), slice(0, n)
         for a in range(0, len(rows), self._block):
             part = rows[a : a + self._block]
             R = np.zeros((len(self._A), len(self._entries), len(part)))
-            R[self._at, controls] = space.coefficients.synthesis(part[:, :kept])
+            R[self._at, controls] = space.coefficients.synthesis(part[:, :count])
             if len(self._entries) > space.controls:
-                R[self._starts, states] = part[:, kept : kept + space.continuity].T.reshape(-1, n, len(part))
-                R[0, space.free] += part[:, kept + space.continuity :].T
+                R[self._starts, states] = part[:, count : count + space.continuity].T.reshape(-1, n, len(part))
+                R[0, space.free] += part[:, count + space.continuity :].T
             Y, _ = self._regulator.responses(self._entries, R, np.zeros((n, len(part))))
-            own = found[a : a + self._block]
-            own[:, :kept] = -space.coefficients.analysis(Y[self._at, controls])
+            solution = solutions[a : a + self._block]
+            solution[:, :count] = -space.coefficients.analysis(Y[self._at, controls])
             if len(self._entries) > space.controls:
-                own[:, kept : kept + space.continuity] = -Y[self._starts, states].reshape(-1, len(part)).T
-                own[:, kept + space.continuity :] = -Y[0, space.free].T
-        return found
+                solution[:, count : count + space.continuity] = -Y[self._starts, states].reshape(-1, len(part)).T
+                solution[:, count + space.continuity :] = -Y[0, space.free].T
+        return solutions

@@ -6,7 +6,7 @@ each family of balls. One step solves, refined,
 
     [P A'; A -W^2] (y, z) = (r_y, r_z).
 
-Stage cones are eliminated, Phi = H + G'W^-2 G, and so are the constant heads of hard balls. A KKT solver is left with
+Stage cones are eliminated, Phi = H + G'W^-2 G, and so are the constant heads of hard balls. A KKT solver then solves
 
     Phi y + gradient + (dynamics)'eta + (x_0 rows)'lam0 + F'nu = 0
     x_{t+1} - A x_t - B w_t = c_t,   x_0 = x0 where it is fixed,   F y - C nu = f
@@ -29,14 +29,14 @@ from lin_freq_ocp.methods.structured.stages import Stages
 
 DYNAMICS, INITIAL, STAGES, EQUATIONS, INEQUALITIES, BALLS = range(6)
 Values = list[Array]
-REFINEMENTS = 3  # at most; each halves the digits that are missing, or is not taken
-REGULARISATION = 1e-9  # of the Hessian, in units of order 1; refinement takes it back where anything else curves
-DUAL_REGULARISATION = 1e-12  # compliance of equations, for those that nothing can change or that repeat others
-REFINED = 1e-8  # residual, relative to the right-hand side, that is not refined
+REFINEMENTS = 3  # at most; each halves the number of wrong digits, or is rejected
+REGULARISATION = 1e-9  # of the Hessian, in units of order 1; refinement corrects for it wherever there is curvature
+DUAL_REGULARISATION = 1e-12  # compliance of equations, which may depend on each other or on no variable
+REFINED = 1e-8  # residual, relative to the right-hand side, from which a solution is refined
 
 
 class System:
-    """The operators of one problem, and the cones of its rows by their index."""
+    """The operators of one problem, and the cones of its rows by their index in the list."""
 
     def __init__(self, stages: Stages, loops: Loops):
         self.stages, self.loops, coupling = stages, loops, stages.coupling
@@ -73,14 +73,14 @@ class System:
         values, coupling = self.stages.coupled.values(y), self.coupling
         first = coupling.equation_count
         last = first + sum(part.rows.count for part in coupling.inequalities)
-        found: Values = [values[:first], values[first:last, None]]
+        coupled: Values = [values[:first], values[first:last, None]]
         for part in coupling.balls:
             balls, heads = len(part.radius), part.heads is not None
             rows, first = np.zeros((balls, 1 + part.dim)), last
             last += balls * (part.dim + heads)
             rows[:, 1 - heads :] = -values[first:last].reshape(balls, -1)
-            found.append(rows)
-        return found
+            coupled.append(rows)
+        return coupled
 
     def adjoint(self, z: Values) -> Array:
         """Return A'z, (T+1, n + k)."""
@@ -134,18 +134,17 @@ class SystemSolution(NamedTuple):
 
 
 class KKTSolver(Protocol):
-    """A way to solve the system, exact up to rounding and the tolerance of an iteration; residuals are refined."""
+    """A way to solve the system, up to rounding and the tolerance of an iteration, which ``StepSystem`` refines."""
 
-    indefinite: ClassVar[
-        bool
-    ]  # whether Phi may be indefinite on the dynamics: ``factor`` says if the rows make up for it
+    indefinite: ClassVar[bool]
+    """Whether Phi may be indefinite on the dynamics: ``factor`` then says whether the rows make the problem convex."""
 
     def exchanged(self, stages: Stages) -> KKTSolver:
-        """Return the same for stages with other dynamics and Hessians."""
+        """Return the solver for stages with other dynamics and Hessians."""
         ...
 
     def factor(self, Phi: Array, compliance: Compliance) -> bool:
-        """Prepare for Phi (T+1, n+k, n+k) and C; return whether the problem is convex as far as it was looked at."""
+        """Factor for Phi (T+1, n+k, n+k) and C; return False if the problem is seen not to be convex."""
         ...
 
     def solve(self, gradient: Array, c: Array, x0: Array, f: Array) -> SystemSolution:
@@ -154,13 +153,13 @@ class KKTSolver(Protocol):
 
 
 class StepSystem:
-    """The system of a step at the scalings of the cones; ``factor`` it before ``solve``."""
+    """The system of a step at the scalings of the cones; call ``factor`` before ``solve``."""
 
     def __init__(self, system: System, solver: KKTSolver):
         self.system, self._solver, self._loops = system, solver, system.loops
 
     def factor(self) -> bool:
-        """Factor at the present scalings; return what the solver says of convexity."""
+        """Factor at the present scalings; return the answer of the KKT solver on convexity."""
         system, stages = self.system, self.system.stages
         Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
         diagonal = np.arange(Phi.shape[1])
@@ -178,15 +177,15 @@ class StepSystem:
         if not refined:
             return y, z
         target = REFINED * largest([of_y, *of_z])
-        left = self._residual(of_y, of_z, y, z)
-        error = largest([left[0], *left[1]])
+        residual = self._residual(of_y, of_z, y, z)
+        error = largest([residual[0], *residual[1]])
         for _ in range(REFINEMENTS):
             if error <= target:
                 break
-            dy, dz = self._solve_once(*left)
+            dy, dz = self._solve_once(*residual)
             better = y + dy, [a + b for a, b in zip(z, dz, strict=True)]
-            left = self._residual(of_y, of_z, *better)
-            after = largest([left[0], *left[1]])
+            residual = self._residual(of_y, of_z, *better)
+            after = largest([residual[0], *residual[1]])
             if not after < error:
                 break
             (y, z), error = better, after
@@ -197,44 +196,41 @@ class StepSystem:
         cone = system.cones[STAGES]
         gradient = -of_y - self._loops.transposed_times(stages.G, cone.scaled(of_z[STAGES], -2))
         f = [of_z[EQUATIONS], of_z[INEQUALITIES][:, 0]]
-        for part, own, rows in zip(system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
+        for part, ball_cone, rows in zip(system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
             right = -rows
             if part.heads is None:
-                right = right[:, 1:] + _head_ratio(own) * rows[:, :1]
+                right = right[:, 1:] + _head_ratio(ball_cone) * rows[:, :1]
             f.append(right.ravel())
         step = self._solver.solve(gradient, of_z[DYNAMICS], of_z[INITIAL], np.concatenate(f))
         of_stages = cone.scaled(self._loops.times(stages.G, step.y) - of_z[STAGES], -2)
-        return step.y, [step.eta, step.initial, of_stages, *self._multipliers(step.coupling, of_z)]
-
-    def _multipliers(self, nu: Array, of_z: Values) -> Values:
-        """Return the duals of all rows that couple times from those of the reduced system."""
+        # the duals of all rows that couple times, with those of the eliminated heads of hard balls
         counts = [len(of_z[EQUATIONS]), len(of_z[INEQUALITIES])]
-        equations, unequal, rest = np.split(nu, np.cumsum(counts))
-        found: Values = [equations, unequal[:, None]]
-        for part, own, rows in zip(self.system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
+        equations, unequal, rest = np.split(step.coupling, np.cumsum(counts))
+        duals: Values = [step.eta, step.initial, of_stages, equations, unequal[:, None]]
+        for part, ball_cone, rows in zip(system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
             dim = part.dim + (part.heads is not None)
             values, rest = np.split(rest, [len(part.radius) * dim])
             z = -values.reshape(-1, dim)
             if part.heads is None:
-                w, eta = own.w, own.eta[:, 0]
-                head = -rows[:, 0] / (eta**2 * (2 * w[:, 0] ** 2 - 1)) - (_head_ratio(own) * z).sum(1)
+                w, eta = ball_cone.w, ball_cone.eta[:, 0]
+                head = -rows[:, 0] / (eta**2 * (2 * w[:, 0] ** 2 - 1)) - (_head_ratio(ball_cone) * z).sum(1)
                 z = np.column_stack([head, z])
-            found.append(z)
-        return found
+            duals.append(z)
+        return step.y, duals
 
     def _residual(self, of_y: Array, of_z: Values, y: Array, z: Values) -> tuple[Array, Values]:
         system = self.system
-        left = [right - rows for right, rows in zip(of_z, system.rows(y), strict=True)]
+        residual = [right - rows for right, rows in zip(of_z, system.rows(y), strict=True)]
         for i, cone in system.cones.items():
-            left[i] += cone.scaled(z[i], 2)
-        return of_y - system.curvature(y) - system.adjoint(z), left
+            residual[i] += cone.scaled(z[i], 2)
+        return of_y - system.curvature(y) - system.adjoint(z), residual
 
     def _ball_cones(self) -> list[Cone]:
         return [self.system.cones[BALLS + i] for i in range(len(self.system.coupling.balls))]
 
 
 def _value_compliance(cone: Cone) -> Array:
-    """Return the compliance of the values of hard balls, (balls, d, d), which eliminating their heads leaves.
+    """Return the compliance of the values of hard balls, (balls, d, d), once their heads are eliminated.
 
     The closed form eta^2 (I - 2 v v'/(1 + 2 |v|^2)), w = (w_0, v), stays definite; a difference of matrices would not.
     """
@@ -256,6 +252,6 @@ def _head_ratio(cone: Cone) -> Array:
 
 
 def largest(parts: Values) -> float:
-    """Return the largest absolute entry; inf if one is not finite."""
-    found = max((float(np.abs(part).max(initial=0.0)) for part in parts), default=0.0)
-    return found if np.isfinite(found) else np.inf
+    """Return the largest absolute entry; inf if an entry is not finite."""
+    size = max((float(np.abs(part).max(initial=0.0)) for part in parts), default=0.0)
+    return size if np.isfinite(size) else np.inf

@@ -1,4 +1,4 @@
-"""What solves of one problem between other ends and with other references share: everything that is set up once."""
+"""Solver state reused when a problem is solved again with other boundary conditions, references or bounds."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, known_entries
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
 from lin_freq_ocp.methods.condensed.plans import CondensedSolver, Plan, PlanBatch
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
-from lin_freq_ocp.methods.structured.solver import Prepared
+from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Chain, reduce_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
@@ -28,7 +28,7 @@ method, so that a problem that is solved twice does not need it."""
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Other ends, references and bounds ("state_set", "control_set") than those of a problem; None keeps its own."""
+    """New ends, references and bounds ("state_set", "control_set") of a problem; None leaves those that it has."""
 
     initial_state: ConvexSet | ArrayLike | None = None
     terminal_state: ConvexSet | ArrayLike | None = None
@@ -37,10 +37,10 @@ class Change:
 
     @property
     def starts_elsewhere(self) -> bool:
-        """Whether no more changes than the initial state."""
+        """Whether at most the initial state changes."""
         return self.terminal_state is None and self.references is None and not self.bounds
 
-    def of(self, problem: OptimalControlProblem) -> OptimalControlProblem:
+    def apply(self, problem: OptimalControlProblem) -> OptimalControlProblem:
         """Return the changed problem."""
         if self.bounds:
             problem = replace(problem, **known_entries("bounds", self.bounds, ("state_set", "control_set")))
@@ -51,49 +51,49 @@ class Change:
         return problem.with_ends(self.initial_state, self.terminal_state)
 
 
-def spectral_problem(problem: OptimalControlProblem) -> Chain:
-    """Return the problem that the Fourier-domain method takes in place of a given one, and the way back."""
-    require_convex(problem)
-    return reduce_problem(problem, REDUCTIONS)
-
-
 def solve_spectral(problem: OptimalControlProblem, options: SolveOptions) -> Candidate:
     """Solve a problem in the Fourier domain from scratch; UnsupportedError if it is outside the class of the method."""
-    reduced = spectral_problem(problem)
+    reduced = reduce_problem(problem, REDUCTIONS)
     solver = SpectralSolver(reduced.problem)
     return reduced.recover(solver.solve(tolerance=options.tolerance, time_limit=options.time_limit))
 
 
-class Kept:
-    """A problem, its Fourier-domain solver with the last solution, and its stages; each is made when it is needed."""
+class SolverCache:
+    """A problem with its Fourier-domain solver, the last solution, and its stages, each made when first needed."""
 
     def __init__(self, problem: OptimalControlProblem):
         self.problem = problem
+        self.stage_cache = StageCache()
         self._reduced: Chain | None = None
         self._solver: SpectralSolver | None = None
         self._refusal: UnsupportedError | None = None
         self._last: SpectralSolution | None = None
         self._condensed: CondensedSolver | None = None
         self._solves, self._refused_condensed = 0, False
-        self.prepared = Prepared()
 
-    def spectral(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
-        """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""
-        if not self._takes(problem, change):
+    def solve(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
+        """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch.
+
+        The solver refuses changes of its structure, such as other fixed components: these problems need a new one.
+        """
+        if self._changes_rows(problem, change):
             return solve_spectral(problem, options)
         reduced, solver = self._spectral_solver()
-        found = solver.solve(
-            change.initial_state,
-            change.terminal_state,
-            change.references,
-            change.bounds,
-            warm_start=self._last,
-            tolerance=options.tolerance,
-            time_limit=options.time_limit,
-        )
-        if found.status == "optimal":
-            self._last = found
-        return reduced.recover(found)
+        try:
+            solution = solver.solve(
+                change.initial_state,
+                change.terminal_state,
+                change.references,
+                change.bounds,
+                warm_start=self._last,
+                tolerance=options.tolerance,
+                time_limit=options.time_limit,
+            )
+        except (ProblemError, UnsupportedError):
+            return solve_spectral(problem, options)
+        if solution.status == Status.OPTIMAL:
+            self._last = solution
+        return reduced.recover(solution)
 
     def condensed(self, problem: OptimalControlProblem, change: Change) -> Candidate | None:
         """Solve the changed problem in few unknowns, from the multipliers of the last solve.
@@ -101,14 +101,17 @@ class Kept:
         None where the method does not take it, ends without an answer, or does not pay yet.
         """
         self._solves += 1
-        condensed = (
-            self._condensed_solver() if self._solves >= CONDENSED_SOLVES and self._takes(problem, change) else None
-        )
+        if self._solves < CONDENSED_SOLVES or self._changes_rows(problem, change):
+            return None
+        condensed = self._condensed_solver()
         if condensed is None:
             return None
         reduced, solver = self._spectral_solver()
         changes = change.initial_state, change.terminal_state, change.references, change.bounds
-        changed, lti = solver.changed_problem(*changes)
+        try:
+            changed, lti = solver.changed_problem(*changes)
+        except (ProblemError, UnsupportedError):
+            return None
         started = now()
         plan = condensed.plan(changed.initial_box.lower, lti)
         if plan is None:
@@ -125,23 +128,19 @@ class Kept:
             return None
         return self._condensed.plan(start, self._solver.lti)
 
-    def _takes(self, problem: OptimalControlProblem, change: Change) -> bool:
-        """Whether the kept solver takes a changed problem: new sets are boxes, none is rows, equal values are fixed."""
+    def _changes_rows(self, problem: OptimalControlProblem, change: Change) -> bool:
+        """Whether a changed set is one that a reduction turns into rows, which the solver keeps as they were."""
         old = self.problem
         ends = (
             (change.initial_state, problem.initial_state, old.initial_state),
             (change.terminal_state, problem.terminal_state, old.terminal_state),
         )
-        fixed = list(zip(problem.ends, old.ends, strict=True))
-        if change.bounds:
-            fixed += [(problem.state_tube, old.state_tube), (problem.control_tube, old.control_tube)]
-        if any(given is not None and (mine.members or others.members) for given, mine, others in ends):
-            return False
-        if not all(np.array_equal(mine.fixed, others.fixed) for mine, others in fixed):
-            return False
-        if not change.bounds:
+        if any(changed is not None and (new.members or before.members) for changed, new, before in ends):
             return True
-        return all(len(spectral_problem(one).problem.stage_rows) == len(one.stage_rows) for one in (problem, old))
+        if not change.bounds:
+            return False
+        reduced = ((given, reduce_problem(given, REDUCTIONS).problem) for given in (problem, old))
+        return any(len(given.stage_rows) != len(in_rows.stage_rows) for given, in_rows in reduced)
 
     def plan_batch(self, starts: Array) -> PlanBatch | None:
         """Return the condensed method's plans from initial states (N, n), without certificates; None as ``plan``."""
@@ -163,10 +162,11 @@ class Kept:
         return self._condensed
 
     def _spectral_solver(self) -> tuple[Chain, SpectralSolver]:
+        """Return the solver with its reductions; a refusal is remembered, as is the solver."""
         if self._refusal is not None:
             raise self._refusal
         if self._reduced is None or self._solver is None:
-            self._reduced = spectral_problem(self.problem)
+            self._reduced = reduce_problem(self.problem, REDUCTIONS)
             try:
                 self._solver = SpectralSolver(self._reduced.problem)
             except UnsupportedError as error:
@@ -176,13 +176,13 @@ class Kept:
 
 
 class SearchCache(ABC):
-    """What a search leaves for that of the next step of a control loop.
+    """The state of a search over modes that the next step of a control loop reuses.
 
-    ``solved`` is the number of relaxations that the last search has solved.
+    ``solved`` is the number of relaxations that the last search solved.
     """
 
     solved: int
 
     @abstractmethod
-    def begins(self, base: OptimalControlProblem | None) -> None:
-        """Say from which problem the next differs in its start alone; None if in more."""
+    def set_base(self, base: OptimalControlProblem | None) -> None:
+        """Set the problem from which the next one differs in its initial state alone; None without one."""
