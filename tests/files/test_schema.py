@@ -1,4 +1,4 @@
-"""The JSON Schemas of the package: what the package writes and prints is valid, and they know the keys that it knows."""
+"""The JSON Schemas: what the package writes and prints is valid, and they know the keys that it knows."""
 
 from __future__ import annotations
 
