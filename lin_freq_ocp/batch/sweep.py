@@ -1,7 +1,7 @@
-"""Sweeps: one problem at every point of a grid of parameters, on as many processes or machines as there are.
+"""Sweeps: one problem at every point of a grid of parameters, on one process or many, here or on other machines.
 
-A point is built, solved and judged in any process; its row is plain data. Rows of an earlier run are not computed
-again, and each row is recorded when it is finished.
+Any process can build, solve and judge a point; its row is plain data. Each row is recorded when it is finished, and
+rows of an earlier run are not computed again.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def name_of(source: Source) -> str:
 def sweep_head(
     source: Source, grid: Mapping[str, Sequence[object]], options: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return what makes two sweeps the same, and the grid."""
+    """Return the data that identify a sweep, and its grid."""
     return {
         "problem": name_of(source),
         "fingerprint": fingerprint(source),

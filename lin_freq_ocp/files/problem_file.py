@@ -1,4 +1,4 @@
-"""The problem file: a problem in TOML, with large arrays in an .npz beside it, and the facts that show prints of it.
+"""The problem file: a problem in TOML, with large arrays in an .npz next to it, and the facts that show prints of it.
 
 In place of a large array the TOML file has a reference, ``{npz = "data.npz", key = "A"}``; a measured response may be a
 CSV file, ``{csv = "response.csv"}``. Before a problem is solved, its facts, its signals and the parameters that
@@ -234,7 +234,7 @@ def _store(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field:
 
 @dataclass(frozen=True)
 class Parameter:
-    """What ``--set`` can change: a keyword of a function, or a key of a file, within tables written with dots."""
+    """A parameter that ``--set`` changes: a keyword of a function, or a key of a file, with dots for tables."""
 
     name: str
     default: FileValue  # without settings; None if there is none

@@ -67,11 +67,11 @@ def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> FileVa
     ProblemError if it is no JSON, is nested too deeply for Python, or has numbers that are too large for it.
     """
 
-    def refused(constant: str) -> NoReturn:
+    def refuse(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is not JSON")
 
     try:
-        return json.loads(text, parse_int=_parse_integer, parse_constant=None if infinite else refused)
+        return json.loads(text, parse_int=_parse_integer, parse_constant=None if infinite else refuse)
     except (ValueError, RecursionError) as error:
         raise ProblemError(field, f"{brief(text)} ({error})", "a JSON object") from None
 
@@ -85,12 +85,12 @@ def _parse_integer(digits: str) -> int:
 def require_file(field: str, path: Path) -> None:
     """Raise ProblemError unless there is a regular file; a pipe or a device would never end."""
     try:
-        found = "no such file" if not path.exists() else "a directory" if path.is_dir() else "not a regular file"
+        got = "no such file" if not path.exists() else "a directory" if path.is_dir() else "not a regular file"
         if path.is_file():
             return
     except (OSError, ValueError) as error:
-        found = reason(error)
-    raise ProblemError(field, f"{found} ({path})", "an existing file")
+        got = reason(error)
+    raise ProblemError(field, f"{got} ({path})", "an existing file")
 
 
 @contextmanager
