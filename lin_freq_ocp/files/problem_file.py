@@ -208,25 +208,40 @@ def init_problem_file(path: str | PathLike[str]) -> None:
             raise
 
 
-def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]:
+def problem_text(problem: OptimalControlProblem) -> str:
+    """Return the text of a problem file with all arrays in it; ProblemError if it were too long to be read again."""
+    text = problem_files(problem, "problem.toml", np.inf)["problem.toml"]
+    if len(text) > MOST_BYTES:
+        advice = "lfo.write_problem puts large arrays into an .npz."
+        raise ProblemError("problem", f"a file of {len(text)} bytes", f"at most {MOST_BYTES}", advice)
+    return text.decode()
+
+
+def problem_files(problem: OptimalControlProblem, name: str, inline_limit: float | None = None) -> dict[str, bytes]:
     """Return the contents of the files of ``write_problem``, by their names, the arrays first."""
+    inline_limit = INLINE_LIMIT if inline_limit is None else inline_limit
     arrays: dict[str, ArrayLike] = {}
     beside = Path(name).stem + ARRAYS_SUFFIX
-    text = tomli_w.dumps(_store(PROBLEM.write("", problem), beside, arrays))
+    text = tomli_w.dumps(_store(PROBLEM.write("", problem), beside, arrays, inline_limit))
     # Rows of numbers on one line; strings have no line breaks, but escapes
     text = _ROW.sub(lambda row: f"[{' '.join(row[1].split()).removesuffix(',')}]", text)
     return ({beside: reading.npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
 
 
-def _store(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field: str = "") -> FileValue:
-    """Return the tables with arrays as lists; large arrays go to ``arrays``, and are replaced by references."""
+def _store(
+    value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], inline_limit: float, field: str = ""
+) -> FileValue:
+    """Return the tables with arrays as lists; arrays above the limit go to ``arrays``, and become references."""
     if isinstance(value, Mapping):
-        return {key: _store(entry, npz_name, arrays, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+        return {
+            key: _store(entry, npz_name, arrays, inline_limit, f"{field}.{key}".lstrip("."))
+            for key, entry in value.items()
+        }
     if isinstance(value, list):
-        return [_store(entry, npz_name, arrays, f"{field}[{i}]") for i, entry in enumerate(value)]
+        return [_store(entry, npz_name, arrays, inline_limit, f"{field}[{i}]") for i, entry in enumerate(value)]
     if not isinstance(value, np.ndarray):
         return value
-    if value.size <= INLINE_LIMIT:
+    if value.size <= inline_limit:
         return value.tolist()
     arrays[field] = value
     return {"npz": npz_name, "key": field}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 import json
+import subprocess
+import sys
 import tomllib
 
 import pytest
@@ -12,6 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.schemas import SHOW, faults
 from lin_freq_ocp.cli.show import as_toml
+from lin_freq_ocp.files.problem_file import problem_text
 
 
 def shown(*arguments):
@@ -52,7 +55,7 @@ def test_bounds_and_ends_are_those_of_the_problem():
     changed = {one["name"]: (one["default"], one["value"]) for one in summary["parameters"]}
     assert changed["control_bound"] == (5.0, 4)
     assert changed["terminal_state"] == ([0.15, -0.1, 0.0, 0.0], None)
-    out = run("show", "pendulum", "--set", "control_bound=4")[1]
+    out = run("show", "pendulum", "--set", "control_bound=6")[1]
     assert "control_bound = 5.0 (set: 4)" in out
 
 
@@ -95,3 +98,27 @@ def test_what_is_no_problem_is_not_shown():
         status, out, err = run("show", *arguments)
         assert (status, out) == (2, "")
         assert word in err
+
+
+def test_the_problem_file_of_a_library_problem_is_printed(tmp_path):
+    status, out, err = run("show", "elliptic_rendezvous", "--toml", "--set", "horizon=30")
+    assert (status, err) == (0, "")
+    (tmp_path / "orbit.toml").write_text(out, encoding="utf-8")
+    read = lfo.read_problem(tmp_path / "orbit.toml")
+    assert read.linear.A.shape == (30, 4, 4)  # in the text itself
+    assert problem_text(read) == problem_text(lfo.library.elliptic_rendezvous(horizon=30))
+
+
+def test_the_script_of_a_library_problem_is_printed_and_solves_it(tmp_path):
+    status, out, err = run("show", "pendulum", "--python", "--set", "control_bound=6")
+    assert (status, err) == (0, "")
+    (tmp_path / "pendulum.py").write_text(out, encoding="utf-8")
+    printed = subprocess.run([sys.executable, "pendulum.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    result = lfo.solve(lfo.library.pendulum(control_bound=6))
+    assert printed.stdout.splitlines()[0] == str(result).splitlines()[0]
+
+
+def test_only_one_form_is_printed():
+    status, out, err = run("show", "pendulum", "--toml", "--python")
+    assert (status, out) == (2, "")
+    assert "--json, --toml and --python exclude each other" in err
