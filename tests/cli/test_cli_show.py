@@ -55,7 +55,7 @@ def test_bounds_and_ends_are_those_of_the_problem():
     changed = {one["name"]: (one["default"], one["value"]) for one in summary["parameters"]}
     assert changed["control_bound"] == (5.0, 4)
     assert changed["terminal_state"] == ([0.15, -0.1, 0.0, 0.0], None)
-    out = run("show", "pendulum", "--set", "control_bound=6")[1]
+    out = run("show", "pendulum", "--set", "control_bound=4")[1]
     assert "control_bound = 5.0 (set: 4)" in out
 
 
