@@ -1,8 +1,9 @@
 """The least feasible horizon of a range, by bisection where feasibility is proven monotone, and from below otherwise.
 
-Feasibility is monotone if zeros can be appended: after any feasible trajectory of T steps, u_T = 0 keeps the state,
-x_{T+1} = x_T, and the longer trajectory is feasible for T + 1 steps. ``obstacles`` checks the conditions for this one
-after another; costs and soft constraints play no part. The conditions are sufficient and not necessary.
+Feasibility is monotone, if zeros can be appended: after any feasible trajectory of T steps, u_T = 0 keeps the state,
+x_{T+1} = x_T, and that is feasible for T + 1 steps. ``obstacles`` checks what this needs, one condition after another;
+costs, and constraints that may be violated at a price, play no part. The conditions are sufficient: where one fails,
+nothing is said.
 
 A search is a sweep over the horizon that chooses its points. It writes the file of a sweep.
 """

@@ -14,7 +14,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
 from lin_freq_ocp.certificate.sensitivities import bin_prices
 from lin_freq_ocp.comparison.filters import FILTERS, apply_filter, can_be_filtered, has_frequency_constraint
-from lin_freq_ocp.comparison.moves import SHAPERS, Moves, shortest_moves, why_not_shaped
+from lin_freq_ocp.comparison.moves import SHAPERS, Moves, shaper_obstacle, shortest_moves, why_not_shaped
 from lin_freq_ocp.comparison.trajectories import (
     CLASSICAL,
     CONSTRAINED,
@@ -121,6 +121,11 @@ class ComparisonOutcome:
         return bin_prices(problem, multipliers) if multipliers is not None and banded else None
 
     @property
+    def shaper_obstacle(self) -> str:
+        """Return in words why no input shaper applies to a limit on residual vibrations; empty if one does."""
+        return "" if self.moves is not None else shaper_obstacle(self.problem)
+
+    @property
     def rows(self) -> list[tuple[str, str]]:
         """Return the name of every trajectory, with its origin and its measures in words."""
         rows: list[tuple[str, str, Measures | None]] = [("classical", self.classical.status, self.classical_measures)]
@@ -134,6 +139,7 @@ class ComparisonOutcome:
         return [
             *((name, ", ".join([origin, *_measures_in_words(measures)])) for name, origin, measures in rows),
             *((move.name, str(move)) for move in moves),
+            *([("input shapers", f"do not apply: {self.shaper_obstacle}")] if self.shaper_obstacle else []),
         ]
 
     def __str__(self) -> str:

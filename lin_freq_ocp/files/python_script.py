@@ -146,12 +146,13 @@ class _Script:
             given = {"G": value.G} | ({"offset": value.offset} if "offset_real" in entries else {})
             entries = given | {name: entry for name, entry in entries.items() if name[-5:] not in ("_real", "_imag")}
         module = next(name for name, records in MODULES.items() if any(known is record for known in records))
+        constructor = record.constructor + (".from_continuous" if entries.pop("continuous", False) else "")
         return self._call(
-            module, record.constructor, [self.expression(entry).named(f"{name}=") for name, entry in entries.items()]
+            module, constructor, [self.expression(entry).named(f"{name}=") for name, entry in entries.items()]
         )
 
     def _call(self, module: str, name: str, parts: list[Code]) -> Code:
-        self.names.add((module, name))
+        self.names.add((module, name.partition(".")[0]))
         return Code(f"{name}(", tuple(parts), ")")
 
     def _modes(self, state_dim: int, entries: FileTable) -> list[FileValue]:

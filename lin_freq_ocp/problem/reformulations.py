@@ -210,6 +210,8 @@ def augment_states(
     free, state_set, boxes = np.full(k, np.inf), problem.state_set, problem.state_boxes
     if isinstance(state_set, Sequence):
         augmented_set: SetOrSets = [_with_box(one, boxes.at(t), Box(lower, free)) for t, one in enumerate(state_set)]
+    elif all((bound == bound[0]).all() for bound in (boxes.lower, boxes.upper)):  # for every horizon
+        augmented_set = _with_box(state_set, boxes.at(0), Box(lower, free))
     else:
         shape = problem.horizon + 1, k
         augmented_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
