@@ -153,11 +153,13 @@ def _solve_parts(
                     raise KeyboardInterrupt
         return
 
-    def lost_part(part: Mapping[str, Change], reason: str) -> SolvedPart:
-        return SolvedPart({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part})
-
-    task = partial(_solve_in_worker, again.problem, again.name, time_limit)
-    work = Work(task, lost_part, lambda part: part.interrupted)
+    work = Work[Mapping[str, Change], SolvedPart](
+        partial(_solve_in_worker, again.problem, again.name, time_limit),
+        lambda part, reason: SolvedPart(
+            {key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part}
+        ),
+        lambda part: part.interrupted,
+    )
     lost = dict[str, Change]()
     for size in (SENT, 1):
         with closing(finish_tasks(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:

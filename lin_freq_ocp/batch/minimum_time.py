@@ -153,7 +153,7 @@ def search_horizons(
     executor: Executor | None = None,
     record: AbstractContextManager[Record[Row] | None] | None = None,
 ) -> Search:
-    """Search the horizons, a run of tasks like a sweep; Ctrl-C ends it with what is decided."""
+    """Search the horizons, a run of tasks like a sweep; Ctrl-C ends it with the verdicts so far."""
     search, told = Search(low, high), list[tuple[int, str]]()
     work = Work(
         partial(_solve_task, solve),
@@ -212,7 +212,7 @@ def checked_horizons(given: object) -> tuple[int, int]:
 
 
 def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
-    """Return the problem at a horizon: of a function, what it returns; of a problem, the same data."""
+    """Return the problem at a horizon: the value of a function, or a problem with the same data."""
     if callable(source):
         problem = problem_at(source, {"horizon": horizon})
         if problem.horizon != horizon:
@@ -343,7 +343,7 @@ def _data_differences(at: At, shortest: int, longest: OptimalControlProblem) -> 
 
 
 def _data_of_first_steps(problem: OptimalControlProblem, horizon: int) -> dict[str, str]:
-    """Return fingerprints of what decides feasibility in the first steps."""
+    """Return fingerprints of the data that decide feasibility in the first steps."""
     T, dynamics = horizon, problem.linear
     states, controls = problem.state_boxes, problem.control_tube
     rows = [

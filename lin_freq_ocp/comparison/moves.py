@@ -40,8 +40,7 @@ from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replay_cont
 from lin_freq_ocp.problem.limits import replace_bounds
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import everywhere_of
-from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.terms.semi_infinite import PlantBox
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
@@ -146,7 +145,7 @@ def remember_zero(problem: OptimalControlProblem) -> OptimalControlProblem:
     memory = ~(linear.A.reshape(-1, *linear.A.shape[-2:]).any(axis=(0, 2)) | np.atleast_2d(linear.offset).any(axis=0))
     if not memory.any():
         return problem
-    ends = dict[str, ConvexSet]()
+    ends = dict[str, SetOrSets]()
     for name, box in (("initial_state", problem.initial_box), ("terminal_state", problem.terminal_box)):
         zero = memory & (box.lower <= 0) & (box.upper >= 0)
         fixed = Box(np.where(zero, 0.0, box.lower), np.where(zero, 0.0, box.upper))

@@ -96,13 +96,9 @@ class Log(Generic[Answer]):
         """Return the answers of the file, and the line to append now, if any: in a new file ``first``."""
         raise NotImplementedError
 
-    def _line(self, key: str, answer: Answer) -> Mapping[str, object]:
-        """Return the line of an answer."""
-        raise NotImplementedError
-
     def append(self, key: str, answer: Answer) -> None:
         """Write one answer; it is on the disk when this returns."""
-        self._write(self._line(key, answer))
+        raise NotImplementedError
 
     def _write(self, entry: Mapping[str, object]) -> None:
         with writing(self._path):
@@ -143,8 +139,9 @@ class SweepFile(Log[Row]):
             raise ProblemError(path, got, f"{first['problem']}, with the same data and fixed arguments", ANOTHER_PATH)
         return rows, {} if list(_last_grid(lines).items()) == list(grid.items()) else {"grid": grid}
 
-    def _line(self, key: str, answer: Row) -> Mapping[str, object]:
-        return answer
+    def append(self, key: str, answer: Row) -> None:
+        """Write the row of a point."""
+        self._write(answer)
 
 
 def _sweep_lines(path: Path) -> list[FileTable]:
@@ -257,10 +254,11 @@ class ManyFile(Log[Item]):
             items[line["key"]] = Item(**values)
         return {key: item for key, item in items.items() if item.status != ERROR}, {}
 
-    def _line(self, key: str, answer: Item) -> Mapping[str, object]:
+    def append(self, key: str, answer: Item) -> None:
+        """Write one answer."""
         values = {name: getattr(answer, name) for name in ITEM_KEYS if name != "key"}
         arrays = {name: None if values[name] is None else values[name].tolist() for name in "xu"}
-        return {"key": key} | values | arrays
+        self._write({"key": key} | values | arrays)
 
     def _another(self, content: object) -> ProblemError:
         return ProblemError(

@@ -92,11 +92,11 @@ class TableRecord:
     like : class, optional
         Its arguments are keys, too: ``make`` passes them on.
     own : str
-        Another name that errors of ``make`` give to the object, beside that of ``make``.
+        A second name of the object in errors of ``make``.
     classes : tuple of classes, optional
         Those of the objects; default ``like`` or ``make``.
     values : function, optional
-        Returns what is written, by key; default the attributes named like the arguments, lists of tables last.
+        Returns the entries to write, by key; default the attributes named like the arguments, lists of tables last.
     required : sequence of str, optional
         Arguments that have a default, but without which ``make`` fails.
     renamed : mapping, optional

@@ -178,7 +178,7 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     component is fixed, and the same with " lower" and " upper" for bounds (only the finite ones, in the order of
     time, then component); "control spectrum", "state spectrum": orthonormal real rows per component.
 
-    Whatever else must hold carries the name under which its multipliers stand in ``result.multipliers.stage``: joint
+    All other constraints carry the name of their multipliers in ``result.multipliers.stage``: joint
     rows ("stage rows" by default), "control set" and the like beyond boxes (components that such a set also fixes are
     then "control set fixed"), "mask on ...", "energy bound on ...". Rows and equations have the multipliers as their
     dual value, only finite limits, in the order of time or bin, then row. Euclidean norms and cones are ``cvxpy.SOC``,
@@ -249,7 +249,7 @@ def _conic_constraints(
 ) -> tuple[list[cvxpy.Expression], list[cvxpy.Constraint]]:
     """Return the costs and the constraints of all terms, from the same rows as other solvers get.
 
-    The constraints of a hard term stand under its name. Only finite limits appear, group after group; how the duals
+    The constraints of a hard term carry its name. Only finite limits appear, group after group; how the duals
     become the term's multipliers lambda:
 
         v <= limit                lambda = dual
@@ -257,7 +257,7 @@ def _conic_constraints(
         |v| <= radius, SOC        lambda = -dual_value[1], (groups, dim), and |lambda| = dual_value[0]
         v_0 >= |(v_1, ...)|, SOC  lambda_0 = -dual_value[0], (groups,); (lambda_1, ...) = -dual_value[1]
 
-    Groups of radius 0 beside others stand apart, as equations labelled with the term's name and " zero". A soft term
+    Groups of radius 0 are equations of their own, labelled with the term's name and " zero". A soft term
     or nonsmooth cost has a variable, its slacks: the objective has their prices, and their lower bounds are
     labelled with the term's name and " slack".
     """

@@ -144,7 +144,7 @@ def read_tables(path: Path) -> FileTable:
     """Return the tables of a TOML file; ProblemError if it is no such file."""
     reading.require_file(str(path), path)
     if (size := path.stat().st_size) > MOST_BYTES:
-        advice = 'Put large arrays into an .npz beside it, as {npz = "data.npz", key = "A"}; write_problem does so.'
+        advice = 'Put large arrays into an .npz next to it, as {npz = "data.npz", key = "A"}; write_problem does so.'
         raise ProblemError(str(path), f"{size} bytes", f"a TOML file of at most {MOST_BYTES} bytes", advice)
     text = reading.read_text(path)
     try:
@@ -156,7 +156,7 @@ def read_tables(path: Path) -> FileTable:
 def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> None:
     """Write a problem to a TOML file, from which ``read_problem`` makes the same problem, to the last bit.
 
-    Arrays of more than ``INLINE_LIMIT`` numbers go to an .npz beside it (``cart.problem.npz`` for ``cart.toml``).
+    Arrays of more than ``INLINE_LIMIT`` numbers go to an .npz next to it (``cart.problem.npz`` for ``cart.toml``).
     Files of these names are replaced.
 
     Parameters
@@ -221,11 +221,11 @@ def problem_files(problem: OptimalControlProblem, name: str, inline_limit: float
     """Return the contents of the files of ``write_problem``, by their names, the arrays first."""
     inline_limit = INLINE_LIMIT if inline_limit is None else inline_limit
     arrays: dict[str, ArrayLike] = {}
-    beside = Path(name).stem + ARRAYS_SUFFIX
-    text = tomli_w.dumps(_store(PROBLEM.write("", problem), beside, arrays, inline_limit))
+    npz_name = Path(name).stem + ARRAYS_SUFFIX
+    text = tomli_w.dumps(_store(PROBLEM.write("", problem), npz_name, arrays, inline_limit))
     # Rows of numbers on one line; strings have no line breaks, but escapes
     text = _ROW.sub(lambda row: f"[{' '.join(row[1].split()).removesuffix(',')}]", text)
-    return ({beside: reading.npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
+    return ({npz_name: reading.npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
 
 
 def _store(

@@ -24,7 +24,7 @@ from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 
-FileValue = Any  # what TOML, JSON, .npz and .mat files hold: not known before it is checked
+FileValue = Any  # a value of a TOML, JSON, .npz or .mat file: of unknown type until it is checked
 FileTable = dict[str, FileValue]
 FileArray = NDArray[FileValue]  # of any type of entries
 
@@ -114,7 +114,7 @@ def opened_npz(field: str, path: Path) -> Generator[NpzFile]:
     except ProblemError:
         raise
     except DAMAGED as error:
-        message = reason(error).partition(". ")[0]  # what follows is advice to trust the file
+        message = reason(error).partition(". ")[0]  # the rest is advice to trust the file
         raise ProblemError(field, f"{path.name}, unreadable ({message})", "an .npz file of plain arrays") from None
 
 
@@ -149,7 +149,7 @@ def require_modest(field: str, entries: int, unpacked: int, packed: int) -> None
         raise ProblemError(field, f"{entries} entries", f"an archive of at most {MOST_ENTRIES}")
     if unpacked > MOST_BYTES or unpacked > max(LARGE, MOST_COMPRESSED * packed):
         got = f"{packed} bytes that unpack to {unpacked} or more"
-        expected = f"at most {MOST_BYTES}, and above {LARGE} at most {MOST_COMPRESSED} times what they are packed"
+        expected = f"at most {MOST_BYTES}, and above {LARGE} at most {MOST_COMPRESSED} times their packed size"
         raise ProblemError(field, got, expected, "If you trust it, save it again without compression.")
 
 
@@ -169,7 +169,7 @@ def require_keys(location: str, table: object, required: Iterable[str] = (), opt
 
 
 def readable(given: object, schema: int) -> bool:
-    """Whether a version of a layout is this, or an earlier version: what was added since is optional."""
+    """Whether a version of a layout is this, or an earlier version: keys added since are optional."""
     return type(given) is int and 1 <= given <= schema
 
 

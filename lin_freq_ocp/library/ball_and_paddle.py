@@ -233,8 +233,8 @@ def _published_modes(h: float, ends: bool) -> list[AffineMode]:
     normal, stick = -MASS / h * step.gap_paddle, -step.slip_paddle / BY_IMPULSE
     for law, (tangential, region) in _coulomb(normal, stick, step.gap_paddle).items():
         after = step.velocities_after(normal, tangential, 1.0)
-        beside = step.rows_past_edge(after) if ends else []
-        modes.append(step.mode(f"{law} on paddle", after, [*region, -step.gap_ceiling, *beside]))
+        edges = step.rows_past_edge(after) if ends else []
+        modes.append(step.mode(f"{law} on paddle", after, [*region, -step.gap_ceiling, *edges]))
     normal, stick = -MASS / h * step.gap_ceiling, -step.slip_ceiling / BY_IMPULSE
     limit, half = FRICTION * normal, 0.5 * step.one
     for law, tangential, region in (

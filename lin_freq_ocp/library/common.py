@@ -50,7 +50,7 @@ Spectrum = FrequencyConstraint | str | Sequence[FrequencyConstraint | int] | Non
 
 
 def control_band(given: Spectrum, horizon: int) -> Constraints:
-    """Return what the parameter ``control_spectrum`` of a problem stands for.
+    """Return the frequency constraints that a value of the parameter ``control_spectrum`` means.
 
     Whole numbers are the bins to remove, "freq" the bins max(2, ceil(T/3)) <= k <= T//2 of every control; None and
     "none" are no frequency constraint.

@@ -51,8 +51,8 @@ def pendulum_swing_up(
 ) -> OptimalControlProblem:
     """Swing a pendulum up with a torque too small to lift it at once.
 
-    Minimise 1/2 sum of 0.1 u_t^2 + 0.05 (angle - pi)^2 + 0.01 rate^2. With the default bound, half of what holds the
-    pendulum level, it swings back first.
+    Minimise 1/2 sum of 0.1 u_t^2 + 0.05 (angle - pi)^2 + 0.01 rate^2. With the default bound, half of the torque that
+    holds the pendulum level, it swings back first.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ class Preview:
 
 
 class Controller:
-    """The state of a receding-horizon controller: what it has measured, applied and planned."""
+    """The state of a receding-horizon controller: its measurements, applied controls and plans."""
 
     def __init__(
         self,

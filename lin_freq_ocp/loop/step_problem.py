@@ -73,8 +73,8 @@ def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> O
     """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
     dynamics, T, n = problem.dynamics, problem.horizon, problem.state_dim
     if not isinstance(dynamics, LinearDynamics):
-        what = type(dynamics).__name__
-        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {what}.")
+        kind = type(dynamics).__name__
+        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {kind}.")
     expected = real_array("disturbance", disturbance)
     if expected.shape not in ((n,), (T, n)):
         raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
@@ -93,7 +93,7 @@ def checked_penalties(penalties: Mapping[str, float] | None) -> dict[str, float]
 
 
 def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> OptimalControlProblem:
-    """Return the problem where what is hard in these fields costs the penalty per unit of excess."""
+    """Return the problem whose hard constraints in these fields cost the penalty per unit of violation."""
     changes: dict[str, object] = {}
     for field, penalty in penalties.items():
         given = getattr(problem, field)

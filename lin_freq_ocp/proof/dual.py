@@ -44,7 +44,7 @@ DRIFT = 1e-6  # of the adjoint by the recursion, relative to its size, above whi
 
 @dataclass(frozen=True, eq=False)
 class Dual:
-    """Multipliers with mu_T as it stands in the file, and whether the file gives the adjoint at every time."""
+    """Multipliers with mu_T as the file states it, and whether the file gives the adjoint at every time."""
 
     problem: OptimalControlProblem
     point: DualPoint
@@ -69,7 +69,7 @@ class Dual:
 
 
 def dual_of(problem: OptimalControlProblem, at: Trajectory, multipliers: Multipliers) -> Dual:
-    """Return the dual of multipliers, in the precision of balls; terms stand at their frequencies."""
+    """Return the dual of multipliers, in the precision of balls; terms have their final frequencies."""
     point = dual_point(problem, at, multipliers)
     free = np.flatnonzero(problem.state_tube.fixed[-1])
     moved, eta = steer_adjoint(problem.linear.A, exact_slopes(problem, point), point.eta, free)
@@ -106,7 +106,7 @@ class DualPoint:
 
 
 def dual_point(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> DualPoint:
-    """Return what a proof says of multipliers; the terms of the problem stand at their frequencies."""
+    """Return the multipliers and points of a proof; the terms of the problem have their final frequencies."""
     n = problem.state_dim
     curved, in_x = curvatures(problem, multipliers.eta_C)
     x, mu = project_on_bounds(problem.state_tube, trajectory.x, multipliers.mu, in_x)
@@ -280,7 +280,7 @@ def growth(A: Array, horizon: int) -> float:
         if A.ndim == 2:  # the power of ``steps``, squared next
             largest = max(largest, logarithm * min(horizon / steps, 2.0))
             product, logarithm, steps = product @ product, 2 * logarithm, 2 * steps
-        else:  # the product from time 0 on, of which the largest rise counts
+        else:  # the product from time 0 on; its largest rise counts
             least = min(least, logarithm)
             largest = max(largest, logarithm - least)
             product, steps = A[min(steps, len(A) - 1)] @ product, steps + 1

@@ -76,7 +76,7 @@ def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, regio
     stages = cost.stage_hessians(), other.stage_hessians(), np.hstack([x[:-1], u])
     for old, new, v in (stages, (cost.P[None], other.P[None], x[-1:])):
         change = np.maximum(np.abs(new - old), np.abs(new - np.swapaxes(old, 1, 2)))
-        with np.errstate(invalid="ignore"):  # 0 times inf: what is not raised may be anywhere
+        with np.errstate(invalid="ignore"):  # 0 times inf: components that are not raised may be unbounded
             total += float(np.where(change > 0, change * v[:, :, None] * v[:, None, :], 0.0).sum())
     return RADIUS_MARGIN * total / 2
 
@@ -84,7 +84,7 @@ def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, regio
 def _semidefinite(matrix: Array, least: float) -> Array:
     """Return a symmetric matrix with the least rise of the diagonal that makes it semidefinite; itself if none does.
 
-    The rise itself is semidefinite, too, with what the rounding of entries adds.
+    The difference to the given matrix is semidefinite, too, rounding included.
     """
     symmetric, diagonal = (matrix + matrix.T) / 2, np.diag(np.diagonal(matrix))
     if np.array_equal(matrix, diagonal):

@@ -128,7 +128,7 @@ def _modes(problem: OptimalControlProblem) -> list[tuple[str, Parts]]:
 
 
 def _cost_lines(problem: OptimalControlProblem) -> Iterator[str]:
-    """Yield the quadratic cost; a line names what changes."""
+    """Yield the quadratic cost; a line states the parts that change."""
     cost, T = problem.quadratic, problem.horizon
     hessians = cost.stage_hessians()
     parts = {

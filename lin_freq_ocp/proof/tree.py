@@ -29,7 +29,7 @@ from lin_freq_ocp.proof.statement import Text, Value, encode, line, multiplier_l
 
 @dataclass(frozen=True, eq=False)
 class WrittenNode:
-    """A node of the file: what it keeps at the time of its parent's split, and the leaf's multipliers, if any."""
+    """A node of the file: its modes at the time of its parent's split, and the multipliers if it is a leaf."""
 
     parent: int
     stage: int
