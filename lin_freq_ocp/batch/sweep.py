@@ -232,5 +232,5 @@ def _finite_or_none(value: float | None) -> float | None:
 
 def failed_point(parameters: Parameters, message: str | None, seconds: float | None = None) -> Row:
     """Return the row of a point that was not solved, and why."""
-    row: dict[str, object] = {"parameters": plain_parameters(parameters)} | dict.fromkeys(MEASURED)
+    row: dict[str, object] = {"parameters": plain_parameters(parameters), **dict.fromkeys(MEASURED)}
     return cast("Row", row | {"status": ERROR, "proven": False, "seconds": seconds, "message": message})

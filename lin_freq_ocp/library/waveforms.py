@@ -106,9 +106,7 @@ def mri_gradient(
     change, bound = positive_number("slew_rate", slew_rate) * step, np.full((T, 1), limit)
     bound[0] = 0.0
     before, gains = np.append(np.zeros(len(moments)), 1.0), np.ones((T, len(moments) + 1, 1))
-    for i, (k, _, _) in enumerate(
-        moments
-    ):  # contribution of a unit of g_t to each moment; the last is the sample before
+    for i, (k, _, _) in enumerate(moments):  # the sum that g_t adds to each moment, per unit
         gains[:, i, 0] = step * (step * np.arange(T)) ** k
     level = positive_number("band_level", band_level)
     edges = np.zeros((0, 2)) if forbidden_bands_hz is None else real_array("forbidden_bands_hz", forbidden_bands_hz)
