@@ -1,4 +1,4 @@
-"""The grid of a sweep: its points, the problem at each of them, and what tells problems and points apart."""
+"""The grid of a sweep: its points, the problem at each point, and the fingerprints of problems and points."""
 
 from __future__ import annotations
 
@@ -30,13 +30,23 @@ FINGERPRINT_LENGTH = 16  # hexadecimal digits: 64 bits, so that collisions are n
 
 
 def grid_values(source: Source, grid: object) -> dict[str, list[object]]:
-    """Return the values of each parameter."""
+    """Return the values of each parameter; ProblemError unless they are sequences of different values."""
     if not callable(source):
         require_problem(source)
     if not isinstance(grid, Mapping) or not grid:
         raise ProblemError("grid", brief(grid), "a mapping from names of parameters to sequences of values")
     require_parameters(source, list(grid), "grid")
-    return {name: _values(name, given) for name, given in grid.items()}
+    values = dict[str, list[object]]()
+    for name, given in grid.items():
+        if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Iterable):
+            raise ProblemError(f"grid.{name}", brief(given), "a sequence of values", "For a single one: [value].")
+        values[name] = list(given)
+        keys = Counter(json.dumps(plain(value)) for value in values[name])
+        repeated = [key for key, count in keys.items() if count > 1]
+        if not keys or repeated:
+            got = f"{repeated[0]} twice" if repeated else "nothing"
+            raise ProblemError(f"grid.{name}", got, "one value or more, all different")
+    return values
 
 
 def grid_points(values: Mapping[str, Sequence[object]]) -> dict[str, Parameters]:
@@ -70,7 +80,7 @@ def problem_at(source: Source, parameters: Mapping[str, Any]) -> OptimalControlP
 
 
 def _field_names(problem: OptimalControlProblem) -> list[str]:
-    return [one.name for one in fields(problem)]
+    return [field.name for field in fields(problem)]
 
 
 def plain_parameters(parameters: Mapping[str, object]) -> Parameters:
@@ -117,7 +127,7 @@ def require_executor(executor: object, source: Source, grid: Mapping[str, object
 def require_parameters(source: Source, names: Sequence[str], field: str) -> None:
     """Raise ProblemError unless a source takes these parameters; errors name the field."""
     if callable(source):
-        known = _keywords(source)
+        known = _keyword_names(source)
     else:
         known = list(dict.fromkeys((*_field_names(source), *CUTOFFS, *numbers(source))))
         same = [name for name in names if name in ("control_spectrum", *CUTOFFS)]
@@ -129,27 +139,16 @@ def require_parameters(source: Source, names: Sequence[str], field: str) -> None
             raise ProblemError(f"{field}.{name}", "no parameter of that name", expected, suggestion(name, known))
 
 
-def _keywords(function: Callable[..., object]) -> list[str] | None:
+def _keyword_names(function: Callable[..., object]) -> list[str] | None:
     """Return the keywords that a function takes; None if it takes any, or has no signature."""
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
         return None
-    if any(one.kind is one.VAR_KEYWORD for one in parameters):
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
         return None
-    return [one.name for one in parameters if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
-
-
-def _values(name: str, given: object) -> list[object]:
-    if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Iterable):
-        raise ProblemError(f"grid.{name}", brief(given), "a sequence of values", "For a single one: [value].")
-    values = list(given)
-    keys = [json.dumps(plain(value)) for value in values]
-    again = [key for key, count in Counter(keys).items() if count > 1]
-    if not values or again:
-        got = f"{again[0]} twice" if again else "nothing"
-        raise ProblemError(f"grid.{name}", got, "one value or more, all different")
-    return values
+    by_keyword = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    return [parameter.name for parameter in parameters if parameter.kind in by_keyword]
 
 
 def fingerprint(value: object) -> str:
@@ -178,7 +177,7 @@ def _text_of(value: object) -> str:
     if isinstance(value, partial):
         return f"partial({_text_of(value.func)}, {_text_of(value.args)}, {_text_of(value.keywords)})"
     if is_dataclass(value) and not isinstance(value, type):
-        entries = (f"{one.name}={_text_of(getattr(value, one.name))}" for one in fields(value) if one.compare)
+        entries = (f"{field.name}={_text_of(getattr(value, field.name))}" for field in fields(value) if field.compare)
         return f"{_qualified_name(type(value))}({', '.join(entries)})"
     if hasattr(value, "__qualname__"):
         return _qualified_name(value)

@@ -1,6 +1,6 @@
 """Many problems that differ in initial state and references, here or on an executor, recorded and resumed.
 
-They are solved in parts, along a tour of the initial states: each begins with the answer of one near it. The
+They are solved in parts, along a tour of the initial states: each solve starts from the answer of a near state. The
 Fourier-domain method solves and judges a whole part at once where it applies; the other problems follow one by one.
 """
 
@@ -28,11 +28,12 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.solver_cache import Change
 
-UNSOLVED = "unsolved"  # status of what Ctrl-C left
+UNSOLVED = "unsolved"  # status of the problems that were left when Ctrl-C came
 
 BLOCK = 1000  # states among which the nearest is looked for: 1000 steps of some 20 microseconds
 
-HERE, SENT = 25, 100  # problems of a part: here, what Ctrl-C waits for; on an executor, what a set-up is shared by
+# Problems of a part: Ctrl-C waits for a part in this process; the problems of a part in a worker share one set-up.
+HERE, SENT = 25, 100
 
 References = Mapping[str, ArrayLike]
 
@@ -142,7 +143,7 @@ def run_many(
 def _solve_parts(
     again: Repeated, changes: Mapping[str, Change], time_limit: float | None, executor: Executor | None
 ) -> Generator[Mapping[str, Item]]:
-    """Yield what is solved; problems of a part that is lost are given out again one by one."""
+    """Yield the solved items; the problems of a part whose worker died are submitted again one by one."""
     if executor is None:
         with one_blas_thread():
             for part in _split_parts(changes, HERE).values():
@@ -152,11 +153,13 @@ def _solve_parts(
                     raise KeyboardInterrupt
         return
 
-    def lost_part(part: Mapping[str, Change], reason: str) -> SolvedPart:
-        return SolvedPart({key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part})
-
-    task = partial(_solve_in_worker, again.problem, again.name, time_limit)
-    work = Work(task, lost_part, lambda part: part.interrupted)
+    work = Work[Mapping[str, Change], SolvedPart](
+        partial(_solve_in_worker, again.problem, again.name, time_limit),
+        lambda part, reason: SolvedPart(
+            {key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part}
+        ),
+        lambda part: part.interrupted,
+    )
     lost = dict[str, Change]()
     for size in (SENT, 1):
         with closing(finish_tasks(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:
@@ -186,7 +189,10 @@ def _solve_in_worker(
 def changes_of(
     problem: OptimalControlProblem, states: object, references: References | Sequence[References] | None
 ) -> list[Change | ProblemError]:
-    """Return how each problem differs, or why it is none; ProblemError if the numbers of both differ or none is one."""
+    """Return the change of each problem, or the error of its description.
+
+    ProblemError if states and references differ in number, or no description is valid.
+    """
     n = problem.state_dim
     if references is not None and not isinstance(references, (Mapping, Sequence)):
         raise ProblemError("references", brief(references), "a mapping with x_ref and u_ref, or a sequence of them")
@@ -194,7 +200,16 @@ def changes_of(
     each = None if references is None or isinstance(references, Mapping) else list(references)
     if states is None and each is None:
         raise ProblemError("initial_states", "None", f"an array (N, {n})", "Or references, one mapping per problem.")
-    rows = [None] * len(each or ()) if states is None else _state_rows(states, n)
+    if states is None:
+        rows: Sequence[object] = [None] * len(each or ())
+    elif isinstance(states, (list, tuple)):  # their entries are checked below, one by one
+        rows = states
+    else:
+        array = np.asarray(states)
+        array = array[:, None] if array.ndim == 1 and n == 1 else array
+        if array.ndim != 2 or array.shape[1] != n:
+            raise ProblemError("initial_states", f"shape {array.shape}", f"(N, {n}): one initial state per row")
+        rows = list(array)
     each = [shared] * len(rows) if each is None else each
     if len(each) != len(rows):
         raise ProblemError("references", f"{len(each)} of them", f"{len(rows)}, one per initial state")
@@ -212,21 +227,9 @@ def changes_of(
             changes.append(Change(point, references=of_problem))
         except ProblemError as error:
             changes.append(error)
-    if isinstance(changes[0], ProblemError) and not any(isinstance(one, Change) for one in changes):
+    if isinstance(changes[0], ProblemError) and not any(isinstance(change, Change) for change in changes):
         raise changes[0]
     return changes
-
-
-def _state_rows(states: object, n: int) -> Sequence[object]:
-    """Return the initial states; an array must have the shape (N, n), entries of a list are checked later."""
-    if isinstance(states, (list, tuple)):
-        return states
-    array = np.asarray(states)
-    if array.ndim == 1 and n == 1:
-        array = array[:, None]
-    if array.ndim != 2 or array.shape[1] != n:
-        raise ProblemError("initial_states", f"shape {array.shape}", f"(N, {n}): one initial state per row")
-    return list(array)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +261,7 @@ class SolvedPart:
 
 
 def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> SolvedPart:
-    """Solve problems one after another, each from the one before; what fails is an item of its own."""
+    """Solve problems one after another, each from the one before; a failure is an item, too."""
     items, interrupted = dict[str, Item](), False
     try:
         items, interrupted = _solve_batched(again, changes) if time_limit is None else ({}, False)
@@ -318,7 +321,7 @@ def _solve_single(again: Repeated, change: Change, time_limit: float | None) -> 
         raise KeyboardInterrupt
     if change.references is None:
         again.keep(outcome)
-    # Figures are of points that satisfy every constraint
+    # Costs and trajectories are reported of feasible points only
     trajectory = outcome.trajectory if outcome.primal else None
     optimal = outcome.certificate is not None and outcome.certificate.globally_optimal
     infeasible = outcome.status in (Status.INFEASIBLE, Status.UNBOUNDED) and outcome.dual

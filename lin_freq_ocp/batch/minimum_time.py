@@ -5,7 +5,7 @@ at least keeps it within the bounds of the end, and that is feasible for T + 1 s
 needs, one condition after another; costs, and constraints that may be violated at a price, play no part. The conditions
 are sufficient: where one fails, nothing is said.
 
-A search is a run of tasks, as a sweep over the horizon is, that chooses its points: its file is that of a sweep.
+A search is a sweep over the horizon that chooses its points. It writes the file of a sweep.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Search:
 
     def of(self, verdict: Verdict) -> list[int]:
         """Return the horizons with a verdict, in increasing order."""
-        return sorted(T for T, given in self.verdicts.items() if given == verdict)
+        return sorted(T for T, known in self.verdicts.items() if known == verdict)
 
     @property
     def proven(self) -> list[int]:
@@ -84,17 +84,17 @@ class Search:
 
     @property
     def without_evidence(self) -> list[int]:
-        """Return the horizons that decide the search of which a file had the verdict, and no trajectory or ray."""
+        """Return the decisive horizons whose verdict was read from a file, which has no trajectory or ray."""
         least = self.horizon
         if least is None:
             longest, shown = max(self.verdicts, default=None), self.last
             return [] if longest is None or (shown is not None and shown.problem.horizon == longest) else [longest]
-        found = [] if self.best is not None and self.best.problem.horizon == least else [least]
+        horizons = [] if self.best is not None and self.best.problem.horizon == least else [least]
         no_ray = self.verdicts.get(least - 1) == Verdict.INFEASIBLE and least - 1 not in self.rays
-        return [*found, least - 1] if no_ray else found
+        return [*horizons, least - 1] if no_ray else horizons
 
     def keep(self, horizon: int, outcome: Outcome | None) -> Verdict:
-        """Keep what a solve says about a horizon; of a solve that was lost, nothing."""
+        """Keep the verdict and the evidence of a solve; a lost solve leaves the horizon undecided."""
         verdict = self.verdicts[horizon] = verdict_of(outcome)
         if outcome is None:
             return verdict
@@ -107,7 +107,7 @@ class Search:
         return verdict
 
     def recall(self, horizon: int, row: Row) -> None:
-        """Keep what was recorded of a horizon: an answer without its evidence."""
+        """Keep the recorded verdict of a horizon, which comes without its evidence."""
         if row["cost"] is not None:
             self.verdicts[horizon] = Verdict.FEASIBLE
         elif row["status"] == Status.INFEASIBLE:
@@ -119,7 +119,7 @@ class Search:
 
 
 def verdict_of(outcome: Outcome | None) -> Verdict:
-    """Return what a solve decides of its horizon, whatever its cost."""
+    """Return the verdict of a solve on its horizon, whatever its cost."""
     if outcome is not None and outcome.primal:
         return Verdict.FEASIBLE
     return Verdict.INFEASIBLE if outcome is not None and outcome.status == Status.INFEASIBLE else Verdict.UNDECIDED
@@ -132,21 +132,17 @@ class SolvedHorizon:
     outcome: Outcome | None
     row: Row
 
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended the solve."""
+        return self.outcome is not None and self.outcome.interrupted
+
 
 def _solve_task(solve: Callable[[int], Outcome], horizon: int, attempt: int) -> SolvedHorizon:
     """Solve in this process or in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
     started = now()
     outcome = solve(horizon)
     return SolvedHorizon(outcome, row_of(outcome, {"horizon": horizon}, now() - started))
-
-
-def _lost_horizon(horizon: int, reason: str) -> SolvedHorizon:
-    return SolvedHorizon(None, failed_point({"horizon": horizon}, reason))
-
-
-def _undecided_by_interrupt(solved: SolvedHorizon) -> bool:
-    interrupted = solved.outcome is not None and solved.outcome.interrupted
-    return interrupted and verdict_of(solved.outcome) == Verdict.UNDECIDED
 
 
 def search_horizons(
@@ -158,9 +154,13 @@ def search_horizons(
     executor: Executor | None = None,
     record: AbstractContextManager[Record[Row] | None] | None = None,
 ) -> Search:
-    """Search the horizons, a run of tasks like a sweep; Ctrl-C ends it with what is decided."""
+    """Search the horizons, a run of tasks like a sweep; Ctrl-C ends it with the verdicts so far."""
     search, told = Search(low, high), list[tuple[int, str]]()
-    work = Work(partial(_solve_task, solve), _lost_horizon, _undecided_by_interrupt)
+    work = Work(
+        partial(_solve_task, solve),
+        lambda horizon, reason: SolvedHorizon(None, failed_point({"horizon": horizon}, reason)),
+        lambda solved: solved.interrupted and verdict_of(solved.outcome) == Verdict.UNDECIDED,
+    )
 
     def solve_missing(recorded: Mapping[str, Row]) -> Generator[Mapping[str, Row]]:
         for key, row in recorded.items():
@@ -170,7 +170,7 @@ def search_horizons(
             with closing(finish_tasks(work, points, executor)) as parts:
                 for key, solved in parts:
                     told.append((points[key], search.keep(points[key], solved.outcome)))
-                    if solved.outcome is not None and solved.outcome.interrupted:  # decided, and not recorded
+                    if solved.interrupted:  # decided, and not recorded
                         raise KeyboardInterrupt
                     yield {key: solved.row}
         for horizon in search.without_evidence:
@@ -204,7 +204,7 @@ def checked_horizons(given: object) -> tuple[int, int]:
     if not isinstance(given, (tuple, list)) or len(given) != 2:
         raise ProblemError("horizons", brief(given), expected)
     low, high = given
-    whole = all(isinstance(one, int) and not isinstance(one, bool) for one in (low, high))
+    whole = all(isinstance(end, int) and not isinstance(end, bool) for end in (low, high))
     if not whole or low < 1:
         raise ProblemError("horizons", brief(given), expected)
     if low > high:
@@ -213,7 +213,7 @@ def checked_horizons(given: object) -> tuple[int, int]:
 
 
 def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
-    """Return the problem at a horizon: of a function, what it returns; of a problem, the same data."""
+    """Return the problem at a horizon: the value of a function, or a problem with the same data."""
     if callable(source):
         problem = problem_at(source, {"horizon": horizon})
         if problem.horizon != horizon:
@@ -365,7 +365,7 @@ def _data_differences(at: At, shortest: int, longest: OptimalControlProblem) -> 
 
 
 def _data_of_first_steps(problem: OptimalControlProblem, horizon: int) -> dict[str, str]:
-    """Return fingerprints of what decides feasibility in the first steps."""
+    """Return fingerprints of the data that decide feasibility in the first steps."""
     T, dynamics = horizon, problem.linear
     states, controls = problem.state_boxes, problem.control_tube
     rows = [

@@ -1,4 +1,4 @@
-"""One problem solved again and again with other ends and references."""
+"""Solver state that is reused when one problem is solved repeatedly with other ends and references."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from lin_freq_ocp.solving.solve import require_options, restore_outcome, solve_t
 from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
-TRAVEL = 100.0  # largest moves of a state after which states are counted from where it has come to
+TRAVEL = 100.0  # travel of a state, in its largest moves within a solve, after which states get a new origin
 
 
 class Located:
-    """A problem with its states counted from an origin, and what solves of it share."""
+    """A problem whose states are counted from an origin, and the solver state that its solves share."""
 
     def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, origin: Array, linear: bool):
         base = problem.with_ends(changed.initial_state) if origin.any() else problem
@@ -45,7 +45,7 @@ class Located:
         return self.translation.origin
 
     def translated(self, change: Change, changed: OptimalControlProblem) -> Change:
-        """Return a change of the given problem, which is then ``changed``, as one of the translated problem."""
+        """Return the change of the translated problem that belongs to a change of the given one, to ``changed``."""
         if not self.translation.moves:
             return change
         references, bounds = change.references, change.bounds
@@ -98,7 +98,7 @@ def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, tuple[floa
 
 
 class Repeated:
-    """A problem with its method, and what earlier solves of it left."""
+    """A problem with its method, and the solver state that earlier solves left."""
 
     def __init__(self, problem: OptimalControlProblem, method: str | Method = "auto", tolerance: float | None = None):
         require_problem(problem)
@@ -124,7 +124,7 @@ class Repeated:
     def located(self, changed: OptimalControlProblem) -> Located:
         """Return the problem with its states counted from near those of a changed problem.
 
-        The origin stays until a state has travelled far from it, compared with what it moves in a solve.
+        The origin stays until a state has travelled far from it, compared with its moves within a solve.
         """
         start, located = changed.ends[0], self._located
         if located is not None and not self._is_far(located, start.lower, start.fixed):
@@ -155,15 +155,15 @@ class Repeated:
         if located is None or not located.exclusions or not change.starts_elsewhere:
             return False
         start = change.apply(self.problem).initial_box
-        return bool(start.fixed.all()) and any(one.excludes(start.lower - located.origin) for one in located.exclusions)
+        return bool(start.fixed.all()) and any(ray.excludes(start.lower - located.origin) for ray in located.exclusions)
 
     def keep(self, outcome: Outcome) -> None:
         """Keep the ray of an infeasible problem that differs from this one in its initial state alone."""
         located = self._located
         if located is not None and outcome.status == Status.INFEASIBLE and outcome.ray is not None:
-            found = exclusion(translated_by(outcome.problem, located.origin).problem, outcome.ray)
-            if found is not None:
-                located.exclusions.appendleft(found)
+            ray = exclusion(translated_by(outcome.problem, located.origin).problem, outcome.ray)
+            if ray is not None:
+                located.exclusions.appendleft(ray)
 
     def solve(
         self,

@@ -1,7 +1,7 @@
-"""Sweeps: one problem at every point of a grid of parameters, on as many processes or machines as there are.
+"""Sweeps: one problem at every point of a grid of parameters, on one process or many, here or on other machines.
 
-A point is built, solved and judged in any process; its row is plain data. Rows of an earlier run are not computed
-again, and each row is recorded when it is finished.
+Any process can build, solve and judge a point; its row is plain data. Each row is recorded when it is finished, and
+rows of an earlier run are not computed again.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from concurrent.futures import Executor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, TypedDict, get_type_hints
+from typing import Any, TypedDict, cast, get_type_hints
 
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError, suggestion
@@ -58,7 +58,7 @@ Row = TypedDict(
 
 _BUILD_LOCK = threading.Lock()  # warnings are caught for a whole process: its threads build one after another
 
-MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")  # the columns beside the parameters
+MEASURED = tuple(name for name in get_type_hints(Row) if name != "parameters")  # the columns after the parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class SweepOutcome:
         return self.complete and all(row["proven"] for row in self.rows)
 
     def table(self) -> list[dict[str, object]]:
-        """Return a flat dict per row, parameters first; ``pandas.DataFrame`` takes it as it is."""
+        """Return a flat dict per row, parameters first; ``pandas.DataFrame`` takes the list."""
         return [row["parameters"] | {name: row[name] for name in MEASURED} for row in self.rows]
 
     def column(self, name: str) -> list[object]:
@@ -164,7 +164,7 @@ def name_of(source: Source) -> str:
 def sweep_head(
     source: Source, grid: Mapping[str, Sequence[object]], options: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return what makes two sweeps the same, and the grid."""
+    """Return the data that identify a sweep, and its grid."""
     return {
         "problem": name_of(source),
         "fingerprint": fingerprint(source),
@@ -232,18 +232,5 @@ def _finite_or_none(value: float | None) -> float | None:
 
 def failed_point(parameters: Parameters, message: str | None, seconds: float | None = None) -> Row:
     """Return the row of a point that was not solved, and why."""
-    return {
-        "parameters": plain_parameters(parameters),
-        "status": ERROR,
-        "proven": False,
-        "cost": None,
-        "lower_bound": None,
-        "bound": None,
-        "gap": None,
-        "pmp": None,
-        "global": None,
-        "method": None,
-        "backend": None,
-        "seconds": seconds,
-        "message": message,
-    }
+    row: dict[str, object] = {"parameters": plain_parameters(parameters), **dict.fromkeys(MEASURED)}
+    return cast("Row", row | {"status": ERROR, "proven": False, "seconds": seconds, "message": message})

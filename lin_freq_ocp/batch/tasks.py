@@ -19,7 +19,7 @@ from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.solving import solve
 
 RESUBMISSIONS = 2  # of a lost point: a worker may die by chance; after three losses the point itself is the reason
-ERROR = "error"  # status of what was not solved: its description is no problem, or its worker died
+ERROR = "error"  # status of a point that was not solved: it describes no problem, or its worker died
 P = ParamSpec("P")
 R = TypeVar("R")
 Given = TypeVar("Given")
@@ -27,7 +27,7 @@ Answer = TypeVar("Answer")
 
 
 class Record(Protocol[Answer]):
-    """Where answers are kept by their keys: those of an earlier run, and each as it is finished."""
+    """The answers of a run by their keys: those of an earlier run, and each new one as it is finished."""
 
     answers: Mapping[str, Answer]
 
@@ -36,7 +36,7 @@ class Record(Protocol[Answer]):
         ...
 
 
-# Opens the record of a run, given what makes two runs the same; None keeps nothing.
+# Opens the record of a run, given the data that identify the run; None keeps nothing.
 OpenRecord = Callable[[Mapping[str, object]], AbstractContextManager[Record[Answer] | None]]
 
 
@@ -71,7 +71,7 @@ def finish_run(
 
 @dataclass(frozen=True)
 class Work(Generic[Given, Answer]):
-    """What is done: the task, given how often it was lost before; the answer if it is lost; whether it was stopped."""
+    """The task, called with the number of its losses; the answer for a lost point; whether Ctrl-C ended a task."""
 
     task: Callable[[Given, int], Answer]
     lost: Callable[[Given, str], Answer]
@@ -87,7 +87,7 @@ def finish_tasks(
     more work, like a process pool once a worker has died, a warning says so, and the remaining points are solved one
     after another in a process of their own: a point that kills it is lost alone.
 
-    Closing the generator, or Ctrl-C, cancels what has not been started.
+    Closing the generator, or Ctrl-C, cancels the tasks that have not started.
     """
     if executor is None:
         for key, parameters in points.items():
@@ -144,7 +144,7 @@ def process_pool(workers: int) -> WorkerPool:
 
 
 def _begin_work() -> None:
-    """Let a worker ignore Ctrl-C, and end when its parent does, which may be killed and then says nothing."""
+    """Let a worker ignore Ctrl-C, and end with its parent, even if the parent is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end_with_parent() -> None:
@@ -183,7 +183,7 @@ def _run_on_executor(
                 continue
             losses[key] += 1
             if losses[key] > RESUBMISSIONS:
-                yield key, _given_up(work, points[key], outcome)
+                yield key, _give_up(work, points[key], outcome)
             else:
                 submit(key)
     except KeyboardInterrupt:
@@ -212,7 +212,7 @@ def _run_in_own_process(work: Work[Given, Answer], points: Mapping[str, Given]) 
                     break
                 pool.shutdown()
                 pool = process_pool(1)
-            yield key, _given_up(work, parameters, outcome) if isinstance(outcome, Lost) else outcome
+            yield key, _give_up(work, parameters, outcome) if isinstance(outcome, Lost) else outcome
     except BaseException:  # Ctrl-C, or the generator was closed
         pool.abandon()
         raise
@@ -221,13 +221,13 @@ def _run_in_own_process(work: Work[Given, Answer], points: Mapping[str, Given]) 
 
 @dataclass(frozen=True)
 class Lost:
-    """Why there is no answer, in words."""
+    """A point without an answer, and the reason in words."""
 
     reason: str
 
 
 def _outcome(work: Work[Given, Answer], future: Future[Answer]) -> Answer | Lost:
-    """Return the answer of a future, waiting for it, or why there is none."""
+    """Wait for a future, and return its answer or the reason why it has none."""
     try:
         answer = future.result()
     except CancelledError:
@@ -237,5 +237,5 @@ def _outcome(work: Work[Given, Answer], future: Future[Answer]) -> Answer | Lost
     return Lost("interrupted") if work.interrupted(answer) else answer
 
 
-def _given_up(work: Work[Given, Answer], given: Given, lost: Lost) -> Answer:
-    return work.lost(given, f"given out {1 + RESUBMISSIONS} times and lost every time, at last with {lost.reason}")
+def _give_up(work: Work[Given, Answer], point: Given, lost: Lost) -> Answer:
+    return work.lost(point, f"given out {1 + RESUBMISSIONS} times and lost every time, at last with {lost.reason}")

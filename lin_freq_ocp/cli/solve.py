@@ -250,6 +250,8 @@ def compare_command(
             console.print_table(
                 terminal_table("Shortest moves at the same residual vibration", moves_rows(comparison.moves))
             )
+        elif comparison.shaper_obstacle:
+            console.say(f"Input shapers do not apply: {comparison.shaper_obstacle}.")
     status = console.exit_status(comparison.constrained)
     if folder is None or comparison.constrained.interrupted:
         return status

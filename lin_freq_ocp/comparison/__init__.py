@@ -1,1 +1,1 @@
-"""COMPARE: what filtering a control afterwards does, beside solving with the frequency constraint."""
+"""Filters and input shapers, compared with the solution under the frequency constraint."""

@@ -1,4 +1,4 @@
-"""The classical solution, what filters make of it, and the constrained solution, side by side."""
+"""The classical solution, its filtered controls, and the constrained solution, side by side."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
 from lin_freq_ocp.certificate.sensitivities import bin_prices
-from lin_freq_ocp.comparison.filters import FILTERS, can_be_filtered, filtered, has_frequency_constraint
-from lin_freq_ocp.comparison.moves import SHAPERS, Moves, shortest_moves, why_not_shaped
+from lin_freq_ocp.comparison.filters import FILTERS, apply_filter, can_be_filtered, has_frequency_constraint
+from lin_freq_ocp.comparison.moves import SHAPERS, Moves, shaper_obstacle, shortest_moves, why_not_shaped
 from lin_freq_ocp.comparison.trajectories import (
     CLASSICAL,
     CONSTRAINED,
@@ -36,7 +36,7 @@ Solve = Callable[..., Outcome]  # lfo.solve: a problem, and the keywords method,
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """A filter, its description in words, and the replay of the control that it makes of the classical one."""
+    """A filter, its description in words, and the simulated trajectory of the filtered classical control."""
 
     name: str
     description: str
@@ -67,7 +67,7 @@ class ComparisonOutcome:
 
     @property
     def constrained_label(self) -> str:
-        """Return "constrained", or without a frequency constraint how the solve ended."""
+        """Return "constrained"; of a problem without frequency constraints, the label of its solution."""
         return CONSTRAINED if has_frequency_constraint(self.problem) else solution_label(self.constrained)
 
     @property
@@ -83,7 +83,7 @@ class ComparisonOutcome:
     @property
     def replay_is_meaningful(self) -> bool:
         """Whether open-loop replays show more than amplified rounding errors."""
-        return all(one.replay.meaningful for one in self.filtered)
+        return all(entry.replay.meaningful for entry in self.filtered)
 
     @property
     def trajectories(self) -> tuple[MeasuredTrajectory, ...]:
@@ -94,7 +94,7 @@ class ComparisonOutcome:
         last = () if self.constrained_solution is None else (self.constrained_solution,)
         if not has_frequency_constraint(self.problem):
             return last
-        replays = [one.replay for one in self.filtered] if can_be_filtered(self.problem) else []
+        replays = [entry.replay for entry in self.filtered] if can_be_filtered(self.problem) else []
         return (self.classical_solution, *replays, *last)
 
     @property
@@ -102,7 +102,7 @@ class ComparisonOutcome:
         """Return the filter that figures and sentences show: the brick wall, or the first; None without any."""
         if not self.filtered or not can_be_filtered(self.problem):
             return None
-        return next((one for one in self.filtered if one.name == PREFERRED_FILTER), self.filtered[0])
+        return next((entry for entry in self.filtered if entry.name == PREFERRED_FILTER), self.filtered[0])
 
     @property
     def kinks(self) -> tuple[Kink, ...]:
@@ -121,19 +121,25 @@ class ComparisonOutcome:
         return bin_prices(problem, multipliers) if multipliers is not None and banded else None
 
     @property
+    def shaper_obstacle(self) -> str:
+        """Return in words why no input shaper applies to a limit on residual vibrations; empty if one does."""
+        return "" if self.moves is not None else shaper_obstacle(self.problem)
+
+    @property
     def rows(self) -> list[tuple[str, str]]:
-        """Return of every trajectory its name, and in words where it is from and what was measured."""
+        """Return the name of every trajectory, with its origin and its measures in words."""
         rows: list[tuple[str, str, Measures | None]] = [("classical", self.classical.status, self.classical_measures)]
-        for one in self.filtered:
-            unstable = one.replay.stopped or "not replayed: that would amplify rounding errors"
-            rows.append((one.name, "replayed" if one.replay.meaningful else unstable, one.replay.measures))
+        for entry in self.filtered:
+            unstable = entry.replay.stopped or "not replayed: that would amplify rounding errors"
+            rows.append((entry.name, "replayed" if entry.replay.meaningful else unstable, entry.replay.measures))
         nothing = self.constrained.status == Status.LIMIT and self.constrained.trajectory is None
         status = f"{self.constrained.status}, no point found" if nothing else self.constrained.status
         rows.append(("constrained", status, self.constrained_measures))
         moves = () if self.moves is None else self.moves.all
         return [
-            *((name, ", ".join([how, *([] if found is None else _in_words(found))])) for name, how, found in rows),
+            *((name, ", ".join([origin, *_measures_in_words(measures)])) for name, origin, measures in rows),
             *((move.name, str(move)) for move in moves),
+            *([("input shapers", f"do not apply: {self.shaper_obstacle}")] if self.shaper_obstacle else []),
         ]
 
     def __str__(self) -> str:
@@ -141,7 +147,9 @@ class ComparisonOutcome:
         return "\n".join([str(self.problem), *(f"{name:{width}}  {text}" for name, text in self.rows)])
 
 
-def _in_words(measures: Measures) -> list[str]:
+def _measures_in_words(measures: Measures | None) -> list[str]:
+    if measures is None:
+        return []
     figures = {
         "end missed by": measures.terminal_error,
         "controls out of bounds by": measures.control_violation,
@@ -166,7 +174,7 @@ def compare_methods(
     names, shapers = _chosen(problem, filters)
     free = replace(problem, control_spectrum=None, state_spectrum=None, output_spectrum=None)
     alone = not has_frequency_constraint(problem)
-    # A classical plan that is only to be filtered needs no global bound.
+    # A classical plan is only filtered, and needs no global bound.
     method = "nonsmooth" if "nonsmooth" in family_of(free).shorthands and not alone else "auto"
     if time_limit is None and "branch_and_bound" in family_of(problem).shorthands:
         time_limit = SEARCH_SECONDS
@@ -175,7 +183,7 @@ def compare_methods(
     def solve_within(
         variant: OptimalControlProblem, share: float = 1.0, start: object = None, **options: object
     ) -> Outcome:
-        """Solve in a share of the time that is left for all solves together."""
+        """Solve within a share of the time left for all solves."""
         limit = time_limit
         if limit is not None and limit > 0:  # else it is refused
             limit = max(share * (limit - (now() - begun)), LEAST_SECONDS)
@@ -185,7 +193,7 @@ def compare_methods(
     failure: LimitError | None = None
     try:
         classical = solve_within(free, 1.0 if alone else 0.5, start, method=method)
-    except LimitError as error:  # a point that is not proven can be filtered, too
+    except LimitError as error:  # an unproven point can be filtered, too
         classical, failure = error.result, error
     constrained = classical if alone else solve_within(problem, 1.0, start, throw=False)
     if classical.trajectory is None and constrained.trajectory is not None:
@@ -197,7 +205,7 @@ def compare_methods(
         raise SolveError("The classical problem was solved without a trajectory.", classical)
     entries = list[Filtered]()
     for name in names:
-        control = filtered(name, problem, plan.u)
+        control = apply_filter(name, problem, plan.u)
         replay = replay_control(name.replace("_", " "), problem, control.u, plan)
         entries.append(Filtered(name, control.description, replay))
     moves = shortest_moves(problem, partial(solve_within, throw=False), shapers) if shapers else None

@@ -40,7 +40,7 @@ class Design:
     per_radian: float
 
 
-def filtered(name: str, problem: OptimalControlProblem, u: Array) -> FilteredControl:
+def apply_filter(name: str, problem: OptimalControlProblem, u: Array) -> FilteredControl:
     """Apply the named filter to a control u, shape (T, m)."""
     step = problem.sampling_time
     hertz = ("rad/sample", 1.0) if step is None else ("Hz", 1 / (2 * np.pi * step))
@@ -77,9 +77,9 @@ def can_be_filtered(problem: OptimalControlProblem) -> bool:
 
 
 def filter_limits(problem: OptimalControlProblem) -> str:
-    """Say which frequency constraints filters of the controls do not act on; nothing where they act on all."""
+    """Return the frequency constraints that filters of the controls cannot keep, in words; empty if there are none."""
     banded = {what: any(band.any() for _, band in bands) for what, bands in _other_bands(problem).items()}
-    others = " and ".join(what for what, found in banded.items() if found)
+    others = " and ".join(what for what, has_band in banded.items() if has_band)
     limits = list[str]()
     if others and problem.control_band.any():
         limits.append(f"bands on {others} are not filtered")
@@ -90,7 +90,7 @@ def filter_limits(problem: OptimalControlProblem) -> str:
         )
     without_bins = [term for term in problem.terms if term.kind.is_spectrum and not len(term.map.nearest_bins)]
     if any(term.semi_infinite is None for term in without_bins):
-        limits.append("linear equations over all times are nothing that a filter acts on")
+        limits.append("filters do not act on linear equations over all times")
     limits += [f"{term.name} is not about bins" for term in without_bins if term.semi_infinite is not None]
     return "; ".join(limits)
 
@@ -113,7 +113,7 @@ def brick_wall(u: Array, design: Design) -> FilteredControl:
     return FilteredControl(np.fft.irfft(spectrum, n=len(u), axis=0), "stopped or bounded bins set to zero")
 
 
-def clipped(u: Array, design: Design) -> FilteredControl:
+def clip_to_bounds(u: Array, design: Design) -> FilteredControl:
     """Set the stopped bins to zero, then cut the result off at the control bounds."""
     return FilteredControl(
         design.tube.project(brick_wall(u, design).u), "stopped or bounded bins set to zero, then cut at the bounds"
@@ -145,7 +145,7 @@ def butterworth(u: Array, design: Design, zero_phase: bool = False) -> FilteredC
                 result[:, j] = 0.0
                 descriptions.append("everything removed")
                 continue
-            kind, passed, stopped = _edges(first, last, len(u))
+            kind, passed, stopped = _design_edges(first, last, len(u))
             order, natural = signal.buttord(passed, stopped, PASS_LOSS, STOP_LOSS)
             sections = signal.butter(min(int(order), MAX_ORDER), natural, kind, output="sos")
             result[:, j] = signal.sosfilt(sections, result[:, j])
@@ -157,7 +157,7 @@ def butterworth(u: Array, design: Design, zero_phase: bool = False) -> FilteredC
     return FilteredControl(result, f"Butterworth, {causality}: {_join_names(descriptions)}")
 
 
-def _edges(first: int, last: int, length: int) -> tuple[Kind, float | list[float], float | list[float]]:
+def _design_edges(first: int, last: int, length: int) -> tuple[Kind, float | list[float], float | list[float]]:
     """Return type, pass edges and stop edges (Nyquist = 1) of a filter for a run of stopped bins."""
     nyquist = length / 2
     below, above = max(first - 1, 0.25), min(last + 1, nyquist - 0.25)
@@ -178,5 +178,5 @@ FILTERS: dict[str, Callable[[Array, Design], FilteredControl]] = {
     "butterworth": butterworth,
     "zero_phase": partial(butterworth, zero_phase=True),
     "moving_average": moving_average,
-    "clipped": clipped,
+    "clipped": clip_to_bounds,
 }

@@ -1,22 +1,25 @@
 """The shortest moves that leave no more than a residual vibration: of input shapers, and of the problem itself.
 
-A shaper makes a move longer by its last impulse, and calmer. For each, the least profile is looked for, of those that
-are optimal without the bound on the vibration, whose shaped control keeps all of the problem's constraints; the
-vibration over the box is bounded with proof, for all moves alike.
+A shaper makes a move calmer, and longer by its last impulse. For each shaper the search takes profiles that are optimal
+without the bound on the vibration, from the shortest one on, until the shaped control keeps all constraints of the
+problem. The vibration over each box of modes is bounded with proof, for all moves alike.
 
-With the half period of damped vibration, pi / (w sqrt(1 - zeta^2)), and K = exp(-zeta pi / sqrt(1 - zeta^2)), which is
-what a vibration keeps over it, impulses half a period apart have the amplitudes, but for the factor that makes their
-sum one,
+The impulses of a shaper for several modes are those for each mode, convolved. If states remember controls, as a rate
+limit adds them, the profiles start after a control of zero and end with one: then the shaped control, an average of
+shifted profiles, changes no faster than these.
+
+Impulses are half a period of damped vibration apart, pi / (w sqrt(1 - zeta^2)), over which a vibration decays by the
+factor K = exp(-zeta pi / sqrt(1 - zeta^2)). Their amplitudes, divided by their sum, are
 
     ZV   1, K                zero vibration at (w, zeta);
     ZVD  1, 2 K, K^2         and its derivative by w is zero: ZV convolved with itself;
     EI   (1 + V)/4, (1 - V)/2 K, (1 + V)/4 K^2    V of the vibration there, and zero on both sides of w.
 
-The formula of EI is exact without damping, and the usual first approximation with it. Impulses stand on the samples
-nearest to their times.
+The formula of EI is exact without damping, and the usual first approximation with it. Each impulse is at the sample
+nearest to its time.
 
 References: Singer and Seering, Journal of Dynamic Systems, Measurement, and Control 112, 1990 (ZV, ZVD). Singhose,
-Command Generation for Flexible Systems, PhD thesis, MIT 1997 (EI).
+Command Generation for Flexible Systems, PhD thesis, MIT 1997 (EI, and shapers for several modes by convolution).
 """
 
 from __future__ import annotations
@@ -28,14 +31,16 @@ from functools import cache
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import number
 from lin_freq_ocp.batch.minimum_time import Search, obstacles, problem_at_horizon, search_horizons
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replay_control
+from lin_freq_ocp.problem.limits import replace_bounds
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import semi_infinite_terms
+from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
@@ -43,31 +48,31 @@ from lin_freq_ocp.solving.outcome import Outcome
 INSENSITIVITY = 0.05  # V of EI: the customary 5 %
 
 FREQUENCIES, DAMPINGS = 401, 9  # at which the vibration is shown, and over which its largest value is taken
-BESIDE = 1.5  # widths of the box that are shown on each of its sides
-LEAST_BESIDE = 0.25  # of its highest frequency, if it is narrow
+WIDTHS_OUTSIDE = 1.5  # widths of the box that are shown on each of its sides
+LEAST_OUTSIDE = 0.25  # of its highest frequency, if it is narrow
 HIGHEST_LIMIT = 3.0  # limits that fit into the picture
 
 OURS, UNSHAPED = "optimal", "unshaped"
 LONGEST_PROFILE = 4  # times the shortest profile: longer profiles are not tried
-TRIED = 100  # profiles at most: of long moves, not every length is tried
+TRIED = 100  # most profiles: of long moves, not every length is tried
 
 Solve = Callable[[OptimalControlProblem], Outcome]
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """A move of some samples: its name, how it is made, and its largest vibration over the box."""
+    """A move: its name, its description, its length, and its largest vibration over each box of modes."""
 
     name: str
     description: str
-    measured: MeasuredTrajectory | None  # None: there is none of at most so many samples
+    measured: MeasuredTrajectory | None  # None: no move of at most ``samples`` samples was found
     samples: int
     sampling_time: float  # seconds
-    peaks: tuple[Peak, ...] = ()  # of each control with a bound
+    peaks: tuple[Peak, ...] = ()  # for each box of modes
 
     @property
     def seconds(self) -> float:
-        """Return its duration, or the longest that was tried."""
+        """Return its duration; without a move, the longest duration tried."""
         return self.samples * self.sampling_time
 
     def __str__(self) -> str:
@@ -84,46 +89,68 @@ class Move:
     @property
     def keeps_everything(self) -> bool:
         """Whether it keeps all constraints of the problem, the bound on the vibration with proof."""
-        found = self.measured
-        if found is None or not found.meaningful or self.ratio is None or self.ratio > 1 + PEAK_TOLERANCE:
+        measured = self.measured
+        if measured is None or not measured.meaningful or self.ratio is None or self.ratio > 1 + PEAK_TOLERANCE:
             return False
-        parts = (found.controls, found.states, found.end, found.terms)
+        parts = (measured.controls, measured.states, measured.end, measured.terms)
         return all(bool(part.passed.all()) for part in parts if part is not None)
 
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """The shortest moves: without a bound on the vibration, by shapers, and with the bound in the problem."""
+    """The shortest moves without a bound on the vibration, by shapers, and with the bound in the problem."""
 
     problem: OptimalControlProblem
     unshaped: Move
     shaped: tuple[Move, ...]
     ours: Move
-    proof: bool  # that one sample less than ours is infeasible
+    proof: bool  # whether one sample less than ours is proven infeasible
 
     @property
     def all(self) -> tuple[Move, ...]:
-        """Return all moves, that of the problem last."""
+        """Return all moves; the last is the optimal one."""
         return (self.unshaped, *self.shaped, self.ours)
 
 
 def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence[str]) -> Moves:
-    """Return the shortest moves of a problem for which ``why_not_shaped`` says nothing."""
+    """Return the shortest moves of a problem for which ``why_not_shaped`` returns nothing."""
+    monotone = not obstacles(lambda _: problem, 1, problem.horizon, same_data=True)
     free = replace(problem, control_spectrum=None)
-    before, ours = _search_least_horizon(free, solve), _search_least_horizon(problem, solve)
-    plan = cache(lambda T: solve(problem_at_horizon(free, T)).trajectory)
-    shortest = before.horizon or problem.horizon
+    profiles = remember_zero(free)
+
+    def search(variant: OptimalControlProblem, low: int, bisect: bool) -> Search:
+        return search_horizons(low, problem.horizon, bisect, lambda T: solve(problem_at_horizon(variant, T)))
+
+    unshaped = search(free, 1, monotone)
+    least = unshaped.horizon or problem.horizon  # of all searches: the other problems have more constraints
+    ours = search(problem, least, monotone)
+    shortest = least if profiles is free else search(profiles, least, True).horizon or problem.horizon
+    plan = cache(lambda T: solve(problem_at_horizon(profiles, T)).trajectory)
+    infeasible = {0, *unshaped.proven, *ours.proven}
     return Moves(
         problem,
-        _move_of_search(UNSHAPED, "without the bound on the vibration", before, problem),
+        _move_of_search(UNSHAPED, "without the bound on the vibration", unshaped, problem),
         tuple(_shaped_move(name, problem, plan, shortest) for name in names),
         _move_of_search(OURS, "with the bound in the problem", ours, problem),
-        ours.horizon is not None and (ours.horizon == 1 or ours.horizon - 1 in ours.proven),
+        ours.horizon is not None and ours.horizon - 1 in infeasible,
     )
 
 
-def _search_least_horizon(problem: OptimalControlProblem, solve: Solve) -> Search:
-    return search_horizons(1, problem.horizon, True, lambda T: solve(problem_at_horizon(problem, T)))
+def remember_zero(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem with zeros at both ends for states that remember controls, if zero is admissible there.
+
+    Such a state has x_{t+1} = B u_t, without x_t, as a rate limit adds them. Other problems are returned themselves.
+    """
+    linear = problem.linear
+    memory = ~(linear.A.reshape(-1, *linear.A.shape[-2:]).any(axis=(0, 2)) | np.atleast_2d(linear.offset).any(axis=0))
+    if not memory.any():
+        return problem
+    ends = dict[str, SetOrSets]()
+    for name, box in (("initial_state", problem.initial_box), ("terminal_state", problem.terminal_box)):
+        zero = memory & (box.lower <= 0) & (box.upper >= 0)
+        fixed = Box(np.where(zero, 0.0, box.lower), np.where(zero, 0.0, box.upper))
+        ends[name] = replace_bounds(getattr(problem, name), fixed)
+    return replace(problem, **ends)
 
 
 def _move_of_search(name: str, description: str, search: Search, problem: OptimalControlProblem) -> Move:
@@ -145,8 +172,9 @@ def _measured_move(name: str, description: str, measured: MeasuredTrajectory) ->
 def _shaped_move(
     name: str, problem: OptimalControlProblem, plan: Callable[[int], Trajectory | None], shortest: int
 ) -> Move:
-    box = boxes_of(problem)[0]
-    longer, description = len(impulses(name, box)) - 1, impulse_text(name, box)
+    boxes = boxes_of(problem)
+    weights = impulses(name, boxes)
+    longer, description = len(weights) - 1, impulse_text(weights)
     step = -(-(LONGEST_PROFILE - 1) * shortest // TRIED)
     description += "" if step == 1 else f"; profiles tried are {step} samples apart"
     for T in range(shortest, LONGEST_PROFILE * shortest, step):
@@ -154,35 +182,41 @@ def _shaped_move(
         if profile is None:
             continue
         at = problem_at_horizon(problem, T + longer)
-        held = np.concatenate([profile.x, np.repeat(profile.x[-1:], longer, axis=0)])
-        u = shaped(name, box, profile.u)
-        move = _measured_move(name, description, replay_control(name, at, u, Trajectory(held, u)))
+        planned = np.concatenate([profile.x, np.repeat(profile.x[-1:], longer, axis=0)])
+        u = shape_controls(weights, profile.u)
+        move = _measured_move(name, description, replay_control(name, at, u, Trajectory(planned, u)))
         if move.keeps_everything:
             return move
-    return Move(name, description, None, LONGEST_PROFILE * shortest + longer - 1, box.sampling_time)
+    return Move(name, description, None, LONGEST_PROFILE * shortest + longer - 1, boxes[0].sampling_time)
 
 
 def why_not_shaped(problem: OptimalControlProblem) -> str:
-    """Say why input shapers are no competitors of a problem with a bound on residual vibrations; else nothing."""
-    boxes = boxes_of(problem)
-    if not boxes:
+    """Return in words why input shapers do not apply to a problem; empty if they do."""
+    if not boxes_of(problem):
         return "no control has a bound on its residual vibration"
-    if any((box.low != boxes[0].low).any() or (box.high != boxes[0].high).any() for box in boxes):
-        return "the controls have boxes of modes that differ"
     try:
         problem_at_horizon(problem, problem.horizon + 1)
     except ProblemError as error:
         return f"{error.field}: it depends on time"
-    return "; ".join(obstacles(lambda _: problem, 1, problem.horizon, same_data=True))
+    try:
+        profiles = remember_zero(problem)
+    except UnsupportedError:
+        return "the dynamics are not linear"
+    return "; ".join(obstacles(lambda _: profiles, 1, problem.horizon, same_data=True))
+
+
+def shaper_obstacle(problem: OptimalControlProblem) -> str:
+    """Return in words why no input shaper applies to a problem that limits residual vibrations; empty for others."""
+    return why_not_shaped(problem) if semi_infinite_terms(problem, VibrationLimit) else ""
 
 
 def boxes_of(problem: OptimalControlProblem) -> tuple[VibrationLimit, ...]:
-    """Return the boxes of modes that controls must not leave ringing."""
+    """Return the boxes of modes whose residual vibration is limited, of all controls."""
     terms = semi_infinite_terms(problem, VibrationLimit)
     return tuple(box for term, box in terms if term.kind.of == "controls")
 
 
-# The amplitudes of each shaper over K^0, K^1, ..., not scaled.
+# The amplitudes of each shaper, divided by K^0, K^1, ..., up to a common factor.
 SHAPERS: dict[str, Sequence[float]] = {
     "ZV": (1.0, 1.0),
     "ZVD": (1.0, 2.0, 1.0),
@@ -190,41 +224,43 @@ SHAPERS: dict[str, Sequence[float]] = {
 }
 
 
-def impulses(name: str, box: VibrationLimit) -> Array:
-    """Return the impulses of a shaper for the middle of a box of modes, on the samples; their sum is one."""
-    frequency, damping = (box.low + box.high) / 2
-    root = float(np.sqrt(1 - damping**2))
-    K, factors = float(np.exp(-np.pi * damping / root)), np.array(SHAPERS[name])
-    amplitudes = factors * K ** np.arange(len(factors))
-    half_period = 1 / (2 * frequency * root * box.sampling_time)
-    at = np.rint(half_period * np.arange(len(amplitudes))).astype(int)
-    found = np.zeros(at[-1] + 1)
-    np.add.at(found, at, amplitudes / amplitudes.sum())
-    return found
+def impulses(name: str, boxes: Sequence[VibrationLimit]) -> Array:
+    """Return the impulses of a shaper on the samples, (length,), whose sum is one.
+
+    They are those for the centre of each box, convolved; equal boxes, as of several controls, count once.
+    """
+    weights, factors = np.ones(1), np.array(SHAPERS[name])
+    for frequency, damping in dict.fromkeys(tuple((box.low + box.high) / 2) for box in boxes):
+        root = float(np.sqrt(1 - damping**2))
+        K = float(np.exp(-np.pi * damping / root))
+        amplitudes = factors * K ** np.arange(len(factors))
+        half_period = 1 / (2 * frequency * root * boxes[0].sampling_time)
+        at = np.rint(half_period * np.arange(len(amplitudes))).astype(int)
+        of_mode = np.zeros(at[-1] + 1)
+        np.add.at(of_mode, at, amplitudes / amplitudes.sum())
+        weights = np.convolve(weights, of_mode)
+    return weights
 
 
-def shaped(name: str, box: VibrationLimit, u: Array) -> Array:
-    """Return controls (T, m), each convolved with the impulses of a shaper, and longer by their length less one."""
-    given = impulses(name, box)
-    return np.stack([np.convolve(column, given) for column in u.T], axis=1)
+def shape_controls(weights: Array, u: Array) -> Array:
+    """Return controls (T, m), each convolved with impulses (length,): (T + length - 1, m)."""
+    return np.stack([np.convolve(column, weights) for column in u.T], axis=1)
 
 
-def impulse_text(name: str, box: VibrationLimit) -> str:
-    """Return the impulses of a shaper in words."""
-    given = impulses(name, box)
-    at = np.flatnonzero(given)
-    return ", ".join(f"{given[t]:.4g} at t = {t}" for t in at)
+def impulse_text(weights: Array) -> str:
+    """Return impulses in words."""
+    return ", ".join(f"{weights[t]:.4g} at t = {t}" for t in np.flatnonzero(weights))
 
 
 def frequencies_around(box: VibrationLimit) -> Array:
     """Return the natural frequencies at which vibrations are shown, in Hz."""
     low, high = float(box.low[0]), float(box.high[0])
-    beside = max(BESIDE * (high - low), LEAST_BESIDE * high)
-    return np.linspace(max(low - beside, 0.05 * low), high + beside, FREQUENCIES)
+    outside = max(WIDTHS_OUTSIDE * (high - low), LEAST_OUTSIDE * high)
+    return np.linspace(max(low - outside, 0.05 * low), high + outside, FREQUENCIES)
 
 
 def vibration(box: VibrationLimit, trajectory: Trajectory, frequencies: Array) -> Array:
-    """Return what a trajectory leaves at natural frequencies, the largest over the box's damping ratios."""
+    """Return the residual vibration at natural frequencies, (k,), the largest over the box's damping ratios."""
     dampings = np.linspace(box.low[1], box.high[1], DAMPINGS)
     modes = np.stack(np.meshgrid(frequencies, dampings, indexing="ij"), axis=-1).reshape(-1, 2)
     signal = box.map.signal(trajectory.x, trajectory.u)

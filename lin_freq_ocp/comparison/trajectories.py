@@ -82,16 +82,16 @@ class ProblemSignal:
 
     @property
     def references(self) -> list[Line]:
-        """Return the references that a cost weighs its deviation from; none where all are zero."""
+        """Return the references in the cost that are not all zero, at the times at which they have a weight."""
         length = self.problem.horizon + self.is_state
-        found = list[Line]()
+        lines = list[Line]()
         for reference, weighed in self._weighed_references():
             if reference.any() and weighed.any():
                 values = (reference if reference.ndim == 0 else reference[..., self.index]) * np.ones(length)
                 values = np.where(weighed, values, np.nan)
-                if not any(np.array_equal(values, other.values, equal_nan=True) for other in found):
-                    found.append(Line(np.arange(length, dtype=np.float64), values))
-        return found
+                if not any(np.array_equal(values, line.values, equal_nan=True) for line in lines):
+                    lines.append(Line(np.arange(length, dtype=np.float64), values))
+        return lines
 
     def _weighed_references(self) -> Iterator[tuple[Array, Mask]]:
         """Yield references, (), (components,) or one per time, and at which times the deviation has a weight."""
@@ -102,15 +102,15 @@ class ProblemSignal:
         reference = cost.x_ref if self.is_state else cost.u_ref
         yield reference, np.append(np.broadcast_to(weights > 0, problem.horizon), end).astype(bool)
         for norm in problem.cost.norms:
-            found = norm.references(self.index, self.is_state, problem.horizon)
-            if found is not None:
-                yield found
+            weighed_reference = norm.references(self.index, self.is_state, problem.horizon)
+            if weighed_reference is not None:
+                yield weighed_reference
 
     @property
     def row_bounds(self) -> list[Line]:
         """Return the limits of rows on this signal alone: of polyhedra, soft boxes, stage rows; not costs of levels."""
-        levels = any(len(one.levels_of(self.problem.control_dim)) for one in entries_of(self.problem.control_set))
-        left_out = "controls" if levels else None
+        controls = entries_of(self.problem.control_set)
+        left_out = "controls" if any(len(part.levels_of(self.problem.control_dim)) for part in controls) else None
         n, column = self.problem.state_dim, self.index if self.is_state else self.problem.state_dim + self.index
         terms = [term for term in self.problem.terms if term.penalty.polyhedral and not term.kind.is_cost]
         terms = [term for term in terms if term.kind.of != left_out]
@@ -119,17 +119,28 @@ class ProblemSignal:
     @property
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum."""
-        return _mask_levels(self.problem, self.kind, *self._rows)
+        lines = list[Line]()
+        for term in self.problem.terms:
+            if term.kind.of != self.kind or not len(term.map.frequencies) or not term.map.spectrum_of(*self._rows):
+                continue
+            match term.semi_infinite:
+                case MagnitudeMask(limits=mask):
+                    pieces = zip(mask.low, mask.high, mask.at_low, mask.at_high, strict=True)
+                    lines += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
+                case _:
+                    levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
+                    lines.append(Line(term.map.frequencies, levels, not term.hard))
+        return lines
 
     @property
     def limited_beyond_bins(self) -> bool:
-        """Whether it has a limit that is not about bins: on its held spectrum, or on what it leaves ringing."""
-        terms = [one for one in self.problem.terms if one.kind.of == self.kind and one.semi_infinite is not None]
-        return any(not len(one.map.nearest_bins) and one.map.component == self.index for one in terms)
+        """Whether it has a limit at other frequencies than bins: on its held spectrum, or on a residual vibration."""
+        terms = [term for term in self.problem.terms if term.kind.of == self.kind and term.semi_infinite is not None]
+        return any(not len(term.map.nearest_bins) and term.map.component == self.index for term in terms)
 
     @property
     def kind(self) -> str:
-        """Return what it is: of "states", "controls" or "outputs"."""
+        """Return its kind: "states", "controls" or "outputs"."""
         return "states" if self.is_state else "controls"
 
     def touching(self, trajectory: Trajectory) -> Line:
@@ -168,22 +179,6 @@ def _row_limits(term: Term, n: int, m: int, column: int) -> Iterator[Line]:
             yield Line(term.map.positions.astype(np.float64), values, not term.hard)
 
 
-def _mask_levels(problem: OptimalControlProblem, kind: str, C: Array | None, D: Array | None) -> list[Line]:
-    """Return the limits on the magnitude of the spectrum of C x + D u, of the terms of a kind with these C and D."""
-    found = list[Line]()
-    for term in problem.terms:
-        if term.kind.of != kind or not len(term.map.frequencies) or not term.map.spectrum_of(C, D):
-            continue
-        match term.semi_infinite:
-            case MagnitudeMask(limits=given):
-                pieces = zip(given.low, given.high, given.at_low, given.at_high, strict=True)
-                found += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
-            case _:
-                levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
-                found.append(Line(term.map.frequencies, levels, not term.hard))
-    return found
-
-
 @dataclass(frozen=True, eq=False)
 class Output(ProblemSignal):
     """Output ``index`` of y = C x + D u, whose spectrum is constrained; it has no bounds over time."""
@@ -211,12 +206,12 @@ class Output(ProblemSignal):
 
     @property
     def references(self) -> list[Line]:
-        """Return nothing."""
+        """Return no line: an output has no reference."""
         return []
 
     @property
     def row_bounds(self) -> list[Line]:
-        """Return nothing."""
+        """Return no line: an output has no bounds over time."""
         return []
 
     @property
@@ -250,8 +245,8 @@ def states_of(problem: OptimalControlProblem) -> list[ProblemSignal]:
 def outputs_of(problem: OptimalControlProblem) -> list[ProblemSignal]:
     """Return the outputs whose spectrum is constrained."""
     families = entries_of(problem.output_spectrum)
-    found = [Output(problem, i, True, family) for family in families for i in range(len(family.output_names))]
-    return [output for output in found if output.stop.any()]
+    outputs = [Output(problem, i, True, family) for family in families for i in range(len(family.output_names))]
+    return [output for output in outputs if output.stop.any()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +254,7 @@ class Violation:
     """By how much a signal violates its bounds, per component; arrays (components,)."""
 
     values: Array  # largest violation over time
-    allowed: Array  # what the certificate accepts
+    allowed: Array  # violation that the certificate accepts
     bounded: Mask  # which components have a bound
 
     @property
@@ -270,14 +265,14 @@ class Violation:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTrajectory:
-    """A solution, or the replay of a filtered control, with what is measured of it."""
+    """A solution, or the simulated trajectory of a filtered control, with its measures."""
 
     label: str  # "classical", the name of a filter, or "constrained"
     problem: OptimalControlProblem
-    trajectory: Trajectory  # without a meaningful replay: the planned states with the filtered control
+    trajectory: Trajectory  # without a meaningful simulation: the planned states with the filtered control
     planned: Trajectory | None = None  # of a filtered control: the trajectory before filtering
-    meaningful: bool = True  # false where a replay would only show amplified rounding errors, or ended early
-    stopped: str = ""  # why the replay ended early, where the dynamics have modes and none holds any more
+    meaningful: bool = True  # false if a simulation would only show amplified rounding errors, or ended early
+    stopped: str = ""  # why the simulation ended early: the state left the regions of all modes
     sequence: Indices | None = None  # the mode sequence that was solved for, (T,)
 
     @cached_property
@@ -313,9 +308,9 @@ class MeasuredTrajectory:
         """Return the violation of each hard term (rows, sets, masks), at its worst entry."""
         if not self.meaningful:
             return None
-        found = [_term_violation(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
-        values, allowed = np.array(found).reshape(-1, 2).T
-        return Violation(values, allowed, np.ones(len(found), dtype=bool))
+        pairs = [_term_violation(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
+        values, allowed = np.array(pairs).reshape(-1, 2).T
+        return Violation(values, allowed, np.ones(len(pairs), dtype=bool))
 
     @property
     def between_levels(self) -> bool:
@@ -323,8 +318,8 @@ class MeasuredTrajectory:
         sets = entries_of(self.problem.control_set) if self.problem.dynamics.mode_names else ()
         return any(
             bool((np.abs(u[:, None] - levels).min(axis=1) > CONDITION_TOLERANCE * np.abs(levels).max()).any())
-            for one in sets
-            for u, levels in zip(self.trajectory.u.T, one.levels_of(self.problem.control_dim), strict=False)
+            for controls in sets
+            for u, levels in zip(self.trajectory.u.T, controls.levels_of(self.problem.control_dim), strict=False)
         )
 
     @property
@@ -383,7 +378,7 @@ def _box_violation(signal: Array, box: Box, least: Array) -> Violation:
 
 
 def _term_violation(term: Term, trajectory: Trajectory, least_x: Array, least_u: Array) -> tuple[float, float]:
-    """Return the violation of the entry that is worst relative to its scale, and what the certificate accepts."""
+    """Return the violation of the entry that is worst relative to its scale, and the violation that is accepted."""
     x, u = trajectory.x, trajectory.u
     if term.semi_infinite is not None:
         w, ratios = peaks_above(term.semi_infinite, x, u, 1.0)
@@ -399,7 +394,7 @@ def _term_violation(term: Term, trajectory: Trajectory, least_x: Array, least_u:
 
 
 def replay_control(label: str, problem: OptimalControlProblem, u: Array, planned: Trajectory) -> MeasuredTrajectory:
-    """Replay u, shape (T, m), from the first state of the planned trajectory, where that means anything."""
+    """Simulate u, (T, m), from the first planned state, unless that only shows amplified rounding errors."""
     stopped = ""
     growth = measures.growth_along(problem, planned)
     follows = problem.dynamics.response(problem.horizon) is not None  # x_0, too, from the controls

@@ -1,4 +1,4 @@
-"""An irreducible infeasible family of constraints, and for each member the least relaxation that restores feasibility.
+"""An irreducible infeasible subset of the constraints, and for each member the smallest relaxation that cures it.
 
 The family is found by deletion: each block is dropped in turn, for good if the others are still infeasible. For bounds,
 joint rows and ends the least relaxation is the optimum of a convex problem of the usual kind: a state delta, constant
@@ -40,14 +40,14 @@ from lin_freq_ocp.solving.solve import solve_judged
 
 Feasible = Callable[[OptimalControlProblem], bool | None]  # whether a problem has a solution; None if undecided
 
-# The first margin by which more than the least amount cures is taken, so that rounding does not decide.
+# Relative margins on the least amount, tried in turn until rounding no longer decides.
 MARGINS = (1e-6, 1e-4, 1e-2)
 FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4  # relative to a limit: first rise tried, its growth, final precision
-SMALLEST_CURE = 1e-9  # fraction of a cure below which no smaller one is looked for
+SMALLEST_CURE = 1e-9  # fraction of a cure below which the search for a smaller one ends
 CLOSE = 1.05  # factor to which a cure by bounds or rows is the least
 # Cost of controls of their stated sizes, relative to that of a delta as large: keeps the problem well-posed.
 CONTROL_PRICE = 1e-6
-LARGEST = 1e6  # an amount beyond this multiple of the sizes in the data is no cure
+LARGEST = 1e6  # an amount above this multiple of the sizes in the data is no cure
 
 # Whether a problem has a solution, by the statuses that decide it.
 DECIDED = {Status.OPTIMAL: True, Status.LOCALLY_OPTIMAL: True, Status.INFEASIBLE: False}
@@ -63,9 +63,9 @@ def explain(
     ----------
     problem : OptimalControlProblem
     time_limit : float, optional
-        Seconds after which nothing more is tried, nor after Ctrl-C; what was found until then is returned.
+        Seconds after which the search ends, as it does at Ctrl-C; the findings so far are returned.
     processor_time : float, optional
-        The same in processor seconds of this process: what else runs on the machine takes nothing away.
+        The same in processor seconds of this process, which do not depend on other work of the machine.
 
     Returns
     -------
@@ -97,24 +97,24 @@ def explain(
     ]
     with one_blas_thread():  # several would use up the processor time while they wait for each other
         search = _VariantSolver(problem, ends)
-        result = search.solved(problem)
+        result = search.solve_variant(problem)
         if result.status != Status.INFEASIBLE:
             raise UnsupportedError(f"explain: this problem was not proven infeasible, it ended as '{result.status}'.")
-        family = search.family(result)
+        family = search.irreducible_family(result)
         cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
     return Explanation(tuple(block.name for block in family), search.sure, cures)
 
 
 class _VariantSolver:
-    """Solves variants of one problem; ``sure`` until one stays undecided or the time is over."""
+    """Solves variants of one problem; ``sure`` turns false when one stays undecided or the time is over."""
 
     def __init__(self, problem: OptimalControlProblem, ends: list[tuple[Callable[[], float], float]]):
         cost = QuadraticCost(R=np.diag(1 / stated_sizes(problem)[1] ** 2))
         self.problem, self.ends, self.sure, self.interrupted = replace(problem, cost=cost), ends, True, False
         self.blocks = constraints(problem)
 
-    def solved(self, problem: OptimalControlProblem) -> Outcome:
-        """Return how a variant ends, with a simple cost or none: only feasibility matters."""
+    def solve_variant(self, problem: OptimalControlProblem) -> Outcome:
+        """Solve a variant with a simple cost, or with none: only feasibility matters."""
         result = solve_judged(replace(problem, cost=self.problem.quadratic), time_limit=self._seconds_left())
         self.interrupted |= result.interrupted
         if result.interrupted or result.status in DECIDED or "convex" not in family_of(problem).shorthands:
@@ -129,48 +129,48 @@ class _VariantSolver:
         return self.interrupted or any(clock() > end for clock, end in self.ends)
 
     def feasible(self, problem: OptimalControlProblem) -> bool | None:
-        """Whether a variant has a solution; None where that is not known, as where the time is over."""
+        """Whether a variant is feasible; None if it stays undecided or the time is over."""
         if self._time_is_over():
             return None
-        return DECIDED.get(self.solved(problem).status)
+        return DECIDED.get(self.solve_variant(problem).status)
 
-    def family(self, result: Outcome) -> list[Limit]:
+    def irreducible_family(self, result: Outcome) -> list[Limit]:
         """Return an irreducible family: each block is dropped in turn, for good if the others are still infeasible."""
-        named = {one.block: one.share for one in result.conflict or ()}
-        some = [block for block in self.blocks if block.name in named]
-        family = some if self._infeasible(some) else list(self.blocks)
-        for block in sorted(family, key=lambda block: named.get(block.name, 0.0)):
-            rest = [one for one in family if one is not block]
+        shares = {entry.block: entry.share for entry in result.conflict or ()}
+        of_ray = [block for block in self.blocks if block.name in shares]
+        family = of_ray if self._infeasible(of_ray) else list(self.blocks)
+        for block in sorted(family, key=lambda block: shares.get(block.name, 0.0)):
+            rest = [member for member in family if member is not block]
             if self._infeasible(rest):
                 family = rest
         return family
 
-    def _infeasible(self, kept: list[Limit]) -> bool:
-        """Whether these blocks alone are known to have no solution."""
+    def _infeasible(self, family: list[Limit]) -> bool:
+        """Whether the problem with these blocks alone is known to be infeasible."""
         if self._time_is_over():
             self.sure = False
             return False
-        found = self.feasible(drop_limits(self.problem, [block for block in self.blocks if block not in kept]))
-        self.sure &= found is not None
-        return found is False
+        answer = self.feasible(drop_limits(self.problem, [block for block in self.blocks if block not in family]))
+        self.sure &= answer is not None
+        return answer is False
 
     def cure(self, block: Limit) -> Cure | None:
-        """Return the least change of a block that cures the problem, if it does and there is time."""
+        """Return the smallest relaxation of a block that restores feasibility; None if there is none, or no time."""
         return None if self._time_is_over() else least_cure(self.problem, block, self.feasible, self._seconds_left())
 
 
 def least_cure(
     problem: OptimalControlProblem, limit: Limit, feasible: Feasible, time_limit: float | None = None
 ) -> Cure | None:
-    """Return the least relaxation of a limit that cures the problem, tried on it; None if none of it alone does."""
+    """Return the smallest relaxation of one limit that restores feasibility, tried on the problem; None without one."""
     rows, reached = None, np.zeros(0)
     if problem.dynamics.response(problem.horizon) is None:  # else it takes no state delta
         rows = limit.rows()
     if rows is not None:
-        found = _least_by_delta(problem, limit, rows, feasible, time_limit)
-        if found is None:
+        relaxation = _least_by_delta(problem, limit, rows, feasible, time_limit)
+        if relaxation is None:
             return None
-        amount, reached = found
+        amount, reached = relaxation
     elif limit.end is not None:
         return None
     else:
@@ -184,9 +184,9 @@ def least_cure(
 def _least_by_delta(
     problem: OptimalControlProblem, limit: Limit, rows: StageRows, feasible: Feasible, time_limit: float | None
 ) -> tuple[float, Array] | None:
-    """Return the least amount by which rows must give way, as the optimum of a problem, and the end that is reached."""
+    """Return the least amount by which rows must be relaxed, the optimum of a problem, and the end that it reaches."""
     result = solve_judged(_elastic_problem(problem, limit, rows), "convex", time_limit=time_limit)
-    if result.trajectory is None:  # an inaccurate one is good enough: the amount is tried below
+    if result.trajectory is None:  # an inaccurate trajectory is good enough: the amount is tried below
         return None
     least = max(float(result.trajectory.x[-1, -1]), 0.0)
     if least > LARGEST * max(map(np.max, stated_sizes(problem))):
@@ -245,11 +245,11 @@ def _elastic_problem(problem: OptimalControlProblem, limit: Limit, rows: StageRo
 def hard_part(problem: OptimalControlProblem) -> OptimalControlProblem:
     """Return the problem without its soft constraints: whether there is a solution does not depend on them."""
     sets = {
-        field: map_sets(getattr(problem, field), lambda one: intersection(box_of(one), one.hard_members))
+        field: map_sets(getattr(problem, field), lambda part: intersection(box_of(part), part.hard_members))
         for field in BOXES
     }
-    spectra = {field: map_constraints(getattr(problem, field), lambda one: one.hard_part) for field in SPECTRA}
-    rows = [part for one in problem.stage_rows if (part := one.hard_part) is not None]
+    spectra = {field: map_constraints(getattr(problem, field), lambda part: part.hard_part) for field in SPECTRA}
+    rows = [part for family in problem.stage_rows if (part := family.hard_part) is not None]
     return replace(problem, **sets, **spectra, stage_rows=rows)
 
 

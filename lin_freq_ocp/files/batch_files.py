@@ -62,10 +62,10 @@ Answer = TypeVar("Answer")
 
 
 class Log(Generic[Answer]):
-    """A file of JSON lines that grows, for this process alone: what others append meanwhile would mix with it.
+    """A file of JSON lines that grows, locked for this process: no other process may append to it.
 
-    A file of the same run, whose ``head`` says what makes two runs the same, is continued; any other is a ProblemError.
-    ``answers`` are those of the file when it was opened, by their keys, without those that ended with an error.
+    ``head`` identifies the run. A file of the same run is continued; any other file is a ProblemError. ``answers`` are
+    those of the file when it was opened, by their keys, without those that ended with an error.
     """
 
     kind = ""
@@ -93,16 +93,12 @@ class Log(Generic[Answer]):
             raise
 
     def _resume(self, first: FileTable) -> tuple[dict[str, Answer], FileTable]:
-        """Return the answers of the file, and the line that it gets now, if any: ``first``, in a new file."""
-        raise NotImplementedError
-
-    def _line(self, key: str, answer: Answer) -> Mapping[str, object]:
-        """Return the line of an answer."""
+        """Return the answers of the file, and the line to append now, if any: in a new file ``first``."""
         raise NotImplementedError
 
     def append(self, key: str, answer: Answer) -> None:
         """Write one answer; it is on the disk when this returns."""
-        self._write(self._line(key, answer))
+        raise NotImplementedError
 
     def _write(self, entry: Mapping[str, object]) -> None:
         with writing(self._path):
@@ -111,7 +107,7 @@ class Log(Generic[Answer]):
             os.fsync(self._stream.fileno())
 
     def close(self) -> None:
-        """Give the file free."""
+        """Close the file and release its lock."""
         with writing(self._path):
             self._open.close()
 
@@ -143,8 +139,9 @@ class SweepFile(Log[Row]):
             raise ProblemError(path, got, f"{first['problem']}, with the same data and fixed arguments", ANOTHER_PATH)
         return rows, {} if list(_last_grid(lines).items()) == list(grid.items()) else {"grid": grid}
 
-    def _line(self, key: str, answer: Row) -> Mapping[str, object]:
-        return answer
+    def append(self, key: str, answer: Row) -> None:
+        """Write the row of a point."""
+        self._write(answer)
 
 
 def _sweep_lines(path: Path) -> list[FileTable]:
@@ -181,7 +178,7 @@ def _no_sweep_error(path: Path) -> ProblemError:
 def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
     value = line[key]
     if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
-        raise ProblemError(f"{location}.{key}", brief(value), "what a sweep writes there")
+        raise ProblemError(f"{location}.{key}", brief(value), "a value as a sweep writes it there")
 
 
 def _rows_of(lines: Sequence[FileTable]) -> list[FileValue]:
@@ -257,11 +254,13 @@ class ManyFile(Log[Item]):
             items[line["key"]] = Item(**values)
         return {key: item for key, item in items.items() if item.status != ERROR}, {}
 
-    def _line(self, key: str, answer: Item) -> Mapping[str, object]:
+    def append(self, key: str, answer: Item) -> None:
+        """Write one answer."""
         values = {name: getattr(answer, name) for name in ITEM_KEYS if name != "key"}
         arrays = {name: None if values[name] is None else values[name].tolist() for name in "xu"}
-        return {"key": key} | values | arrays
+        self._write({"key": key} | values | arrays)
 
-    def _another(self, found: object) -> ProblemError:
-        got = brief(found, 30)
-        return ProblemError(str(self._path), got, "a file of solve_many, or a new name", "It is left as it is.")
+    def _another(self, content: object) -> ProblemError:
+        return ProblemError(
+            str(self._path), brief(content, 30), "a file of solve_many, or a new name", "It is left as it is."
+        )

@@ -92,17 +92,22 @@ class TableRecord:
     like : class, optional
         Its arguments are keys, too: ``make`` passes them on.
     own : str
-        Another name that errors of ``make`` give to the object, beside that of ``make``.
+        A second name of the object in errors of ``make``.
     classes : tuple of classes, optional
         Those of the objects; default ``like`` or ``make``.
     values : function, optional
-        Returns what is written, by key; default the attributes named like the arguments, lists of tables last.
+        Returns the entries to write, by key; default the attributes named like the arguments, lists of tables last.
     required : sequence of str, optional
         Arguments that have a default, but without which ``make`` fails.
     renamed : mapping, optional
         Keys that differ from their argument.
     codecs
         How arguments are stored; default ``Value``.
+
+    Attributes
+    ----------
+    constructor : str
+        Name of the public function or class that builds the object.
     """
 
     def __init__(
@@ -110,7 +115,7 @@ class TableRecord:
         make: Callable[..., FileValue],
         own: str = "",
         like: Callable[..., FileValue] | None = None,
-        classes: tuple[object, ...] = (),
+        classes: tuple[Callable[..., FileValue], ...] = (),
         values: Callable[[FileValue], Mapping[str, FileValue]] | None = None,
         required: Sequence[str] = (),
         renamed: Mapping[str, str] | None = None,
@@ -118,6 +123,8 @@ class TableRecord:
     ):
         like = like or make
         self._make, self._own, self._values, self._classes = make, (make.__name__, own), values, classes or (like,)
+        public = make if not make.__name__.startswith("_") else self._classes[0]
+        self.constructor = public.__name__
         own_parameters = _parameters(make)
         first = {name: True for name, needed in own_parameters.items() if needed}  # the schema is read before all else
         parameters = first | _parameters(like) | own_parameters | dict.fromkeys(required, True)
@@ -143,17 +150,30 @@ class TableRecord:
 
     def write(self, location: str, value: FileValue) -> FileTable:
         """Return the table of an object."""
-        if self._values is None:
-            keys = sorted(self._arguments, key=lambda key: isinstance(self._codecs[key], Tables))
-            values = {key: getattr(value, self._arguments[key], None) for key in keys}
-        else:
-            values = self._values(value)
         table = {
             key: self._codecs[key].write(join_location(location, key), entry)
-            for key, entry in values.items()
-            if entry is not None
+            for key, entry in self._entries(value).items()
         }
         return {key: entry for key, entry in table.items() if entry is not None}
+
+    def arguments(self, value: FileValue) -> FileTable:
+        """Return the arguments that build an object: values as the file has them, and the objects of tables."""
+        arguments: FileTable = {}
+        for key, entry in self._entries(value).items():
+            written = self._codecs[key].write(key, entry)
+            first = written[0] if isinstance(written, list) and written else written
+            if written is not None:
+                arguments[self._arguments[key]] = entry if isinstance(first, Mapping) else written
+        return arguments
+
+    def _entries(self, value: FileValue) -> Mapping[str, FileValue]:
+        """Return the entries of an object that are not None, by key, lists of tables last."""
+        if self._values is None:
+            keys = sorted(self._arguments, key=lambda key: isinstance(self._codecs[key], Tables))
+            entries = {key: getattr(value, self._arguments[key], None) for key in keys}
+        else:
+            entries = self._values(value)
+        return {key: entry for key, entry in entries.items() if entry is not None}
 
 
 def _parameters(make: Callable[..., object]) -> dict[str, bool]:

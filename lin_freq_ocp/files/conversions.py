@@ -139,16 +139,16 @@ def from_time_response(response: TimeResponseData, problem: OptimalControlProble
     if problem.sampling_time is not None:
         require_clock("response.time", times, problem.sampling_time)
     sources = [("states", response.x, response.state_labels), ("outputs", response.y, response.output_labels)]
-    found = [
+    states = [
         x for _, signals, labels in sources if (x := _rows_by_name(signals, labels, problem.state_names)) is not None
     ]
     controls = _rows_by_name(response.u, response.input_labels, problem.control_names)
-    if not found:
+    if not states:
         raise _unfit_error("states, outputs", sources, problem.state_names)
     if controls is None:
         raise _unfit_error("inputs", [("inputs", response.u, response.input_labels)], problem.control_names)
     with at_location("response"):
-        return trajectory_from_signals(problem, found[0].T, controls.T[:T])
+        return trajectory_from_signals(problem, states[0].T, controls.T[:T])
 
 
 def _rows_by_name(signals: ArrayLike | None, labels: Sequence[str] | None, names: Sequence[str]) -> Array | None:
@@ -178,7 +178,7 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
     component is fixed, and the same with " lower" and " upper" for bounds (only the finite ones, in the order of
     time, then component); "control spectrum", "state spectrum": orthonormal real rows per component.
 
-    Whatever else must hold carries the name under which its multipliers stand in ``result.multipliers.stage``: joint
+    All other constraints carry the name of their multipliers in ``result.multipliers.stage``: joint
     rows ("stage rows" by default), "control set" and the like beyond boxes (components that such a set also fixes are
     then "control set fixed"), "mask on ...", "energy bound on ...". Rows and equations have the multipliers as their
     dual value, only finite limits, in the order of time or bin, then row. Euclidean norms and cones are ``cvxpy.SOC``,
@@ -249,7 +249,7 @@ def _conic_constraints(
 ) -> tuple[list[cvxpy.Expression], list[cvxpy.Constraint]]:
     """Return the costs and the constraints of all terms, from the same rows as other solvers get.
 
-    The constraints of a hard term stand under its name. Only finite limits appear, group after group; how the duals
+    The constraints of a hard term carry its name. Only finite limits appear, group after group; how the duals
     become the term's multipliers lambda:
 
         v <= limit                lambda = dual
@@ -257,7 +257,7 @@ def _conic_constraints(
         |v| <= radius, SOC        lambda = -dual_value[1], (groups, dim), and |lambda| = dual_value[0]
         v_0 >= |(v_1, ...)|, SOC  lambda_0 = -dual_value[0], (groups,); (lambda_1, ...) = -dual_value[1]
 
-    Groups of radius 0 beside others stand apart, as equations labelled with the term's name and " zero". A soft term
+    Groups of radius 0 are equations of their own, labelled with the term's name and " zero". A soft term
     or nonsmooth cost has a variable, its slacks: the objective has their prices, and their lower bounds are
     labelled with the term's name and " slack".
     """
@@ -280,25 +280,27 @@ def _constraints_of_term(rows: ProgramRows, values: cvxpy.Expression) -> list[tu
     import cvxpy as cp
 
     lower, upper = rows.lower, rows.upper
-    found: list[tuple[str, cvxpy.Constraint]] = []
+    constraints: list[tuple[str, cvxpy.Constraint]] = []
     free = np.ones(len(lower), dtype=bool)
     if len(rows.cones):
         inside = rows.cones[:, :1] + np.arange(rows.cones[0, 1] - rows.cones[0, 0])  # all of one size
         free[inside] = False
         cone = cp.reshape(values[inside.ravel()], inside.shape, order="C") - lower[inside]
-        found.append(("cone", cp.SOC(cone[:, 0], cone[:, 1:], axis=1)))
+        constraints.append(("cone", cp.SOC(cone[:, 0], cone[:, 1:], axis=1)))
     both = free & np.isfinite(lower) & np.isfinite(upper)
     between, equal = np.flatnonzero(both & (lower < upper)), both & (lower == upper)
     if len(between):
         half, middle = (upper - lower)[between] / 2, (upper + lower)[between] / 2
-        found.append(("interval", cp.SOC(half, cp.reshape(values[between] - middle, (len(half), 1), "C"), axis=1)))
+        constraints.append(
+            ("interval", cp.SOC(half, cp.reshape(values[between] - middle, (len(half), 1), "C"), axis=1))
+        )
     if equal.any():
-        found.append(("zero", values[equal] == upper[equal]))
+        constraints.append(("zero", values[equal] == upper[equal]))
     for kind, here, sign, limit in (("upper", np.isfinite(upper), 1, upper), ("lower", np.isfinite(lower), -1, lower)):
         here = free & here & ~both
         if here.any():
-            found.append((kind, sign * values[here] <= sign * limit[here]))
-    return found
+            constraints.append((kind, sign * values[here] <= sign * limit[here]))
+    return constraints
 
 
 def _box_constraints(box: Box, signal: cvxpy.Expression, label: str, taken: set[str | None]) -> list[cvxpy.Constraint]:

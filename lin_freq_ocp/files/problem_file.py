@@ -1,4 +1,4 @@
-"""The problem file: a problem in TOML, with large arrays in an .npz beside it, and the facts that show prints of it.
+"""The problem file: a problem in TOML, with large arrays in an .npz next to it, and the facts that show prints of it.
 
 In place of a large array the TOML file has a reference, ``{npz = "data.npz", key = "A"}``; a measured response may be a
 CSV file, ``{csv = "response.csv"}``. Before a problem is solved, its facts, its signals and the parameters that
@@ -144,7 +144,7 @@ def read_tables(path: Path) -> FileTable:
     """Return the tables of a TOML file; ProblemError if it is no such file."""
     reading.require_file(str(path), path)
     if (size := path.stat().st_size) > MOST_BYTES:
-        advice = 'Put large arrays into an .npz beside it, as {npz = "data.npz", key = "A"}; write_problem does so.'
+        advice = 'Put large arrays into an .npz next to it, as {npz = "data.npz", key = "A"}; write_problem does so.'
         raise ProblemError(str(path), f"{size} bytes", f"a TOML file of at most {MOST_BYTES} bytes", advice)
     text = reading.read_text(path)
     try:
@@ -156,7 +156,7 @@ def read_tables(path: Path) -> FileTable:
 def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> None:
     """Write a problem to a TOML file, from which ``read_problem`` makes the same problem, to the last bit.
 
-    Arrays of more than ``INLINE_LIMIT`` numbers go to an .npz beside it (``cart.problem.npz`` for ``cart.toml``).
+    Arrays of more than ``INLINE_LIMIT`` numbers go to an .npz next to it (``cart.problem.npz`` for ``cart.toml``).
     Files of these names are replaced.
 
     Parameters
@@ -208,25 +208,40 @@ def init_problem_file(path: str | PathLike[str]) -> None:
             raise
 
 
-def problem_files(problem: OptimalControlProblem, name: str) -> dict[str, bytes]:
+def problem_text(problem: OptimalControlProblem) -> str:
+    """Return the text of a problem file with all arrays in it; ProblemError if it were too long to be read again."""
+    text = problem_files(problem, "problem.toml", np.inf)["problem.toml"]
+    if len(text) > MOST_BYTES:
+        advice = "lfo.write_problem puts large arrays into an .npz."
+        raise ProblemError("problem", f"a file of {len(text)} bytes", f"at most {MOST_BYTES}", advice)
+    return text.decode()
+
+
+def problem_files(problem: OptimalControlProblem, name: str, inline_limit: float | None = None) -> dict[str, bytes]:
     """Return the contents of the files of ``write_problem``, by their names, the arrays first."""
+    inline_limit = INLINE_LIMIT if inline_limit is None else inline_limit
     arrays: dict[str, ArrayLike] = {}
-    beside = Path(name).stem + ARRAYS_SUFFIX
-    text = tomli_w.dumps(_store(PROBLEM.write("", problem), beside, arrays))
+    npz_name = Path(name).stem + ARRAYS_SUFFIX
+    text = tomli_w.dumps(_store(PROBLEM.write("", problem), npz_name, arrays, inline_limit))
     # Rows of numbers on one line; strings have no line breaks, but escapes
     text = _ROW.sub(lambda row: f"[{' '.join(row[1].split()).removesuffix(',')}]", text)
-    return ({beside: reading.npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
+    return ({npz_name: reading.npz_bytes(arrays)} if arrays else {}) | {name: text.encode()}
 
 
-def _store(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field: str = "") -> FileValue:
-    """Return the tables with arrays as lists; large arrays go to ``arrays``, and are replaced by references."""
+def _store(
+    value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], inline_limit: float, field: str = ""
+) -> FileValue:
+    """Return the tables with arrays as lists; arrays above the limit go to ``arrays``, and become references."""
     if isinstance(value, Mapping):
-        return {key: _store(entry, npz_name, arrays, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
+        return {
+            key: _store(entry, npz_name, arrays, inline_limit, f"{field}.{key}".lstrip("."))
+            for key, entry in value.items()
+        }
     if isinstance(value, list):
-        return [_store(entry, npz_name, arrays, f"{field}[{i}]") for i, entry in enumerate(value)]
+        return [_store(entry, npz_name, arrays, inline_limit, f"{field}[{i}]") for i, entry in enumerate(value)]
     if not isinstance(value, np.ndarray):
         return value
-    if value.size <= INLINE_LIMIT:
+    if value.size <= inline_limit:
         return value.tolist()
     arrays[field] = value
     return {"npz": npz_name, "key": field}
@@ -234,7 +249,7 @@ def _store(value: FileValue, npz_name: str, arrays: dict[str, ArrayLike], field:
 
 @dataclass(frozen=True)
 class Parameter:
-    """What ``--set`` can change: a keyword of a function, or a key of a file, within tables written with dots."""
+    """A parameter that ``--set`` changes: a keyword of a function, or a key of a file, with dots for tables."""
 
     name: str
     default: FileValue  # without settings; None if there is none

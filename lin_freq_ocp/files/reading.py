@@ -24,7 +24,7 @@ from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 
-FileValue = Any  # what TOML, JSON, .npz and .mat files hold: not known before it is checked
+FileValue = Any  # a value of a TOML, JSON, .npz or .mat file: of unknown type until it is checked
 FileTable = dict[str, FileValue]
 FileArray = NDArray[FileValue]  # of any type of entries
 
@@ -67,11 +67,11 @@ def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> FileVa
     ProblemError if it is no JSON, is nested too deeply for Python, or has numbers that are too large for it.
     """
 
-    def refused(constant: str) -> NoReturn:
+    def refuse(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is not JSON")
 
     try:
-        return json.loads(text, parse_int=_parse_integer, parse_constant=None if infinite else refused)
+        return json.loads(text, parse_int=_parse_integer, parse_constant=None if infinite else refuse)
     except (ValueError, RecursionError) as error:
         raise ProblemError(field, f"{brief(text)} ({error})", "a JSON object") from None
 
@@ -85,12 +85,12 @@ def _parse_integer(digits: str) -> int:
 def require_file(field: str, path: Path) -> None:
     """Raise ProblemError unless there is a regular file; a pipe or a device would never end."""
     try:
-        found = "no such file" if not path.exists() else "a directory" if path.is_dir() else "not a regular file"
+        got = "no such file" if not path.exists() else "a directory" if path.is_dir() else "not a regular file"
         if path.is_file():
             return
     except (OSError, ValueError) as error:
-        found = reason(error)
-    raise ProblemError(field, f"{found} ({path})", "an existing file")
+        got = reason(error)
+    raise ProblemError(field, f"{got} ({path})", "an existing file")
 
 
 @contextmanager
@@ -114,7 +114,7 @@ def opened_npz(field: str, path: Path) -> Generator[NpzFile]:
     except ProblemError:
         raise
     except DAMAGED as error:
-        message = reason(error).partition(". ")[0]  # what follows is advice to trust the file
+        message = reason(error).partition(". ")[0]  # the rest is advice to trust the file
         raise ProblemError(field, f"{path.name}, unreadable ({message})", "an .npz file of plain arrays") from None
 
 
@@ -149,7 +149,7 @@ def require_modest(field: str, entries: int, unpacked: int, packed: int) -> None
         raise ProblemError(field, f"{entries} entries", f"an archive of at most {MOST_ENTRIES}")
     if unpacked > MOST_BYTES or unpacked > max(LARGE, MOST_COMPRESSED * packed):
         got = f"{packed} bytes that unpack to {unpacked} or more"
-        expected = f"at most {MOST_BYTES}, and above {LARGE} at most {MOST_COMPRESSED} times what they are packed"
+        expected = f"at most {MOST_BYTES}, and above {LARGE} at most {MOST_COMPRESSED} times their packed size"
         raise ProblemError(field, got, expected, "If you trust it, save it again without compression.")
 
 
@@ -169,7 +169,7 @@ def require_keys(location: str, table: object, required: Iterable[str] = (), opt
 
 
 def readable(given: object, schema: int) -> bool:
-    """Whether a version of a layout is this, or an earlier version: what was added since is optional."""
+    """Whether a version of a layout is this, or an earlier version: keys added since are optional."""
     return type(given) is int and 1 <= given <= schema
 
 

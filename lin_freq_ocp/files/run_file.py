@@ -89,7 +89,7 @@ def dump_run(
     if result is not None and result.trajectory is not None and summary is not None:
         contents[SOLUTION] = solution_bytes(result.trajectory, result.multipliers, summary)
     contents[RUN] = (json.dumps(run, indent=2, default=float) + "\n").encode()
-    large = sum(map(len, contents.values())) > LARGE  # what is large and full of zeros would be taken for a bomb
+    large = sum(map(len, contents.values())) > LARGE  # many zeros would compress so well that a reader suspects a bomb
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED if large else zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(contents):

@@ -1,8 +1,8 @@
 """Trajectories in files: .npz archives with multipliers and summary, CSV tables, and .mat files.
 
-The suffix of a name says which. CSV tables are written with all digits, and read from any table with the columns of a
-problem; .mat files hold x, u and t, one row per time, as MATLAB's lsim and ode45 return them. Where a file has controls
-only, the states follow from the problem's dynamics.
+The suffix of a name decides the format. CSV tables are written with all digits, and read from any table with the
+columns of a problem; .mat files hold x, u and t, one row per time, as MATLAB's lsim and ode45 return them. If a file
+has controls only, the states follow from the problem's dynamics.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 CLOCK_TOLERANCE = 0.1  # error of a clock in periods since its first time: times are rounded, a wrong rate adds up
 
 STEP, SECONDS = "t", "time [s]"  # columns that count the steps and the seconds; either may be missing
-FORMULAS = ("=", "+", "-", "@", "'")  # how a cell begins that a spreadsheet evaluates, and what keeps it from that
+FORMULAS = ("=", "+", "-", "@", "'")  # first characters of cells that a spreadsheet evaluates, or takes for a quote
 
 COMPRESSED = 15  # type of a compressed element
 PIECE = 2**22  # bytes unpacked at once
@@ -120,7 +120,7 @@ def solution_bytes(trajectory: Trajectory, multipliers: Multipliers | None, summ
     if multipliers is not None:
         fields |= {name: getattr(multipliers, name) for name in DIMENSIONS_OF_MULTIPLIERS}
         fields |= {FAMILY + name: weights for name, weights in multipliers.stage.items()}
-        fields |= {FREQUENCIES + name: found for name, found in multipliers.frequencies.items()}
+        fields |= {FREQUENCIES + name: points for name, points in multipliers.frequencies.items()}
         fields |= {} if multipliers.weights is None else {WEIGHTS: multipliers.weights}
     return reading.npz_bytes(fields | {"schema": SCHEMA, "summary": json.dumps(dict(summary))})
 
@@ -274,7 +274,7 @@ class _Table:
     def find(self, name: str, among: Sequence[str] = ()) -> int | None:
         """Return the column of a name; or, where the problem has no other such name, of the name without its unit."""
         short = name.split(" [")[0]
-        alone = sum(other.split(" [")[0] == short for other in among) == 1
+        alone = sum(known.split(" [")[0] == short for known in among) == 1
         for wanted in map(str.strip, (header(name), name, header(short), short) if alone else (header(name), name)):
             if wanted in self.head:
                 if self.head.count(wanted) > 1:
@@ -284,7 +284,7 @@ class _Table:
 
     def numbers(self, columns: Sequence[int | None], count: int) -> list[list[float]]:
         """Return the first ``count`` rows of these columns."""
-        found = [column for column in columns if column is not None]
+        present = [column for column in columns if column is not None]
 
         def number_at(row: int, column: int) -> float:
             cell = self.rows[row][column]
@@ -297,7 +297,7 @@ class _Table:
                 raise ProblemError(location, brief(cell) if cell else "an empty cell", "a finite number")
             return number
 
-        return [[number_at(row, column) for column in found] for row in range(count)]
+        return [[number_at(row, column) for column in present] for row in range(count)]
 
 
 def _require_columns(table: _Table, names: Sequence[str], columns: Sequence[int | None]) -> None:
@@ -327,7 +327,7 @@ def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
 
 
 def header(name: str) -> str:
-    """Return a name as the head of a column: behind an apostrophe, if a spreadsheet would take it for a formula.
+    """Return a name as the head of a column: after an apostrophe, if a spreadsheet would take it for a formula.
 
     A name that begins with an apostrophe gets another, so that no two names get the same head.
     """

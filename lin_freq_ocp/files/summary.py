@@ -30,15 +30,15 @@ SCHEMA = 2
 
 def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
     """Return a result as the JSON object of ``lin-freq-ocp solve --json``, with ``--trajectory`` if asked for."""
-    found, use, multipliers, tree = tree_of(result), result.level_use, result.multipliers, None
-    if found is not None:
-        tree = {"nodes": len(found.tree.nodes), "leaves": found.bound.leaves, "covers": found.bound.covers}
+    search, use, multipliers, tree = tree_of(result), result.level_use, result.multipliers, None
+    if search is not None:
+        tree = {"nodes": len(search.tree.nodes), "leaves": search.bound.leaves, "covers": search.bound.covers}
     extras: FileTable = {}
     if multipliers is not None and multipliers.frequencies:
-        # Of masks at every frequency: where each multiplier stands, real and imaginary part
+        # Of each mask at every frequency: the frequencies of its multipliers, with their real and imaginary parts
         extras["atoms"] = {
-            name: np.column_stack([places, multipliers.stage[name]]).tolist()
-            for name, places in multipliers.frequencies.items()
+            name: np.column_stack([frequencies, multipliers.stage[name]]).tolist()
+            for name, frequencies in multipliers.frequencies.items()
         }
     if use is not None:  # how the control uses its levels: duty cycles by component, time and level
         duty_cycles = [component.tolist() for component in use.duty_cycles]
@@ -73,7 +73,7 @@ def certificate_summary(problem: OptimalControlProblem, certificate: Certificate
 
 
 def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
-    """Return the JSON object of ``lin-freq-ocp compare --json``: the constrained result, and all beside it."""
+    """Return the JSON object of ``lin-freq-ocp compare --json``: the constrained result and all others."""
     constrained, moves = comparison.constrained_measures, {}
     if comparison.moves is not None:
         moves["moves"] = {
@@ -106,7 +106,7 @@ def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
 
 
 def failed_comparison_summary(result: Outcome) -> FileTable:
-    """Return the same object for a problem that has no solution even without its frequency constraints."""
+    """Return the same object for a problem that is infeasible even without its frequency constraints."""
     return {**result_summary(result), "classical": None, "constrained": None, "filtered": {}}
 
 
@@ -148,7 +148,7 @@ def _certificate(certificate: Certificate | None) -> FileTable | None:
         "global": certificate.globally_optimal,
         "conditions": _conditions(certificate.conditions),
         "descent": _direction(certificate.descent),
-        "borders": _borders(facts_where_modes_meet(certificate)),
+        "borders": _switching_facts(facts_where_modes_meet(certificate)),
     }
 
 
@@ -165,7 +165,7 @@ def _conditions(conditions: Sequence[Condition]) -> list[FileTable]:
     return tables
 
 
-def _borders(facts: SwitchingFacts | None) -> FileTable | None:
+def _switching_facts(facts: SwitchingFacts | None) -> FileTable | None:
     if facts is None:
         return None
     jumping = facts.jumping

@@ -1,8 +1,8 @@
 """Named problems, each with its source; `lin-freq-ocp list` shows them.
 
-A new benchmark is a function that returns an OptimalControlProblem, in a file of its own or beside its like, an import
-here, and an entry in one of the tables below. Its docstring is what `lin-freq-ocp show` prints of it and of its
-parameters; the first line says what it shows.
+A new benchmark is a function that returns an OptimalControlProblem, in a new file or one with similar problems, an
+import here, and an entry in one of the tables below. `lin-freq-ocp show` prints its docstring and its parameters, and
+`lin-freq-ocp list` the first line.
 """
 
 from __future__ import annotations

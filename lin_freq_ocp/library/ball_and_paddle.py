@@ -42,7 +42,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.convex import Polyhedron
 from lin_freq_ocp.problem.spectrum.bands import Band
-from lin_freq_ocp.problem.spectrum.base import Constraints, FrequencyConstraint, entries_of
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, entries_of
 
 MASS, RADIUS, GRAVITY, FRICTION = 1.0, 0.1, 10.0, 0.2  # kg, m, m/s^2, none
 INERTIA = 0.4 * MASS * RADIUS**2  # kg m^2
@@ -133,6 +133,13 @@ def ball_and_paddle(
     over = np.zeros((2, STATES))
     over[:, [0, 3]] = [[1.0, -1.0], [-1.0, 1.0]]
     accelerations = ["acceleration x [m/s^2]", "acceleration y [m/s^2]"]
+    bands = list[FrequencyConstraint]()
+    for constraint in entries_of(control_band(control_spectrum, T)):  # of the accelerations: a law has no spectrum
+        match constraint:
+            case Band(component=None):
+                bands += [replace(constraint, component=i) for i in range(CONTROLS)]
+            case _:
+                bands.append(constraint)
     if published:
         limits = limits.at_dimension(CONTROLS, "acceleration_bounds")
         limits = Box(np.append(limits.lower, -1.0), np.append(limits.upper, 1.0))
@@ -153,21 +160,9 @@ def ball_and_paddle(
         state_set=bounds & Polyhedron(over, [HALF_WIDTH, HALF_WIDTH]) if ends and not published else bounds,
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=_of_accelerations(control_band(control_spectrum, T)),
+        control_spectrum=bands,
         name="ball_and_paddle",
     )
-
-
-def _of_accelerations(given: Constraints) -> Constraints:
-    """Return stop bands on every component as such on both accelerations: the choice of a law has no spectrum."""
-    bands = list[FrequencyConstraint]()
-    for one in entries_of(given):
-        match one:
-            case Band(component=None):
-                bands += [replace(one, component=i) for i in range(CONTROLS)]
-            case _:
-                bands.append(one)
-    return bands
 
 
 class _Contacts:
@@ -186,13 +181,13 @@ class _Contacts:
         self.slip_paddle = ball + RADIUS * self.velocities[2] - paddle
         self.slip_ceiling = ball - RADIUS * self.velocities[2]
 
-    def pushed(self, normal: Array, tangential: Array, side: float) -> Array:
+    def velocities_after(self, normal: Array, tangential: Array, side: float) -> Array:
         """Return the velocities after the impulses N and P of the paddle (side 1) or of the ceiling (side -1)."""
-        changed = self.velocities.copy()
-        changed[0] += tangential / MASS
-        changed[1] += side * normal / MASS
-        changed[2] += side * RADIUS * tangential / INERTIA
-        return changed
+        velocities = self.velocities.copy()
+        velocities[0] += tangential / MASS
+        velocities[1] += side * normal / MASS
+        velocities[2] += side * RADIUS * tangential / INERTIA
+        return velocities
 
     def mode(self, name: str, velocities: Array, region: Sequence[Array]) -> AffineMode:
         """Return the step that ends with these velocities, where all rows of the region are <= 0."""
@@ -200,7 +195,7 @@ class _Contacts:
         G, H, constant = np.split(np.array(region), [STATES, -1], axis=1)
         return AffineMode(A, B, offset[:, 0], G, H, -constant[:, 0], name)
 
-    def past_an_end(self, velocities: Array) -> list[Array]:
+    def rows_past_edge(self, velocities: Array) -> list[Array]:
         """Return |x_b - x_p| - 0.3 m after the step, as two rows."""
         ahead = (self.positions + self.h * velocities)[[0, 3]]
         return [way * (ahead[0] - ahead[1]) - HALF_WIDTH * self.one for way in (1.0, -1.0)]
@@ -216,7 +211,8 @@ def _modes(h: float) -> list[AffineMode]:
     ):
         normal, stick = -MASS / h * gap, -slip / BY_IMPULSE
         for law, (tangential, region) in _coulomb(normal, stick, gap).items():
-            modes.append(step.mode(f"{law} {where}", step.pushed(normal, tangential, side), [*region, *others]))
+            after = step.velocities_after(normal, tangential, side)
+            modes.append(step.mode(f"{law} {where}", after, [*region, *others]))
     return modes
 
 
@@ -236,9 +232,9 @@ def _published_modes(h: float, ends: bool) -> list[AffineMode]:
     modes = [step.mode("free", step.velocities, [-step.gap_paddle, -step.gap_ceiling])]
     normal, stick = -MASS / h * step.gap_paddle, -step.slip_paddle / BY_IMPULSE
     for law, (tangential, region) in _coulomb(normal, stick, step.gap_paddle).items():
-        after = step.pushed(normal, tangential, 1.0)
-        beside = step.past_an_end(after) if ends else []
-        modes.append(step.mode(f"{law} on paddle", after, [*region, -step.gap_ceiling, *beside]))
+        after = step.velocities_after(normal, tangential, 1.0)
+        edges = step.rows_past_edge(after) if ends else []
+        modes.append(step.mode(f"{law} on paddle", after, [*region, -step.gap_ceiling, *edges]))
     normal, stick = -MASS / h * step.gap_ceiling, -step.slip_ceiling / BY_IMPULSE
     limit, half = FRICTION * normal, 0.5 * step.one
     for law, tangential, region in (
@@ -246,6 +242,6 @@ def _published_modes(h: float, ends: bool) -> list[AffineMode]:
         ("slide right", limit, [stick - limit, half - step.law]),
         ("slide left", -limit, [-stick - limit, half + step.law]),
     ):
-        others = [step.gap_ceiling, -step.gap_paddle]
-        modes.append(step.mode(f"{law} at ceiling", step.pushed(normal, tangential, -1.0), [*region, *others]))
+        others, after = [step.gap_ceiling, -step.gap_paddle], step.velocities_after(normal, tangential, -1.0)
+        modes.append(step.mode(f"{law} at ceiling", after, [*region, *others]))
     return modes

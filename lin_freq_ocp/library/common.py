@@ -1,4 +1,4 @@
-"""What the problems of the library share: sampled plants, symmetric bounds, stop bands, costs without 1/2, flags."""
+"""Helpers of the library: sampled plants, symmetric bounds, stop bands, costs without 1/2, and flags."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import Band, notch, stop_band
+from lin_freq_ocp.problem.spectrum.bands import Band, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.base import Constraints, FrequencyConstraint
 
 
@@ -40,12 +40,17 @@ def notch_at(frequency: float, width_hz: float | None, component: str | None = N
     return None if width_hz is None else notch(centre_hz=frequency / (2 * pi), width_hz=width_hz, component=component)
 
 
+def low_pass_at(cutoff_hz: float | None) -> Band | None:
+    """Return the low pass of all controls with this cut-off in Hz; None without one."""
+    return None if cutoff_hz is None else low_pass(cutoff_hz=cutoff_hz)
+
+
 # A stop band, several, bins to remove, "freq" or "none"; see ``control_band``.
 Spectrum = FrequencyConstraint | str | Sequence[FrequencyConstraint | int] | None
 
 
 def control_band(given: Spectrum, horizon: int) -> Constraints:
-    """Return what the parameter ``control_spectrum`` of a problem stands for.
+    """Return the frequency constraints that a value of the parameter ``control_spectrum`` means.
 
     Whole numbers are the bins to remove, "freq" the bins max(2, ceil(T/3)) <= k <= T//2 of every control; None and
     "none" are no frequency constraint.
@@ -60,8 +65,8 @@ def control_band(given: Spectrum, horizon: int) -> Constraints:
         return stop_band(bins=range(max(2, ceil(horizon / 3)), horizon // 2 + 1))
     if not isinstance(given, Sequence):
         return given
-    bands = [one for one in given if not isinstance(one, (int, np.integer))]
-    bins = [one for one in given if isinstance(one, (int, np.integer))]
+    bands = [entry for entry in given if not isinstance(entry, (int, np.integer))]
+    bins = [entry for entry in given if isinstance(entry, (int, np.integer))]
     if bands and bins:
         raise ProblemError("control_spectrum", "bands and bins in one list", "either bands or bins")
     return stop_band(bins=bins) if bins else bands

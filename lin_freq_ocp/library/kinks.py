@@ -38,7 +38,7 @@ def absolute_value(
     horizon : int
         T.
     preferred_control : float
-        b: what u_t costs nothing at. It breaks the symmetry.
+        b: the value of u_t without cost. It breaks the symmetry.
     control_spectrum : band, list of bands, list of bins, "freq" or None
         Frequency constraints on u; "freq" removes the bins max(2, ceil(T/3)) <= k <= T//2.
     initial_state, terminal_state : (1,)

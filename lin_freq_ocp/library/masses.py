@@ -8,7 +8,7 @@ from math import pi, sqrt
 import numpy as np
 
 from lin_freq_ocp.base.arrays import positive_integer, positive_number, shaped
-from lin_freq_ocp.library.common import notch_at, sampled_plant, symmetric
+from lin_freq_ocp.library.common import low_pass_at, notch_at, sampled_plant, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import low_pass, notch
@@ -72,7 +72,7 @@ def double_integrator(
         state_set=symmetric("speed_bound", [None, speed_bound]),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=None if cutoff_hz is None else low_pass(cutoff_hz=cutoff_hz),
+        control_spectrum=low_pass_at(cutoff_hz),
         name="double_integrator",
     )
 

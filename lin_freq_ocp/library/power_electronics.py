@@ -257,7 +257,7 @@ def pulse_pattern(
     References
     ----------
     Miller, Karamanakos and Geyer, arXiv 2512.07585 and 2512.08201, have optimal pulse patterns with bounds.
-    docs/levels.md has the relaxations, what is proven of them, and figures.
+    docs/levels.md has the relaxations, their proofs, and figures.
 
     Examples
     --------
@@ -304,7 +304,7 @@ def _optimal_pattern(modulation: float, switches: int) -> OptimalControlProblem:
     if k % 4:
         raise ProblemError("switches", str(k), "a multiple of 4", "Each of a quarter period happens four times.")
     dynamics = PulseTrain(STEP, orders=(1, 3))
-    energy = -(M**2)  # with what the trajectory adds, the square of the distortion at the end
+    energy = -(M**2)  # plus the sum over the trajectory: the square of the distortion at the end
     return OptimalControlProblem(
         dynamics=dynamics,
         horizon=k // 4 + 1,

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from lin_freq_ocp.base.arrays import positive_integer, positive_number
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.library.common import symmetric
+from lin_freq_ocp.library.common import low_pass_at, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import low_pass
 
 GRAVITY = 9.81  # m/s^2
 
@@ -26,16 +25,16 @@ Rates = Callable[[Sequence[Formula], Signals], Sequence[Formula]]
 def _sampled_dynamics(rates: Rates, step: float, states: list[str], controls: list[str]) -> PiecewiseSmoothDynamics:
     """Return dx/dt = rates(x, u) over a period with constant u, by one step of the classical Runge-Kutta method."""
 
-    def moved(x: Sequence[Formula], slope: Sequence[Formula], seconds: float) -> list[Formula]:
+    def advance(x: Sequence[Formula], slope: Sequence[Formula], seconds: float) -> list[Formula]:
         return [a + seconds * b for a, b in zip(x, slope, strict=True)]
 
     def runge_kutta_step(x: Signals, u: Signals) -> list[Formula]:
         first = rates(list(x), u)
-        second = rates(moved(list(x), first, step / 2), u)
-        third = rates(moved(list(x), second, step / 2), u)
-        fourth = rates(moved(list(x), third, step), u)
+        second = rates(advance(list(x), first, step / 2), u)
+        third = rates(advance(list(x), second, step / 2), u)
+        fourth = rates(advance(list(x), third, step), u)
         slopes = zip(x, first, second, third, fourth, strict=True)
-        return [one + (a + 2 * b + 2 * c + d) * (step / 6) for one, a, b, c, d in slopes]
+        return [state + (a + 2 * b + 2 * c + d) * (step / 6) for state, a, b, c, d in slopes]
 
     return PiecewiseSmoothDynamics.from_formulas(runge_kutta_step, len(states), len(controls), step, states, controls)
 
@@ -52,8 +51,8 @@ def pendulum_swing_up(
 ) -> OptimalControlProblem:
     """Swing a pendulum up with a torque too small to lift it at once.
 
-    Minimise 1/2 sum of 0.1 u_t^2 + 0.05 (angle - pi)^2 + 0.01 rate^2. With the default bound, half of what holds the
-    pendulum level, it swings back first.
+    Minimise 1/2 sum of 0.1 u_t^2 + 0.05 (angle - pi)^2 + 0.01 rate^2. With the default bound, half of the torque that
+    holds the pendulum level, it swings back first.
 
     Parameters
     ----------
@@ -101,7 +100,7 @@ def pendulum_swing_up(
         control_set=symmetric("torque_bound", torque_bound),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=None if cutoff_hz is None else low_pass(cutoff_hz=cutoff_hz),
+        control_spectrum=low_pass_at(cutoff_hz),
         name="pendulum_swing_up",
     )
 
@@ -180,7 +179,7 @@ def cart_pole(
         state_set=symmetric("position_bound", [position_bound, None, None, None]),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=None if cutoff_hz is None else low_pass(cutoff_hz=cutoff_hz),
+        control_spectrum=low_pass_at(cutoff_hz),
         name="cart_pole",
     )
 
@@ -255,6 +254,6 @@ def planar_quadrotor(
         control_set=Box([thrust_bounds[0]] * 2, [thrust_bounds[1]] * 2),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=None if cutoff_hz is None else low_pass(cutoff_hz=cutoff_hz),
+        control_spectrum=low_pass_at(cutoff_hz),
         name="planar_quadrotor",
     )

@@ -10,12 +10,12 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, positive_integer, positive_number, shaped
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.library.common import symmetric
+from lin_freq_ocp.library.common import low_pass_at, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import low_pass, notch
+from lin_freq_ocp.problem.spectrum.bands import notch
 
 GRAVITATIONAL_PARAMETER = 3.986004418e14  # m^3/s^2, of the Earth
 EARTH_RADIUS, SPHERE_OF_INFLUENCE = 6.371e6, 9.24e8  # m
@@ -112,7 +112,7 @@ def elliptic_rendezvous(
         state_set=symmetric("radial_bound", [radial_bound, None, None, None]),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=None if cutoff_hz is None else low_pass(cutoff_hz=cutoff_hz),
+        control_spectrum=low_pass_at(cutoff_hz),
         name="elliptic_rendezvous",
     )
 
@@ -274,7 +274,7 @@ def quadcopter(
         state_set=Box(lower, upper),
         initial_state=initial_state,
         terminal_state=terminal_state,
-        control_spectrum=None if cutoff_hz is None else low_pass(cutoff_hz=cutoff_hz),
+        control_spectrum=low_pass_at(cutoff_hz),
         name="quadcopter",
     )
 

@@ -15,7 +15,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 GRAVITY, STIFFNESS, DAMPING = 10.0, 100.0, 30.0  # m/s^2; N/m and N s/m of the soft walls; all masses and lengths are 1
 PENDULUM_WALL, WALL, HALF_WIDTH = 0.1, 0.5, 0.1  # m: of the pendulum; of the carts, from the middle; of the first cart
-TIP = np.array([1.0, -1.0])  # the tip of the pole is at q - theta: what it is to the right of the middle
+TIP = np.array([1.0, -1.0])  # the tip of the pole is q - theta to the right of the middle
 
 
 def pendulum_with_wall(

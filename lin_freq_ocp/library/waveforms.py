@@ -44,7 +44,7 @@ def mri_gradient(
     """Shape a gradient pulse with given moments: minimum time, forbidden bands of acoustic resonances.
 
     Minimise 1/2 sum of g_t^2 over the samples g_0 .. g_{T-1} of a gradient with g_0 = g_{T-1} = 0, |g_t| <= amplitude
-    and |g_t - g_{t-1}| <= slew_rate * raster. Sample t stands at the time t * raster, and the moment of order k is
+    and |g_t - g_{t-1}| <= slew_rate * raster. Sample t is at the time t * raster, and the moment of order k is
     sum_t g_t (t raster)^k raster: a plain sum, a state with A = I, so that a waveform with zeros appended has the same
     moments. The horizon is the number of samples, both zeros counted: with the defaults (a bipolar pulse for flow
     encoding, 1.32 ms) 132 samples are feasible and 131 are not; that is so, too, with moments about the centres of
@@ -106,7 +106,7 @@ def mri_gradient(
     change, bound = positive_number("slew_rate", slew_rate) * step, np.full((T, 1), limit)
     bound[0] = 0.0
     before, gains = np.append(np.zeros(len(moments)), 1.0), np.ones((T, len(moments) + 1, 1))
-    for i, (k, _, _) in enumerate(moments):  # what a unit of g_t adds to each moment; the last is the sample before
+    for i, (k, _, _) in enumerate(moments):  # the sum that g_t adds to each moment, per unit
         gains[:, i, 0] = step * (step * np.arange(T)) ** k
     level = positive_number("band_level", band_level)
     edges = np.zeros((0, 2)) if forbidden_bands_hz is None else real_array("forbidden_bands_hz", forbidden_bands_hz)
@@ -159,7 +159,7 @@ def printer_move(
     Minimise 1/2 sum of a_t^2 over the accelerations of a position and a speed, held between the samples. What rings
     after the move is a mode q'' + 2 zeta w q' + w^2 q = w^2 a of the frame: its amplitude is bounded for every w and
     zeta of a box. With the defaults 22 samples (0.11 s) are feasible and 21 are not; without the bound on the vibration
-    18 are. ``lfo.compare`` sets input shapers of the same robustness beside it.
+    18 are. ``lfo.compare`` compares the move with input shapers of the same robustness.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def printer_move(
     speed_bound, acceleration_bound : float or None
         Symmetric bounds on the speed [m/s] and the acceleration [m/s^2].
     resonance_hz : float
-        Natural frequency w / (2 pi) in Hz, as it is known.
+        Nominal natural frequency w / (2 pi) in Hz.
     uncertainty : float
         From 0 to below 1: the natural frequency lies within resonance_hz * (1 - uncertainty .. 1 + uncertainty).
     damping : (lowest, highest)
@@ -222,7 +222,7 @@ def printer_move(
 RADII, HEIGHTS = (0.88, 0.35), (0.17, 0.20)  # m: a cylinder in the water, and the cone frustum below it
 DENSITY, GRAVITY = 1025.0, 9.81  # kg/m^3, m/s^2
 FRUSTUM = HEIGHTS[1] / 3 * (RADII[0] ** 2 + RADII[0] * RADII[1] + RADII[1] ** 2)  # m^3 over pi
-MASS = DENSITY * np.pi * (RADII[0] ** 2 * HEIGHTS[0] + FRUSTUM)  # kg: what the hull displaces
+MASS = DENSITY * np.pi * (RADII[0] ** 2 * HEIGHTS[0] + FRUSTUM)  # kg: of the displaced water
 STIFFNESS = DENSITY * GRAVITY * np.pi * RADII[0] ** 2  # N/m
 RESOLUTION = 1e-9  # in bins: how far the wave may be from a harmonic of the record
 
@@ -244,7 +244,7 @@ def wave_energy(
 
     with the mass m and stiffness k of the hull, and added mass A, radiation damping B and F from boundary elements. The
     record is one period. The cost is the mean power (1/T) sum v_t u_t that the force gives to the water, in W, so that
-    minus the cost is what is absorbed. The control has the harmonics of the record that have coefficients, 0.05 to
+    minus the cost is the absorbed power. The control has the harmonics of the record that have coefficients, 0.05 to
     2.5 Hz; between these, A, B and F are interpolated linearly.
 
     Parameters

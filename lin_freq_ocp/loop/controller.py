@@ -1,14 +1,15 @@
 """A receding-horizon controller: each step solves a problem from the measured state and applies the first control.
 
-If a solve ends without an answer, the controller applies the better of its best point and the rest of the previous
-plan. A feasible one is better than one that is not; of two feasible ones that of lower cost, prices of soft constraints
-included; of two others the one that violates the constraints less. The judge says what is feasible.
+If a solve ends without an answer, the controller applies the better of two plans: its best point, and the rest of the
+previous plan. A feasible plan is better than an infeasible one. Of two feasible plans the cheaper one is better, prices
+of soft constraints included; of two infeasible plans the one with the smaller violation. The judge decides feasibility.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,7 +49,7 @@ NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
 
 @dataclass(frozen=True)
 class Preview:
-    """What a step knows of its horizon beyond the problem."""
+    """References, bounds and a disturbance that a step foresees over its horizon."""
 
     references: Mapping[str, ArrayLike] | None = None  # "x_ref", "u_ref"
     bounds: Mapping[str, SetOrSets] | None = None  # "state_set", "control_set"
@@ -56,7 +57,7 @@ class Preview:
 
 
 class Controller:
-    """The state of a receding-horizon controller: what it has measured, applied and planned."""
+    """The state of a receding-horizon controller: its measurements, applied controls and plans."""
 
     def __init__(
         self,
@@ -88,7 +89,7 @@ class Controller:
 
     @property
     def record(self) -> LoopRecord:
-        """Return the steps until now."""
+        """Return the record of all steps so far."""
         return LoopRecord(self.problem, tuple(self._steps))
 
     def advance(
@@ -96,7 +97,7 @@ class Controller:
     ) -> tuple[Step | None, Outcome | None]:
         """Plan from a measured state; return the step, None if there is no control, and the answer of its problem.
 
-        ``applied`` is what has acted in place of the last control that can be known.
+        ``applied`` is the control that acted in the last step, if it was not the controller's.
         """
         x = self.measured("state", state, self.problem.state_dim)
         if applied is not None and len(self._applied) > self.delay:
@@ -178,26 +179,22 @@ class Controller:
                     started = now()
 
     def _plan(self, outcome: Outcome) -> Trajectory | None:
-        """Return the plan of a step: the point of its answer, or, without an answer, the last plan if it is better."""
+        """Return the plan of a step: its solution; without one, the better of its best point and the previous plan."""
         own = outcome.trajectory
-        last = None if outcome.status.solved or outcome.status in NO_SOLUTION else self._last_plan_in(outcome.problem)
-        if last is None:
+        previous, rest = self._steps[-1].planned if self._steps else None, None
+        if previous is not None and not outcome.status.solved and outcome.status not in NO_SOLUTION:
+            with suppress(LinFreqOCPError):  # the rest of the plan leaves the regions of all modes, or overflows
+                rest = simulate(outcome.problem, _shift_controls(previous.u))
+        if rest is None:
             return own if outcome.status.solved or outcome.primal else None
         tolerance: float | None = getattr(self._hard.method, "tolerance", None)
-        return last if own is None else better(outcome.problem, own, last, tolerance)
-
-    def _last_plan_in(self, problem: OptimalControlProblem) -> Trajectory | None:
-        """Return the trajectory of the last plan's controls in the problem of a step; None if there is none."""
-        plan = self._steps[-1].planned if self._steps else None
-        try:
-            return plan and simulate(problem, _shift_controls(plan.u))
-        except LinFreqOCPError:  # no mode holds where it leads, or it overflows
-            return None
+        plans = [rest] if own is None else [own, rest]  # the first of two equally good ones
+        return min(plans, key=lambda plan: rank(outcome.problem, plan, tolerance))
 
     def _answers(self, x: Array, preview: Preview) -> tuple[Outcome, Outcome | None]:
-        """Return the answer of the problem of a measured state, and of the softened one where it has no solution."""
-        last = self._applied[-1] if self._applied else np.zeros(self.problem.control_dim)
-        begin = self._step(0, x, last) if self.delay else x  # with a delay, where the last control leads
+        """Return the answer for a measured state and, if it is infeasible, the answer with soft constraints."""
+        last_control = self._applied[-1] if self._applied else np.zeros(self.problem.control_dim)
+        begin = self._step(0, x, last_control) if self.delay else x  # with a delay, the state after the last control
         bounds = preview.bounds
         if bounds and bounds.get("state_set") is not None:
             first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
@@ -209,7 +206,7 @@ class Controller:
         return hard, self._solve_step(self._soft, change, preview, x)
 
     def _solve_step(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
-        """Solve the problem of a step, from what was set up for all of them if its data are the same."""
+        """Solve the problem of a step; steps with the same data share the set-up of the solver."""
         tree = self._trees[repeated]
         problem = repeated.problem
         if self._remembers:  # the states and controls before a plan that begins after the measured state
@@ -237,11 +234,11 @@ class Controller:
         return Trajectory(np.vstack([plan.x[1:], last]), _shift_controls(plan.u))
 
     def measured(self, field: str, value: ArrayLike, size: int) -> Array:
-        """Return a vector of this size; ProblemError if it is none, or not finite."""
-        found = one_component(real_array(field, value), size)
-        if found.shape != (size,):
-            raise ProblemError(field, f"shape {found.shape}", f"shape {(size,)}")
-        return found
+        """Return a finite vector of this size; else ProblemError."""
+        vector = one_component(real_array(field, value), size)
+        if vector.shape != (size,):
+            raise ProblemError(field, f"shape {vector.shape}", f"shape {(size,)}")
+        return vector
 
 
 def _shift_controls(controls: Array) -> Array:
@@ -249,14 +246,13 @@ def _shift_controls(controls: Array) -> Array:
     return np.vstack([controls[1:], controls[-1:]])
 
 
-def better(problem: OptimalControlProblem, one: Trajectory, other: Trajectory, tolerance: float | None) -> Trajectory:
-    """Return the better trajectory, the first if they are as good; ``tolerance`` is that asked of the solver."""
-    return min(one, other, key=lambda given: rank(problem, given, tolerance))
-
-
 def rank(problem: OptimalControlProblem, trajectory: Trajectory, tolerance: float | None) -> tuple[bool, float]:
-    """Return what is less for the better trajectory: whether it is infeasible, and its cost, or else its violation."""
-    near = translation_of(problem)
-    none = zero_multipliers(near.problem, 0.0)  # so that the judge looks for no bound
-    certificate = judge(near.problem, near.translated(trajectory), none, allowed_residual(tolerance))
+    """Return (infeasible, cost or violation), which is smaller for the better trajectory.
+
+    ``tolerance`` is the tolerance of the solver, None for its default.
+    """
+    translation = translation_of(problem)
+    multipliers = zero_multipliers(translation.problem, 0.0)  # so that the judge looks for no bound
+    moved = translation.translated(trajectory)
+    certificate = judge(translation.problem, moved, multipliers, allowed_residual(tolerance))
     return (False, certificate.cost) if certificate.feasible else (True, certificate.violation)

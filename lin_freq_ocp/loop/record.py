@@ -28,9 +28,9 @@ class Source(StrEnum):
     """Where the control of a step comes from."""
 
     PLAN = "plan"  # of the problem of this step
-    SOFTENED = "softened problem"  # solved, as that of this step has no solution
-    BEST_POINT = "best point"  # where the solve of this step, softened or not, ended without an answer
-    PREVIOUS_PLAN = "previous plan"  # of which the rest is better than that point, or there is no such point
+    SOFTENED = "softened problem"  # of the problem with soft constraints: the hard one is infeasible
+    BEST_POINT = "best point"  # of a solve, soft or hard, that ended without an answer
+    PREVIOUS_PLAN = "previous plan"  # its rest is better than the best point, or there is no best point
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,19 +205,19 @@ class LoopRecord:
         ]
 
 
-def plant_of(given: object, problem: OptimalControlProblem) -> Plant:
-    """Return a plant as a function of the step, the state and the control; ProblemError if it is none."""
-    if given is None:
+def plant_of(model: object, problem: OptimalControlProblem) -> Plant:
+    """Return a model as a function of the step, the state and the control; ProblemError if it is no model."""
+    if model is None:
         return _plant_of_dynamics("problem.dynamics", problem.dynamics, problem)
-    if isinstance(given, Dynamics):
-        return _plant_of_dynamics("plant", given, problem)
-    if hasattr(given, "A") and hasattr(given, "B") and hasattr(given, "dt"):
-        model = LinearDynamics.from_statespace(given, problem.sampling_time)
+    if isinstance(model, Dynamics):
         return _plant_of_dynamics("plant", model, problem)
-    if not callable(given):
+    if hasattr(model, "A") and hasattr(model, "B") and hasattr(model, "dt"):
+        sampled = LinearDynamics.from_statespace(model, problem.sampling_time)
+        return _plant_of_dynamics("plant", sampled, problem)
+    if not callable(model):
         expected = "a function of (x, u), a model of python-control, or dynamics"
-        raise ProblemError("plant", brief(given), expected)
-    return _plant_of_function(given, problem.state_dim)
+        raise ProblemError("plant", brief(model), expected)
+    return _plant_of_function(model, problem.state_dim)
 
 
 def _plant_of_dynamics(field: str, dynamics: Dynamics, problem: OptimalControlProblem) -> Plant:
@@ -242,12 +242,12 @@ def _plant_of_function(function: Callable[..., object], n: int) -> Plant:
 
     def step(k: int, x: Array, u: Array) -> Array:
         try:
-            found = function(k, x, u) if takes == 3 else function(x, u)
+            returned = function(k, x, u) if takes == 3 else function(x, u)
         except Exception as error:
             raise UnsupportedError(f"plant: at step {k} it raised {first_line(error)}") from error
-        state = np.asarray(found, dtype=float)
+        state = np.asarray(returned, dtype=float)
         if state.shape != (n,) or not np.isfinite(state).all():
-            raise ProblemError("plant", f"{brief(found)} at step {k}", f"a finite state of shape {(n,)}")
+            raise ProblemError("plant", f"{brief(returned)} at step {k}", f"a finite state of shape {(n,)}")
         return real_array("plant", state)
 
     return step

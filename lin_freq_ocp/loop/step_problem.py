@@ -1,7 +1,7 @@
 """The problem of a step: a free first state, frequency constraints that see the past, and soft constraints.
 
-What was applied and measured is data. A spectrogram without a length keeps as many samples of the past as it was given;
-one of short windows keeps those of the windows that have not ended yet, so that windows stand still in absolute time.
+Past states and controls are data. A spectrogram without a length sees as many past samples as it was stated with. A
+spectrogram of short windows sees the samples of the windows that have not ended yet: windows stay at fixed times.
 
 A step solves the problem with soft constraints where the hard ones contradict each other. A penalty above the
 multipliers of the constraints is exact: where they can be satisfied, they are.
@@ -55,7 +55,7 @@ def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
 
 
 def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalControlProblem:
-    """Return the problem behind states x (k, n) and controls u (k, m), which follow the past it was stated with."""
+    """Return the problem whose frequency constraints also see the last k states x (k, n) and controls u (k, m)."""
     return replace(
         problem,
         control_spectrum=[one.with_past(u, 0) for one in entries_of(problem.control_spectrum)] or None,
@@ -84,27 +84,27 @@ def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> O
     """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
     dynamics, T, n = problem.dynamics, problem.horizon, problem.state_dim
     if not isinstance(dynamics, LinearDynamics):
-        what = type(dynamics).__name__
-        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {what}.")
+        kind = type(dynamics).__name__
+        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {kind}.")
     expected = real_array("disturbance", disturbance)
     if expected.shape not in ((n,), (T, n)):
         raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
     return replace(problem, dynamics=replace(dynamics, offset=dynamics.offset + expected))
 
 
-def checked_penalties(given: Mapping[str, float] | None) -> dict[str, float]:
+def checked_penalties(penalties: Mapping[str, float] | None) -> dict[str, float]:
     """Return the penalty of each field; ProblemError if a field cannot be soft, or a penalty is not above zero."""
-    if given is not None and not isinstance(given, Mapping):
-        raise ProblemError("soft", brief(given), "a mapping from fields of the problem to penalties")
-    for field in given or {}:
+    if penalties is not None and not isinstance(penalties, Mapping):
+        raise ProblemError("soft", brief(penalties), "a mapping from fields of the problem to penalties")
+    for field in penalties or {}:
         if field not in FIELDS:
             advice = "Bounds of controls are those of the actuator." if field == "control_set" else ""
             raise ProblemError(f"soft.{field}", "a field that cannot be soft", f"one of {', '.join(FIELDS)}", advice)
-    return {field: positive_number(f"soft.{field}", penalty) for field, penalty in (given or {}).items()}
+    return {field: positive_number(f"soft.{field}", penalty) for field, penalty in (penalties or {}).items()}
 
 
 def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> OptimalControlProblem:
-    """Return the problem where what is hard in these fields costs the penalty per unit of excess."""
+    """Return the problem whose hard constraints in these fields cost the penalty per unit of violation."""
     changes: dict[str, object] = {}
     for field, penalty in penalties.items():
         given = getattr(problem, field)
@@ -114,23 +114,20 @@ def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> Op
             changes[field] = [rows.softened(penalty) for rows in given]
         else:
             per_time = isinstance(given, ConvexSet) and given.bounds[0].ndim > 1  # one soft set for each
-            sets = [_set_at(given, t) for t in range(len(given.bounds[0]))] if per_time else given
+            sets = given
+            if per_time:
+                sets = [intersection(box_of(given).at(t), given.members) for t in range(len(given.bounds[0]))]
             changes[field] = map_sets(sets, partial(softened_set, penalty))
     return replace(problem, **changes)
 
 
-def _set_at(given: ConvexSet, t: int) -> ConvexSet:
-    """Return a set whose bounds are given per time at one of the times."""
-    return intersection(box_of(given).at(t), given.members)
-
-
 def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:
-    """Return by how much soft constraints are exceeded, in the units of their limits and summed over time, by name."""
-    found, near = dict[str, float](), translation_of(problem)
-    trajectory = near.translated(trajectory)
-    for term in near.problem.terms:
+    """Return the violation of each soft constraint by its name, in the unit of its limit and summed over time."""
+    violations, translation = dict[str, float](), translation_of(problem)
+    moved = translation.translated(trajectory)
+    for term in translation.problem.terms:
         if not term.hard and not term.kind.is_cost:
-            by = float((term.cost(trajectory.x, trajectory.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())
-            size = float(np.max(term.map.sizes(trajectory.x, trajectory.u), initial=0.0))
-            found |= {term.name: by} if by > ROUNDING * size else {}
-    return found
+            by = float((term.cost(moved.x, moved.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())
+            size = float(np.max(term.map.sizes(moved.x, moved.u), initial=0.0))
+            violations |= {term.name: by} if by > ROUNDING * size else {}
+    return violations

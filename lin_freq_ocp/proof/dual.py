@@ -1,13 +1,14 @@
 """The section DUAL of a proof for one mode: multipliers, and a point z_t of every stage.
 
-A checker wants lambda in the domain of the conjugates without any tolerance: what a price limits is made smaller by a
-few roundings, and multipliers of a cone are moved into the dual one. mu_t is kept where z_t can be put on the bound
-that it belongs to.
+The checker requires lambda in the domain of the conjugates without any tolerance: multipliers that a price limits are
+made smaller by a few roundings, and multipliers of a cone are moved into the dual cone. mu_t is kept if z_t can be put
+on its bound.
 
-A checker defines eta_{t-1} = A_t' eta_t - s_t, with s_t = D_x c_t(z_t) + what is pulled back + mu_t, and eta_T = 0.
-Where the dynamics are unstable, this enlarges the last digit of mu_T beyond all bounds. With mu_T + d, eta is affine in
-d: the d that brings eta_0 and eta_{T-1} nearest to the given ones keeps all between near, as parts that grow backwards
-are held at 0 and parts that decay at T - 1. It needs as many digits as the recursion loses.
+The checker defines eta_{t-1} = A_t' eta_t - s_t, with s_t = D_x c_t(z_t) + the multipliers of terms and removed bins
+pulled back to x_t + mu_t, and eta_T = 0. If the dynamics are unstable, the recursion enlarges the last digit of mu_T
+without limit. With mu_T + d, eta is affine in d. The d that brings eta_0 and eta_{T-1} nearest to the given ones keeps
+all others near, too: eta_0 fixes the parts that grow backwards, and eta_{T-1} the parts that decay. It needs as many
+digits as the recursion loses.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ DRIFT = 1e-6  # of the adjoint by the recursion, relative to its size, above whi
 
 @dataclass(frozen=True, eq=False)
 class Dual:
-    """Multipliers with mu_T as it stands in the file, and whether the file gives the adjoint at every time."""
+    """Multipliers with mu_T as the file states it, and whether the file gives the adjoint at every time."""
 
     problem: OptimalControlProblem
     point: DualPoint
@@ -51,7 +52,7 @@ class Dual:
     adjoint: bool
 
     def lines(self) -> Iterator[str]:
-        """Yield the sections NODES, of one node, and DUAL."""
+        """Yield the section NODES, with one node, and the section DUAL."""
         problem, point, n = self.problem, self.point, self.problem.state_dim
         yield line(section="nodes", reach=False)
         yield line(node=0, parent=None, t=0, modes=[0])
@@ -68,7 +69,7 @@ class Dual:
 
 
 def dual_of(problem: OptimalControlProblem, at: Trajectory, multipliers: Multipliers) -> Dual:
-    """Return the dual of multipliers, in the precision of balls; terms stand at their frequencies."""
+    """Return the dual of multipliers, in the precision of balls; terms have their final frequencies."""
     point = dual_point(problem, at, multipliers)
     free = np.flatnonzero(problem.state_tube.fixed[-1])
     moved, eta = steer_adjoint(problem.linear.A, exact_slopes(problem, point), point.eta, free)
@@ -92,7 +93,7 @@ def curvatures(problem: OptimalControlProblem, eta_C: float) -> tuple[Mask, Mask
 
 @dataclass(frozen=True, eq=False)
 class DualPoint:
-    """z_t, mu_t and the multipliers of terms by their index, which need not be what the solver found."""
+    """z_t, mu_t and the multipliers of terms by their index, which may differ from those of the solver."""
 
     x: Array  # z_t, (T+1, n)
     u: Array  # (T, m)
@@ -105,15 +106,12 @@ class DualPoint:
 
 
 def dual_point(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> DualPoint:
-    """Return what a proof says of multipliers; the terms of the problem stand at their frequencies."""
+    """Return the multipliers and points of a proof; the terms of the problem have their final frequencies."""
     n = problem.state_dim
     curved, in_x = curvatures(problem, multipliers.eta_C)
     x, mu = project_on_bounds(problem.state_tube, trajectory.x, multipliers.mu, in_x)
     u, _ = project_on_bounds(problem.control_tube, trajectory.u, multipliers.nu, curved[:, n:])
-    weights = [
-        domain_multipliers(term, multipliers.stage.get(term.name, np.zeros(term.shape)), multipliers.eta_C)
-        for term in problem.terms
-    ]
+    weights = domain_multipliers(problem.terms, multipliers)
     signals = problem.in_time(multipliers.rho_x), time_signal(multipliers.rho_u, problem.horizon)
     return DualPoint(x, u, mu, multipliers.eta, multipliers.eta_C > 0, *signals, weights)
 
@@ -124,22 +122,28 @@ def project_on_bounds(tube: Box, signal: Array, normals: Array, curved: Mask) ->
     A component without curvature may be moved to any bound at no loss.
     """
     size = np.abs(signal).max(axis=0, initial=0.0)
-    found, kept = tube.project(signal), np.where(tube.fixed, normals, 0.0)
+    projected, remaining = tube.project(signal), np.where(tube.fixed, normals, 0.0)
     for bound, pressed in ((tube.upper, normals > 0), (tube.lower, normals < 0)):
         finite = np.where(np.isfinite(bound), bound, signal)
         here = pressed & np.isfinite(bound) & (~curved | (np.abs(finite - signal) <= ON_BOUND * size))
-        found, kept = np.where(here, finite, found), np.where(here, normals, kept)
-    return found, kept
+        projected, remaining = np.where(here, finite, projected), np.where(here, normals, remaining)
+    return projected, remaining
 
 
-def domain_multipliers(term: Term, given: Array, eta_C: float) -> Array:
-    """Return the nearest multipliers that are certainly in the domain of the conjugate of eta_C h, (groups, dim)."""
-    return shrink(term.penalty, term.penalty.subgradient(given, eta_C))
+def domain_multipliers(terms: Sequence[Term], multipliers: Multipliers) -> list[Array]:
+    """Return the nearest multipliers of each term, (groups, dim), inside the domain of the conjugate of eta_C h."""
+    return [
+        shrink(
+            term.penalty,
+            term.penalty.subgradient(multipliers.stage.get(term.name, np.zeros(term.shape)), multipliers.eta_C),
+        )
+        for term in terms
+    ]
 
 
 @singledispatch
 def shrink(penalty: Penalty, weights: Array) -> Array:
-    """Return multipliers in the domain of the conjugate that are so for any rounding of their norms."""
+    """Return multipliers that stay in the domain of the conjugate whichever way their norms are rounded."""
     return np.where(np.isfinite(penalty.weights), SHRINK, 1.0) * weights
 
 
@@ -154,7 +158,7 @@ def _shrink_cone(penalty: StandardCone, weights: Array) -> Array:
 
 
 def exact_slopes(problem: OptimalControlProblem, point: DualPoint) -> list[Balls]:
-    """Return s_0 .. s_T: the gradient of the cost at z_t, what is pulled back, and mu_t; in balls of any precision."""
+    """Return s_0 .. s_T, the sums of the cost's gradient at z_t, the pulled-back multipliers and mu_t, in balls."""
     n, count = problem.state_dim, (problem.horizon + 1) * problem.state_dim
     slopes = [[arb(value) for value in row] for row in point.mu.tolist()]
     if point.normal:
@@ -168,12 +172,12 @@ def exact_slopes(problem: OptimalControlProblem, point: DualPoint) -> list[Balls
         elif weights.any():  # sparse rows pull back the sums of multipliers times coefficients of states
             matrix, _ = term.map.rows(problem.horizon, n, problem.control_dim)
             used = np.flatnonzero(weights)
-            found = matrix[used].tocoo()
-            of_x = found.col < count
-            multipliers = weights.ravel()[used][found.row[of_x]].tolist()
-            entries = zip(found.col[of_x].tolist(), found.data[of_x].tolist(), multipliers, strict=True)
-            for place, value, weight in entries:
-                slopes[place // n][place % n] += arb(value) * weight
+            sparse = matrix[used].tocoo()
+            of_x = sparse.col < count
+            multipliers = weights.ravel()[used][sparse.row[of_x]].tolist()
+            entries = zip(sparse.col[of_x].tolist(), sparse.data[of_x].tolist(), multipliers, strict=True)
+            for column, value, weight in entries:
+                slopes[column // n][column % n] += arb(value) * weight
     return slopes
 
 
@@ -218,14 +222,14 @@ def run_adjoint(A: Array, slopes: Sequence[Balls], begin: arb_mat) -> tuple[arb_
     T, n = len(slopes) - 1, begin.nrows()
     turned = A.T if A.ndim == 2 else np.swapaxes(A, 1, 2)
     constant = arb_mat(turned.tolist()) if A.ndim == 2 else None
-    eta, found = begin, np.empty((T, n))
-    found[T - 1] = [float(eta[i, 0]) for i in range(n)]
+    eta, path = begin, np.empty((T, n))
+    path[T - 1] = [float(eta[i, 0]) for i in range(n)]
     for t in range(T - 1, 0, -1):
         eta = (arb_mat(turned[t].tolist()) if constant is None else constant) * eta
         for i, slope in enumerate(slopes[t]):
             eta[i, 0] -= slope
-        found[t - 1] = [float(eta[i, 0]) for i in range(n)]
-    return eta, found
+        path[t - 1] = [float(eta[i, 0]) for i in range(n)]
+    return eta, path
 
 
 def steer_adjoint(A: Array, slopes: Sequence[Balls], eta: Array, free: Indices) -> tuple[Balls, Array]:
@@ -244,16 +248,14 @@ def steer_adjoint(A: Array, slopes: Sequence[Balls], eta: Array, free: Indices) 
         for part, goal in ((first, eta[0]), (begin, eta[-1]))
         for i, weight in enumerate(weights)
     ]
-    system = arb_mat([[weight * one for one in row[1:]] for weight, row, _ in rows])
+    system = arb_mat([[weight * entry for entry in row[1:]] for weight, row, _ in rows])
     misses = arb_mat([[weight * (goal - row[0])] for weight, row, goal in rows])
-    moved = (system.transpose() * system).solve(system.transpose() * misses)
-    found = [moved[k, 0].mid() for k in range(len(free))]
-    alone = arb_mat(n, 1)
-    for i in range(n):
-        alone[i, 0] = -last[i]
-    for d, i in zip(found, free.tolist(), strict=True):
-        alone[i, 0] -= d
-    return found, run_adjoint(A, slopes, alone)[1]
+    least_squares = (system.transpose() * system).solve(system.transpose() * misses)
+    changes = [least_squares[k, 0].mid() for k in range(len(free))]
+    steered = arb_mat([[-value] for value in last])
+    for d, i in zip(changes, free.tolist(), strict=True):
+        steered[i, 0] -= d
+    return changes, run_adjoint(A, slopes, steered)[1]
 
 
 def precision(A: Array, horizon: int) -> int:
@@ -267,7 +269,7 @@ def precision(A: Array, horizon: int) -> int:
 
 
 def growth(A: Array, horizon: int) -> float:
-    """Return the base-2 logarithm of the largest norm of A_t ... A_s over the horizon, zero or above, or a bit more.
+    """Return the base-2 logarithm of the largest norm of A_t ... A_s over the horizon, at least zero, or a bound on it.
 
     A is (n, n) or (T, n, n). Logarithms are added up, as the product itself may overflow.
     """
@@ -278,7 +280,7 @@ def growth(A: Array, horizon: int) -> float:
         if A.ndim == 2:  # the power of ``steps``, squared next
             largest = max(largest, logarithm * min(horizon / steps, 2.0))
             product, logarithm, steps = product @ product, 2 * logarithm, 2 * steps
-        else:  # the product from time 0 on, of which the largest rise counts
+        else:  # the product from time 0 on; its largest rise counts
             least = min(least, logarithm)
             largest = max(largest, logarithm - least)
             product, steps = A[min(steps, len(A) - 1)] @ product, steps + 1
@@ -286,6 +288,6 @@ def growth(A: Array, horizon: int) -> float:
 
 
 def signal_lines(first: int, signals: Array) -> Iterator[str]:
-    """Yield the multipliers of removed bins of components, the first of which is ``first`` of (x, u)."""
+    """Yield the multipliers of removed bins of the components of (x, u) from ``first`` on."""
     for i in np.flatnonzero(signals.any(axis=0)).tolist():
         yield line(signal=first + i, values=signals[:, i])

@@ -1,8 +1,8 @@
 """The section POINT of a proof: controls near the optimal ones, whose trajectory is strictly inside all limits.
 
-The optimum z* is on its limits, and misses them by rounding. With z' optimal for limits that are tighter by a share of
-their sizes, (1 - s) z* + s z' satisfies the same equations and is strictly inside for any s > 0, as the margin to every
-limit is concave along the way; its cost, which is convex, is above the optimal one by s (J(z') - J(z*)) at most. A few
+The optimum z* is on its limits, and misses them by rounding. Let z' be optimal for limits tightened by a share of
+their sizes. Then (1 - s) z* + s z' satisfies the same equations and is strictly inside for any s > 0, as the margin to
+every limit is concave along the way. Its cost is convex, so above the optimal one by s (J(z') - J(z*)) at most. A few
 roundings are enough for s.
 
 The rounding errors of controls grow with the free motion, and no equation moves them back at a free end. With a
@@ -39,7 +39,7 @@ MOST = 0.25  # of the width of bounds, by which each may be moved
 LEAST_GROWTH = 20.0  # of rounding errors in bits below which they need no feedback; units of states may make 10
 
 MARGINS = (2.0**-46, 2.0**-40, 2.0**-34, 2.0**-27, 2.0**-20)  # distances to limits relative to sizes, tried in turn
-LEVEL_MARGINS = 4  # by which the level of a soft mask is above the largest value found, if that is below the proven one
+LEVEL_MARGINS = 4  # from the largest value of a soft mask up to its level, unless the proven peak is lower
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class InteriorPoint:
 def points(
     problem: OptimalControlProblem, outcome: Outcome, at: Trajectory, margins: Sequence[float] = MARGINS
 ) -> Iterator[tuple[InteriorPoint, Trajectory]]:
-    """Yield points farther and farther from all limits, with their trajectories; nothing if none is strictly inside."""
+    """Yield points of growing distance to all limits, with their trajectories; none if no point is strictly inside."""
     inner = None
     for margin in margins:
         if inner is None and least_distance(problem, at) < margin:
@@ -159,7 +159,7 @@ def tighten(problem: OptimalControlProblem, share: float, sizes: tuple[Array, Ar
     ):
         if np.isfinite(bounds.lower).any() or np.isfinite(bounds.upper).any():
             problem = replace(problem, **{field: replace_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
-    rows = [_tighten_rows(one, share, sizes) for one in problem.stage_rows]
+    rows = [_tighten_rows(family, share, sizes) for family in problem.stage_rows]
     problem = replace(problem, stage_rows=rows) if rows else problem
     for limit, amount in _term_limits(problem, share, sizes):
         problem = limit.relaxed(problem, -amount)
@@ -214,14 +214,17 @@ def add_feedback(problem: OptimalControlProblem, at: Trajectory) -> Trajectory:
     """Return the trajectory with controls whose exact trajectory stays near it."""
     start, fixed = problem.state_tube.project(at.x)[0], problem.control_tube.fixed
     with ctx.workprec(precision(problem.linear.A, problem.horizon)):
-        x, controls = arb_mat([[one] for one in start.tolist()]), problem.control_tube.project(at.u)
+        x, controls = _column(start), problem.control_tube.project(at.u)
         for t, gain in enumerate(regulator_gains(problem, at)):
             A, B, d = problem.linear.at(t)
-            away = [float(x[i, 0] - one) for i, one in enumerate(at.x[t].tolist())]
-            controls[t] += np.where(fixed[t], 0.0, gain @ away)
-            now = arb_mat([[one] for one in controls[t].tolist()])
-            x = arb_mat(A.tolist()) * x + arb_mat(B.tolist()) * now + arb_mat([[one] for one in d.tolist()])
+            deviation = [float(x[i, 0] - value) for i, value in enumerate(at.x[t].tolist())]
+            controls[t] += np.where(fixed[t], 0.0, gain @ deviation)
+            x = arb_mat(A.tolist()) * x + arb_mat(B.tolist()) * _column(controls[t]) + _column(d)
     return Trajectory(at.x, controls)
+
+
+def _column(vector: Array) -> arb_mat:
+    return arb_mat([[value] for value in vector.tolist()])
 
 
 def regulator_gains(problem: OptimalControlProblem, at: Trajectory) -> Array:

@@ -3,12 +3,11 @@
 A lower bound follows from the multipliers, or from those of the leaves of a search tree; an upper one from a point
 strictly inside all inequalities. The checker runs in this process on the lines: the file is never whole in memory.
 
-A checker wants quadratic costs whose Hessians are semidefinite exactly, and not only up to rounding. A matrix such as
-C'C has been rounded: its least eigenvalue may be -1e-17 and not 0, and no cost is bounded below over free states then.
-A Hessian that the package takes for semidefinite is stated with its diagonal larger by the least multiple of a rounding
-with which it is so exactly: the problem of the proof is that one. Its cost J+ is nowhere below the given J, and in a
-box above it by no more than ``raised_by``. So an upper bound of J+ is one of J, and a lower one of J+ less this is one
-of J.
+The checker requires Hessians that are semidefinite exactly, and not only up to rounding. The rounded least eigenvalue
+of a matrix such as C'C may be -1e-17 instead of 0, and then no cost is bounded below over free states. So the proof
+states such a Hessian with a larger diagonal, by the least multiple of a rounding that makes it semidefinite exactly.
+The cost J+ of this problem is nowhere below the given J, and in a box above it by at most ``raised_by``. Hence an upper
+bound of J+ is one of J, and a lower bound of J+ less ``raised_by`` is one of J.
 """
 
 from __future__ import annotations
@@ -51,13 +50,13 @@ RISE_STEP = 4.0  # between rises of the diagonal that are tried
 
 
 def convex_problem(problem: OptimalControlProblem, least: float = 0.0) -> OptimalControlProblem:
-    """Return the problem with Hessians that are symmetric and semidefinite exactly; itself if they are so.
+    """Return the problem with Hessians that are symmetric and semidefinite exactly; itself if they are so already.
 
-    The diagonals of Hessians that are not diagonal are larger by this part of them, at least.
+    The diagonal of each Hessian with other entries grows by at least the fraction ``least``.
     """
     cost, n = problem.quadratic, problem.state_dim
     given = cost.stage_hessians()
-    hessians, P = np.stack([_semidefinite(one, least) for one in given]), _semidefinite(cost.P, least)
+    hessians, P = np.stack([_semidefinite(matrix, least) for matrix in given]), _semidefinite(cost.P, least)
     if np.array_equal(hessians, given) and np.array_equal(P, cost.P):
         return problem
     stage = hessians[0] if len(hessians) == 1 else hessians
@@ -66,7 +65,7 @@ def convex_problem(problem: OptimalControlProblem, least: float = 0.0) -> Optima
 
 
 def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, region: Region) -> float:
-    """Return a bound on what the cost of a raised problem is above the given one in a region; inf without one."""
+    """Return a bound on how far a raised cost is above the given one in a region; inf if there is none."""
     if raised is given:
         return 0.0
     cost, other, total = given.quadratic, raised.quadratic, 0.0
@@ -77,7 +76,7 @@ def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, regio
     stages = cost.stage_hessians(), other.stage_hessians(), np.hstack([x[:-1], u])
     for old, new, v in (stages, (cost.P[None], other.P[None], x[-1:])):
         change = np.maximum(np.abs(new - old), np.abs(new - np.swapaxes(old, 1, 2)))
-        with np.errstate(invalid="ignore"):  # 0 times inf: what is not raised may be anywhere
+        with np.errstate(invalid="ignore"):  # 0 times inf: components that are not raised may be unbounded
             total += float(np.where(change > 0, change * v[:, :, None] * v[:, None, :], 0.0).sum())
     return RADIUS_MARGIN * total / 2
 
@@ -85,7 +84,7 @@ def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, regio
 def _semidefinite(matrix: Array, least: float) -> Array:
     """Return a symmetric matrix with the least rise of the diagonal that makes it semidefinite; itself if none does.
 
-    The rise itself is semidefinite, too, with what the rounding of entries adds.
+    The difference to the given matrix is semidefinite, too, rounding included.
     """
     symmetric, diagonal = (matrix + matrix.T) / 2, np.diag(np.diagonal(matrix))
     if np.array_equal(matrix, diagonal):
@@ -100,9 +99,9 @@ def _semidefinite(matrix: Array, least: float) -> Array:
 
 
 UNCHECKED_MARGIN = (2.0**-36,)  # distance to limits relative to sizes, of a point that is not checked
-UNCHECKED_SLACK = 1e-6  # by which the claim is wider than what the certificate says, relative to the cost
-CLAIM_SLACK = 1e-9  # by which the claim is wider than what is proven, relative to it
-TREE_BITS = 192  # of balls, without a linear system to solve in them; products of three doubles are exact
+UNCHECKED_SLACK = 1e-6  # by which an unchecked claim is wider than the certificate's interval, relative to the cost
+CLAIM_SLACK = 1e-9  # by which a claim is wider than the proven interval, relative to its ends
+TREE_BITS = 192  # of balls: no linear system is solved in them, and products of three doubles are exact
 NOTHING = Enclosure(-np.inf, np.inf)
 
 
@@ -128,17 +127,17 @@ class Proof:
 
 
 def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
-    """Return a proof of what a solve found, and what the checker makes of it.
+    """Return a proof of the answer of a solve, and the interval that the checker confirms.
 
     Raises
     ------
     UnsupportedError
         If the format does not hold the problem.
     SolveError
-        If the outcome has nothing to prove, its multipliers prove nothing, or its cost lies outside of what is proven.
+        If there is nothing to prove, the multipliers prove nothing, or the cost lies outside the proven interval.
     """
-    found = tree_of(outcome)
-    proof, enclosure = _linear_proof(outcome) if found is None else _tree_proof(outcome, found.tree)
+    searched = tree_of(outcome)
+    proof, enclosure = _linear_proof(outcome) if searched is None else _tree_proof(outcome, searched.tree)
     certificate = outcome.certificate
     if certificate is not None and certificate.feasible:  # an optimal cost lies in the interval, others not below it
         cost, slack = certificate.cost, certificate.allowed_gap
@@ -155,22 +154,22 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
 def _linear_proof(outcome: Outcome) -> tuple[Proof, Enclosure]:
     """Return a proof of an answer for linear dynamics, with a point if the checker accepts one.
 
-    Where Hessians are singular, or so but for rounding, that with the narrower interval of two rises.
+    If Hessians are singular, exactly or up to rounding, two rises are tried, and the narrower interval counts.
     """
     proven = _raised_proof(outcome, 0.0)
     stated = outcome.ray is not None or convex_problem(outcome.problem) is outcome.problem
     if not (stated and proven[1].lower > -np.inf):
         with suppress(SolveError):
-            proven = min(proven, _raised_proof(outcome, LARGER_RISE), key=lambda found: found[1].width)
+            proven = min(proven, _raised_proof(outcome, LARGER_RISE), key=lambda answer: answer[1].width)
     return proven
 
 
 def _raised_proof(outcome: Outcome, least: float) -> tuple[Proof, Enclosure]:
-    """Return a proof of the problem with Hessians that are raised at least so much, and the interval of the given."""
+    """Return a proof of the problem with Hessians raised by at least this much, and the interval of the given one."""
     bare, at = _bound_proof(outcome, least)
     found = None
     for point, _ in () if outcome.ray is not None else points(bare.problem, outcome, at):
-        with suppress(Failed):  # the nearest to the trajectory that the checker accepts
+        with suppress(Failed):  # the first point that the checker accepts is the nearest to the trajectory
             proof = replace(bare, point=point)
             found = proof, checked_enclosure(proof.lines())
             break
@@ -209,7 +208,7 @@ def _require_statement(problem: OptimalControlProblem) -> None:
 
 
 def _confirmed_enclosure(proof: Proof, outcome: Outcome) -> Enclosure:
-    """Return what the checker makes of a proof; SolveError if it proves nothing."""
+    """Return the interval that the checker confirms; SolveError if the proof proves nothing."""
     try:
         return checked_enclosure(proof.lines())
     except Failed as failed:
@@ -222,10 +221,10 @@ def _subtract_downwards(lower: float, by: float) -> float:
 
 
 def _widened_claim(proven: Enclosure) -> Enclosure:
-    """Return a claim that is a little wider than what is proven: the checker may round otherwise elsewhere."""
+    """Return a claim a little wider than the proven interval: on another machine the checker may round differently."""
     if proven.infeasible:
         return proven
-    ends = [abs(one) for one in (proven.lower, proven.upper) if np.isfinite(one)]
+    ends = [abs(end) for end in (proven.lower, proven.upper) if np.isfinite(end)]
     slack = CLAIM_SLACK * max(ends, default=0.0)
     return Enclosure(proven.lower - slack, proven.upper + slack)
 
@@ -255,9 +254,9 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
 
 
 def unchecked_proof(outcome: Outcome) -> Proof:
-    """Return a proof of what a solve found of linear dynamics, without a check; errors are those of ``proof_of``.
+    """Return a proof of an answer for linear dynamics, without a check; errors are those of ``proof_of``.
 
-    It claims what the certificate says, a little less.
+    It claims a little less than the certificate.
     """
     bare, at = _bound_proof(outcome)
     if outcome.ray is not None:
@@ -272,7 +271,7 @@ def unchecked_proof(outcome: Outcome) -> Proof:
 
 
 def checked_enclosure(lines: Iterable[str]) -> Enclosure:
-    """Return what a proof proves; raise the checker's error if it proves nothing."""
+    """Return the interval that the checker derives from the lines of a proof; it raises ``Failed`` if it is none."""
     rest = iter(lines)
     stream = SimpleNamespace(readline=lambda limit: next(rest, "").encode())  # lines as a file of bytes
     with ctx.workprec(ctx.prec):  # the checker sets the precision

@@ -1,4 +1,4 @@
-"""The lines of a proof, and its section PROBLEM: an optimal control problem with every number as it is.
+"""The lines of a proof, and its section PROBLEM: an optimal control problem with every number exact.
 
 Lines are JSON objects whose real numbers are hexadecimal strings, exact to the last bit.
 
@@ -6,8 +6,8 @@ Dynamics, cost, bounds and removed bins come first; a line is written at each ti
 has a line for each group of values with a limit, or of half-spaces for each value. Its function h is in the format
 weight max(gauge(v) - limit, 0), and its values L v are given by rows, or by the spectrum of an output.
 
-Of a bin the format has (Re, Im), where a map may leave out an Im that is zero for every signal, or count the phase from
-another time: ``written_multipliers`` states multipliers of the map in the format's values.
+The format has (Re, Im) of every bin. A map may leave out an Im that is zero for every signal, or count the phase from
+another time: ``written_multipliers`` converts multipliers of the map to the values of the format.
 """
 
 from __future__ import annotations
@@ -121,14 +121,14 @@ def _modes(problem: OptimalControlProblem) -> list[tuple[str, Parts]]:
     named = {"A": (found.A, 2), "B": (found.B, 2), "d": (found.offset, 1), "G": (found.G, 2), "H": (found.H, 2)}
     named["h"] = found.h, 1
     return [
-        # What stands in memory once for all times is stated without its time
+        # An array that memory holds once for all times is stated without its time
         (name, {field: (of[:, i] if of.strides[0] else of[0, i], ndim) for field, (of, ndim) in named.items()})
         for i, name in enumerate(problem.dynamics.mode_names)
     ]
 
 
 def _cost_lines(problem: OptimalControlProblem) -> Iterator[str]:
-    """Yield the quadratic cost; a line names what changes."""
+    """Yield the quadratic cost; a line states the parts that change."""
     cost, T = problem.quadratic, problem.horizon
     hessians = cost.stage_hessians()
     parts = {

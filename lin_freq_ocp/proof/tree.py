@@ -1,8 +1,8 @@
 """The sections NODES and DUAL of a search tree over modes: its masks, and the multipliers and tangent points of leaves.
 
-The masks are those that the judge's reach confirms. Where a node's modes at the time of a split are not all among its
-children's, the others lead nowhere: each is a leaf of its own without multipliers. Below a node that reaches nothing
-there is nothing to write.
+The masks are those that the judge's reach confirms. If the children of a node do not have all of its modes at the time
+of a split, no trajectory has the other modes: each is a leaf of its own without multipliers. Below a node that reaches
+nothing there is nothing to write.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from lin_freq_ocp.proof.statement import Text, Value, encode, line, multiplier_l
 
 @dataclass(frozen=True, eq=False)
 class WrittenNode:
-    """A node of the file: what it keeps at the time of its parent's split, and the leaf's multipliers, if any."""
+    """A node of the file: its modes at the time of its parent's split, and the multipliers if it is a leaf."""
 
     parent: int
     stage: int
@@ -65,7 +65,7 @@ def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> Optim
 
     Rows of a single control are bounds, which may fix it (a level); those that a fixed x_0 decides are left out.
     """
-    alone, found = problem.with_modes(sequence), list[StageRows]()
+    alone, remaining = problem.with_modes(sequence), list[StageRows]()
     T, free = problem.horizon, ~alone.state_tube.fixed[0]
     lower, upper = (_over_time(part, T, 1) for part in (alone.control_tube.lower, alone.control_tube.upper))
     for rows in alone.stage_rows:
@@ -79,9 +79,9 @@ def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> Optim
                 upper[t, j] = min(upper[t, j], bound)
             else:
                 lower[t, j] = max(lower[t, j], bound)
-        found.append(StageRows(rows.C, rows.D, np.where(single, np.inf, limits), rows.name, rows.penalty))
+        remaining.append(StageRows(rows.C, rows.D, np.where(single, np.inf, limits), rows.name, rows.penalty))
     controls = replace_bounds(alone.control_set, Box(lower, upper))
-    return replace(alone, stage_rows=found, control_set=controls) if found else alone
+    return replace(alone, stage_rows=remaining, control_set=controls) if remaining else alone
 
 
 def _over_time(part: Array, T: int, ndim: int) -> Array:
@@ -117,17 +117,13 @@ def _leaf_lines(
     yield line(section="dual", node=number, cost=int(given.eta_C > 0))
     yield from signal_lines(0, problem.in_time(given.rho_x)[: problem.state_samples])
     yield from signal_lines(problem.state_dim, time_signal(given.rho_u, T))
-    weights = [
-        domain_multipliers(term, given.stage.get(term.name, np.zeros(term.shape)), given.eta_C)
-        for term in problem.terms
-    ]
-    yield from multiplier_lines(problem.terms, weights)
+    yield from multiplier_lines(problem.terms, domain_multipliers(problem.terms, given))
     yield line(t=T, z=at.end, eta=eta[T - 1])
     bounded = np.isfinite(piecewise_affine(problem).arrays(T).h)
     for t in reversed(range(T)):
         fields: dict[str, Value] = {"z": by_edge(at.z[t], at.edges[t], keep=True)}
-        found = multiplier_texts(proof, at.edges[t], bounded[t], t)
-        fields |= {name: text for name, text in found.items() if text != "{}"}
+        texts = multiplier_texts(proof, at.edges[t], bounded[t], t)
+        fields |= {name: text for name, text in texts.items() if text != "{}"}
         if t:
             fields["eta"] = eta[t - 1]
         yield line(t=t, **fields)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 import json
+import subprocess
+import sys
 import tomllib
 
 import pytest
@@ -13,6 +15,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.schemas import SHOW, faults
 from lin_freq_ocp.cli.show import SCHEMAS, as_toml
+from lin_freq_ocp.files.problem_file import problem_text
 
 
 def shown(*arguments):
@@ -108,3 +111,27 @@ def test_schemas_are_printed(name):
 def test_an_unknown_schema_is_answered_with_the_known_ones():
     status, _, err = run("schema", "problems")
     assert (status, all(name in err for name in SCHEMAS)) == (2, True)
+
+
+def test_the_problem_file_of_a_library_problem_is_printed(tmp_path):
+    status, out, err = run("show", "elliptic_rendezvous", "--toml", "--set", "horizon=30")
+    assert (status, err) == (0, "")
+    (tmp_path / "orbit.toml").write_text(out, encoding="utf-8")
+    read = lfo.read_problem(tmp_path / "orbit.toml")
+    assert read.linear.A.shape == (30, 4, 4)  # in the text itself
+    assert problem_text(read) == problem_text(lfo.library.elliptic_rendezvous(horizon=30))
+
+
+def test_the_script_of_a_library_problem_is_printed_and_solves_it(tmp_path):
+    status, out, err = run("show", "pendulum", "--python", "--set", "control_bound=6")
+    assert (status, err) == (0, "")
+    (tmp_path / "pendulum.py").write_text(out, encoding="utf-8")
+    printed = subprocess.run([sys.executable, "pendulum.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    result = lfo.solve(lfo.library.pendulum(control_bound=6))
+    assert printed.stdout.splitlines()[0] == str(result).splitlines()[0]
+
+
+def test_only_one_form_is_printed():
+    status, out, err = run("show", "pendulum", "--toml", "--python")
+    assert (status, out) == (2, "")
+    assert "--json, --toml and --python exclude each other" in err

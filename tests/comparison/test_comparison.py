@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.comparison.filters import FILTERS, filter_stop, filtered
+from lin_freq_ocp.comparison.filters import FILTERS, apply_filter, filter_stop
 
 
 @pytest.fixture(scope="module")
@@ -110,36 +110,36 @@ class TestFilters:
     noise = np.random.default_rng(3).standard_normal((240, 1))
 
     def test_brick_wall_removes_the_bins_and_no_others(self):
-        u = filtered("brickwall", self.problem, self.noise).u
+        u = apply_filter("brickwall", self.problem, self.noise).u
         before, after = np.fft.rfft(self.noise[:, 0]), np.fft.rfft(u[:, 0])
         stop = self.problem.control_stop[:, 0]
         assert np.abs(after[stop]).max() < 1e-12
         assert after[~stop] == pytest.approx(before[~stop])
 
     def test_clipped_is_the_brick_wall_within_bounds(self):
-        wall = filtered("brickwall", self.problem, 5 * self.noise).u
-        assert filtered("clipped", self.problem, 5 * self.noise).u == pytest.approx(np.clip(wall, -5, 5))
+        wall = apply_filter("brickwall", self.problem, 5 * self.noise).u
+        assert apply_filter("clipped", self.problem, 5 * self.noise).u == pytest.approx(np.clip(wall, -5, 5))
 
     def test_butterworth_meets_its_design(self):
         """3 dB down at most at the last kept bin, 20 dB down half way into the stop band; causal."""
         impulse = np.zeros((240, 1))
         impulse[0] = 1
-        response = np.abs(np.fft.rfft(filtered("butterworth", self.problem, impulse).u[:, 0], n=2400))
+        response = np.abs(np.fft.rfft(apply_filter("butterworth", self.problem, impulse).u[:, 0], n=2400))
         assert -20 * np.log10(response[960]) <= 3.0 + 1e-6
         assert -20 * np.log10(response[1080]) >= 20.0 - 1e-6
         late = np.zeros((240, 1))
         late[100] = 1
-        assert not np.any(filtered("butterworth", self.problem, late).u[:100])
+        assert not np.any(apply_filter("butterworth", self.problem, late).u[:100])
 
     def test_zero_phase_is_symmetric(self):
         impulse = np.zeros((241, 1))
         impulse[120] = 1
-        u = filtered("zero_phase", replace(self.problem, horizon=241), impulse).u[:, 0]
+        u = apply_filter("zero_phase", replace(self.problem, horizon=241), impulse).u[:, 0]
         assert u == pytest.approx(u[::-1], abs=1e-10)
 
     def test_moving_average_is_one(self):
         problem = replace(self.problem, control_spectrum=lfo.low_pass(0.2))
-        entry = filtered("moving_average", problem, self.noise)
+        entry = apply_filter("moving_average", problem, self.noise)
         length = int(entry.description.split()[4])
         expected = signal.lfilter(np.ones(length) / length, 1, self.noise[:, 0])
         assert entry.u[:, 0] == pytest.approx(expected)
@@ -158,7 +158,7 @@ class TestFilters:
         ids=str,
     )
     def test_every_filter_takes_every_band(self, name, band):
-        entry = filtered(name, replace(self.problem, control_spectrum=band), self.noise)
+        entry = apply_filter(name, replace(self.problem, control_spectrum=band), self.noise)
         assert np.isfinite(entry.u).all()
         if band is None and name != "clipped":
             assert entry.u == pytest.approx(self.noise)

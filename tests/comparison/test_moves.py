@@ -108,6 +108,60 @@ def test_where_shapers_do_not_apply():
         lfo.compare(free, ["ZVDD"])
 
 
+def test_shapers_for_two_modes_of_a_rate_limited_move():
+    """They are convolved, and shape profiles that start after a control of zero and end with one."""
+    fast = lfo.ResidualVibration(frequency=(33.0, 35.0), damping=(0.02, 0.05), limit=0.5)
+    printer = replace(lfo.library.printer_move(40), control_spectrum=[CALM, fast])
+    problem = lfo.rate_limited(printer, 3.0, previous=[0.0])
+    assert why_not_shaped(problem) == ""
+    moves = lfo.compare(problem, ["ZVD"]).moves
+    (move,) = moves.shaped
+    assert move.keeps_everything
+    assert move.description.count("at t =") == 9
+    assert moves.unshaped.samples < moves.ours.samples < move.samples
+    assert moves.proof
+    u = move.measured.trajectory.u
+    assert np.abs(np.diff(u, axis=0, prepend=0.0)).max() <= 3.0 + 1e-9
+    assert u[-1] == pytest.approx(0.0, abs=1e-9)
+    boxes = moves_of.boxes_of(move.measured.problem)
+    assert [tuple(box.low) for box in boxes] == [(18.0, 0.02), (33.0, 0.02)]
+    for box in boxes:
+        largest = vibration(box, move.measured.trajectory, np.linspace(box.low[0], box.high[0], 101)).max()
+        assert largest <= 0.5 * move.ratio * (1 + 1e-9)
+
+
+def test_only_states_that_remember_controls_are_zero_at_the_ends():
+    printer = lfo.library.printer_move()
+    assert moves_of.remember_zero(printer) is printer
+    limited = lfo.rate_limited(printer, 3.0, previous=[1.0])
+    zeroed = moves_of.remember_zero(limited)
+    assert (zeroed.initial_box.lower[2], zeroed.initial_box.upper[2]) == (1.0, 1.0)  # where zero is not admissible
+    assert (zeroed.terminal_box.lower[2], zeroed.terminal_box.upper[2]) == (0.0, 0.0)
+    assert np.array_equal(zeroed.terminal_box.lower[:2], limited.terminal_box.lower[:2])
+
+
+def test_one_line_says_why_no_shaper_applies():
+    swing = lfo.library.two_mass_spring(horizon=40, notch_width_hz=None, initial_state=(0.0, 0.5, 0.0, 0.0))
+    ringing = lfo.compare(replace(swing, control_spectrum=CALM, terminal_state=None))
+    assert ringing.moves is None
+    assert "input shapers do not apply: with a control of zero the state does not stay" in " ".join(
+        str(ringing).split()
+    )
+    assert "input shapers do not apply: with a control of zero" in render_page(ringing, tuple(draw_figures(ringing)))
+    of_states = replace(lfo.library.printer_move(40), control_spectrum=None, state_spectrum=replace(CALM, component=1))
+    assert lfo.compare(of_states).shaper_obstacle == "no control has a bound on its residual vibration"
+    for problem in (lfo.library.double_integrator(), lfo.library.printer_move(horizon=24)):
+        assert lfo.compare(problem, ["clipped"]).shaper_obstacle == ""
+
+
+def test_the_command_says_why_no_shaper_applies(tmp_path):
+    problem = replace(lfo.library.printer_move(24), terminal_state=None, initial_state=[0.0, 0.1])
+    lfo.write_problem(problem, tmp_path / "move.toml")
+    status, out, _ = run("compare", str(tmp_path / "move.toml"))
+    assert status == 0
+    assert "Input shapers do not apply: with a control of zero" in " ".join(out.split())
+
+
 def test_the_command_prints_both_tables():
     given = ["compare", "printer_move", "--set", "uncertainty=0.05", "--filters", "ZVD"]
     status, out, _ = run(*given)

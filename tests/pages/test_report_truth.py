@@ -11,7 +11,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.comparison.filters import filter_limits, filter_stop, filtered
+from lin_freq_ocp.comparison.filters import apply_filter, filter_limits, filter_stop
 from lin_freq_ocp.pages.figures.figures import comparison_data, spectra_figure, states_figure
 from lin_freq_ocp.pages.figures.look import REFERENCE
 from lin_freq_ocp.pages.report import findings, proof
@@ -108,11 +108,11 @@ def test_a_band_on_one_control_leaves_the_others_as_they_are():
     one = problem(control_spectrum=lfo.low_pass(cutoff_hz=1.0, component="I"))
     noise = np.random.default_rng(1).normal(size=(T, 2))
     for name in ("brickwall", "butterworth", "zero_phase", "moving_average"):
-        result = filtered(name, one, noise)
+        result = apply_filter(name, one, noise)
         assert result.u[:, 0] == pytest.approx(noise[:, 0])
         assert np.abs(result.u[:, 1] - noise[:, 1]).max() > 0.1
-    assert "Hz" in filtered("butterworth", one, noise).description
-    assert "rad/sample" not in filtered("butterworth", one, noise).description
+    assert "Hz" in apply_filter("butterworth", one, noise).description
+    assert "rad/sample" not in apply_filter("butterworth", one, noise).description
     assert filter_limits(one) == ""
 
 
@@ -127,7 +127,7 @@ OUTPUT = lfo.spectrum.OutputSpectrum(C=[[1, 1]], constraints=lfo.MagnitudeBound(
         ({"control_spectrum": lfo.stop_band(bins=[9]), "output_spectrum": OUTPUT}, "bands on outputs are not filtered"),
         (
             {"control_spectrum": lfo.spectrum.LinearConstraint(np.ones((T, 1, 2)))},
-            "linear equations over all times are nothing that a filter",
+            "filters do not act on linear equations over all times",
         ),
     ],
 )

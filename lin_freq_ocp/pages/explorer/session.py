@@ -24,7 +24,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome, Filtered
-from lin_freq_ocp.comparison.filters import can_be_filtered, filtered, has_frequency_constraint
+from lin_freq_ocp.comparison.filters import apply_filter, can_be_filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, frequencies_around, vibration
 from lin_freq_ocp.comparison.trajectories import ProblemSignal, controls_of, outputs_of, replay_control, states_of
 from lin_freq_ocp.pages.explorer.sliders import GROUP_OF, Slider, sliders_of_limits
@@ -157,7 +157,7 @@ class Session:
             return {"finding": f"no classical solution, {classical.status}", "trajectories": []}
         entries = ()
         if can_be_filtered(problem):
-            control = filtered(PREFERRED_FILTER, problem, plan.u)
+            control = apply_filter(PREFERRED_FILTER, problem, plan.u)
             replay = replay_control(PREFERRED_FILTER, problem, control.u, plan)
             entries = (Filtered(PREFERRED_FILTER, control.description, replay),)
         comparison = ComparisonOutcome(problem, classical, constrained, entries)

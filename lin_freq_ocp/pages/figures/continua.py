@@ -36,11 +36,11 @@ SHOWN_DECADES = 4  # below the largest value
 
 
 def moves_figure(moves: Moves) -> Figure:
-    """Return the residual vibration of each move, one panel per control."""
-    boxes = boxes_of(moves.problem)
-    figure, panels = look.panel_grid(len(boxes), PANEL_HEIGHT)
-    for k, (ax, box) in enumerate(zip(panels, boxes, strict=True)):
-        vibration_panel(ax, moves.problem.control_names[box.map.component], ringing_of(moves, k))
+    """Return the residual vibration of each move, one panel for each limit."""
+    terms = [term for term, _ in semi_infinite_terms(moves.problem, VibrationLimit) if term.kind.of == "controls"]
+    figure, panels = look.panel_grid(len(terms), PANEL_HEIGHT)
+    for k, (ax, term) in enumerate(zip(panels, terms, strict=True)):
+        vibration_panel(ax, term.name.removeprefix("residual vibration of "), ringing_of(moves, k))
     return figure
 
 

@@ -47,6 +47,7 @@ def finding_of(comparison: ComparisonOutcome) -> Finding:
     if shown is None and limits:
         filtering = f"does not apply: {limits}"
         filtering += "" if comparison.moves is None else f"; {moves_sentence(comparison.moves)}"
+        filtering += comparison.shaper_obstacle and f"; input shapers do not apply: {comparison.shaper_obstacle}"
     if shown is not None:
         replay = shown.replay
         filtering = ", ".join(faults(replay, comparison))
