@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.rays import Exclusion, exclusion
+from lin_freq_ocp.certificate.rays import InfeasibilityCertificate, infeasibility_certificate
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
@@ -34,7 +34,7 @@ class Located:
         base = problem.with_ends(changed.initial_state) if origin.any() else problem
         self.translation = translated_by(base, origin)
         self.kept = Kept(self.translation.problem) if linear else None
-        self.exclusions = deque[Exclusion](maxlen=KEPT_RAYS)
+        self.exclusions = deque[InfeasibilityCertificate](maxlen=KEPT_RAYS)
 
     @property
     def origin(self) -> Array:
@@ -97,13 +97,15 @@ class Repeated:
         if located is None or not located.exclusions or not change.starts_elsewhere:
             return False
         start = change.of(self.problem).initial_box
-        return bool(start.fixed.all()) and any(one.excludes(start.lower - located.origin) for one in located.exclusions)
+        return bool(start.fixed.all()) and any(
+            one.applies_to(start.lower - located.origin) for one in located.exclusions
+        )
 
     def keep(self, outcome: Outcome) -> None:
         """Keep the ray of an infeasible problem that differs from this one in its initial state alone."""
         located = self._located
         if located is not None and outcome.status == Status.INFEASIBLE and outcome.ray is not None:
-            found = exclusion(translated_by(outcome.problem, located.origin).problem, outcome.ray)
+            found = infeasibility_certificate(translated_by(outcome.problem, located.origin).problem, outcome.ray)
             if found is not None:
                 located.exclusions.appendleft(found)
 

@@ -230,7 +230,7 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
         active = priced.values >= priced.term.penalty.bounds(priced.term.shape)[1] - near
         for group in np.flatnonzero(np.asarray(rows.times) == t):
             normals.append(rows.matrix(int(group))[active[group]])
-            held.append(priced.given[group, active[group]])
+            held.append(priced.multipliers[group, active[group]])
     return np.vstack(normals), np.maximum(np.concatenate(held), 0.0)
 
 
