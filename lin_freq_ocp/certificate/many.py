@@ -41,7 +41,7 @@ class Verdicts:
 
 
 def batch_judge_takes(problem: OptimalControlProblem) -> bool:
-    """Whether ``judge_batch`` takes a problem: time-invariant, quadratic, with boxes and stop bands of controls only."""
+    """Whether ``judge_batch`` takes a problem: time-invariant, quadratic, only boxes and stop bands of controls."""
     cost, dynamics = problem.quadratic, problem.linear
     constant = not dynamics.time_varying and all(part.ndim == 2 for part in (cost.Q, cost.R, cost.S))
     return constant and not problem.terms and not problem.state_stop.any() and bool(problem.ends[0].fixed.all())

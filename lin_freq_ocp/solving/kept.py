@@ -13,7 +13,7 @@ from lin_freq_ocp.base.arrays import Array, known_entries
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
-from lin_freq_ocp.methods.spectral.recovery import Together
+from lin_freq_ocp.methods.spectral.recovery import BatchSolution
 from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Chain, reduce_problem
@@ -106,13 +106,13 @@ class Kept:
             return True
         return all(len(spectral_problem(one).problem.stage_rows) == len(one.stage_rows) for one in (problem, old))
 
-    def together(self, initial_states: Array) -> Together | None:
+    def together(self, initial_states: Array) -> BatchSolution | None:
         """Solve from initial states (N, n) at once, where the Fourier-domain method can."""
         try:
             reduced, solver = self._spectral_solver()
         except UnsupportedError:
             return None
-        return None if reduced.inverses else solver.solve_together(initial_states)
+        return None if reduced.inverses else solver.solve_batch(initial_states)
 
     def _spectral_solver(self) -> tuple[Chain, SpectralSolver]:
         if self._refusal is not None:
