@@ -72,7 +72,7 @@ def bounded_qp(
     if lam is None:
         thin = None if unconstrained is None else unconstrained * unit**2
         lam, accurate = interior_point(A, b, thin, stop, warm, scaled_upper)
-    if upper is None:
+    if upper is None or scaled_upper is None:
         return lam * unit * size, accurate
     return np.where(lam >= scaled_upper, upper, lam * unit * size), accurate  # exactly u if saturated
 
