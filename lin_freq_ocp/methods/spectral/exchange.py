@@ -157,9 +157,11 @@ class Exchange:
             if reason is not None:
                 return self._outcome("limit", reason)
             entering = self.violations.entering(self.tolerance)
+            present = self.working.present.copy()
             if count <= KEEP_ALL_AFTER:
                 self.working.keep(self.working.weights > 0)
-            added = self.working.add(*entering)
+            self.working.add(*entering)
+            added = np.count_nonzero(self.working.present & ~present)  # rows that return at once are not new
             self._measure_rows()
         if self._accurate():
             return self._outcome("optimal")
@@ -236,9 +238,9 @@ class Exchange:
         response = None if prices is None else working.free_response()
         new, accurate = bounded_qp(S, d, guess, unconstrained, self.stop, prices, response)
         combine = (want_ray or not accurate) and self.stop() is None
-        ray = row_ray(self.structure, self.data, working, S, d, Z, combine, self.stop)
+        ray = row_ray(self.structure, self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
         if ray is None and combine:
-            ray = regularised_ray(self.structure, self.data, working, self.stop)
+            ray = regularised_ray(self.structure, self.data, working, self._ray_tolerance, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
     def _soft_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
@@ -253,7 +255,12 @@ class Exchange:
         step, new, accurate = qp.solve(self.stop)
         if not (want_ray or not accurate) or self.stop():
             return step, new, None
-        return step, new, regularised_ray(self.structure, self.data, working, self.stop)
+        return step, new, regularised_ray(self.structure, self.data, working, self._ray_tolerance, self.stop)
+
+    @property
+    def _ray_tolerance(self) -> float:
+        """Return the stationarity of rays: the exchange may stall because the rows conflict."""
+        return tol.ACCEPTED_RAY if self.stalled >= STALLED_ROUNDS else tol.RAY_TOLERANCE
 
     def _evaluate(self) -> None:
         """Compute the signals by FFT, their violations, and the residuals of the equations and the slope in theta."""

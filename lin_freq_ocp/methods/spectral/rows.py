@@ -172,7 +172,8 @@ class WorkingSet:
 
     Multipliers of soft rows are at most their ``prices``; a saturated row, whose multiplier is its price, is violated.
 
-    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count).
+    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count). ``present`` (2, rows of F, T+1) is the mask of
+    the rows, lower bounds first.
     """
 
     def __init__(self, kkt: BorderedSystem):
@@ -183,7 +184,7 @@ class WorkingSet:
         self.weights: Array = np.zeros(0)
         self.coupling: Array = np.zeros((len(kkt.matrix), 0))
         self._cached_gram: Array | None = None
-        self._present = np.zeros((2, len(kkt.lti.F), kkt.lti.horizon + 1), dtype=bool)
+        self.present = np.zeros((2, len(kkt.lti.F), kkt.lti.horizon + 1), dtype=bool)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -205,7 +206,7 @@ class WorkingSet:
 
     def add(self, t: Indices, f: Indices, sign: Array) -> int:
         """Add the rows that are new, with weight 0; return how many."""
-        new = ~self._present[(sign > 0).astype(np.intp), f, t]
+        new = ~self.present[(sign > 0).astype(np.intp), f, t]
         t, f, sign = t[new], f[new], sign[new]
         if not len(t):
             return 0
@@ -229,10 +230,10 @@ class WorkingSet:
 
     def replace(self, rows: Rows, coupling: Array) -> None:
         """Replace all rows and their coupling."""
-        self._present[(self.sign > 0).astype(np.intp), self.f, self.t] = False
+        self.present[(self.sign > 0).astype(np.intp), self.f, self.t] = False
         self.t, self.f, self.sign = rows.t, rows.f, rows.sign
         self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
-        self._present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
+        self.present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
         self.coupling, self._cached_gram = coupling, None
 
     @property

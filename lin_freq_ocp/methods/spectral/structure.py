@@ -198,8 +198,10 @@ class Ray:
     multipliers: Array
 
 
-def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
-    """Return the ray if it proves that these data are infeasible."""
+def verified_ray(
+    structure: Structure, data: Data, working: WorkingSet, y: Array, tolerance: float = tol.RAY_TOLERANCE
+) -> Ray | None:
+    """Return the ray if it is stationary to a tolerance and proves that these data are infeasible, else None."""
     kkt, lti = structure.kkt, data.lti
     force, _ = forces(structure, lti, y, working)
     size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
@@ -212,7 +214,7 @@ def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array
     c, residual = _point_without_forces(structure, data)
     value = float(working.weights @ working.slacks(lti, c.y, c.last) + y @ residual)
     terms = float(working.weights @ np.abs(working.limits(lti)) + np.abs(y) @ np.abs(data.e)) + 1e-300
-    proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
+    proven = stationarity < tolerance * min(1.0, -tol.RAY_VALUE * value / terms)
     return Ray(working, y) if proven else None
 
 
@@ -232,7 +234,8 @@ def row_ray(
     d: Array,
     Z: Array,
     combine: bool,
-    stop: Callable[[], str | None] = lambda: None,
+    tolerance: float,
+    stop: Callable[[], str | None],
 ) -> Ray | None:
     """Return a ray of working rows: a row that the equations decide, or (``combine``) a combination of many.
 
@@ -257,11 +260,12 @@ def row_ray(
     else:
         return None
     weights /= weights.max()
-    return verified_ray(structure, data, working.weighted(weights), -(Z @ weights)[structure.kkt.size :])
+    y = -(Z @ weights)[structure.kkt.size :]
+    return verified_ray(structure, data, working.weighted(weights), y, tolerance)
 
 
 def regularised_ray(
-    structure: Structure, data: Data, working: WorkingSet, stop: Callable[[], str | None] = lambda: None
+    structure: Structure, data: Data, working: WorkingSet, tolerance: float, stop: Callable[[], str | None]
 ) -> Ray | None:
     """Return a ray of working rows from a unit Hessian of the bordering unknowns.
 
@@ -271,7 +275,7 @@ def regularised_ray(
     step = kkt.regularised @ np.concatenate([np.zeros(kkt.size), residual])
     Z, S = working.eliminated(kkt.regularised)
     d = working.slacks(data.lti, c.y, c.last) - working.coupling.T @ step
-    return row_ray(structure, data, working, S, d, Z, combine=True, stop=stop)
+    return row_ray(structure, data, working, S, d, Z, True, tolerance, stop)
 
 
 def ends_model(structure: Structure, lti: Lti) -> EndsModel | None:
