@@ -57,8 +57,13 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
         lower, upper = (np.repeat(bound[None], len(starts), axis=0) for bound in problem.state_tube.bounds)
         lower[:, 0] = upper[:, 0] = starts
         tubes = (lower, upper), problem.control_tube.bounds
+        # curvatures that l_t has at least, (T+1, n) and (m,); the cost is convex
+        n, stage, last = problem.state_dim, diagonal_curvature(cost.stage_hessians()[0]), diagonal_curvature(cost.P)
+        if stage is None or last is None:
+            stage, last = np.zeros(n + problem.control_dim), np.zeros(n)
+        curvatures = np.vstack([np.broadcast_to(stage[:n], (problem.horizon, n)), last]), stage[n:]
         for values, slope, size, curvature, (lower, upper), reference in zip(
-            signals, slopes, sizes, _curvatures(problem), tubes, references, strict=True
+            signals, slopes, sizes, curvatures, tubes, references, strict=True
         ):
             error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
             low, high = lower - values, upper - values
@@ -105,15 +110,6 @@ def _slopes(
     terms_u = b @ plain.R + a[:, :-1] @ plain.S + plain.r + eta @ sizes.B
     terms_u += np.abs(extremals.rho_u).sum(1, keepdims=True)
     return (in_x.astype(np.float64), in_u.astype(np.float64)), (terms_x, terms_u), signal.astype(np.float64)
-
-
-def _curvatures(problem: OptimalControlProblem) -> tuple[Array, Array]:
-    """Return curvatures that l_t has at least, (T+1, n) and (m,); the cost is convex."""
-    n, T = problem.state_dim, problem.horizon
-    stage, last = diagonal_curvature(problem.quadratic.stage_hessians()[0]), diagonal_curvature(problem.quadratic.P)
-    if stage is None or last is None:
-        stage, last = np.zeros(n + problem.control_dim), np.zeros(n)
-    return np.vstack([np.broadcast_to(stage[:n], (T, n)), last]), stage[n:]
 
 
 def _costs(problem: OptimalControlProblem, extremals: Extremals) -> tuple[Array, Array]:

@@ -89,7 +89,7 @@ def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> Infeas
     bound = _bound(problem, abnormal)
     if bound.value <= 0:
         return None
-    blocks = (_ends_in_conflict, _bounds_in_conflict, _bands_in_conflict, _terms_in_conflict)
+    blocks = (_bounds_in_conflict, _bands_in_conflict, _terms_in_conflict)
     return InfeasibilityProof(bound, abnormal, tuple(block for find in blocks for block in find(problem, abnormal)))
 
 
@@ -143,21 +143,17 @@ def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
     return farkas_bound(extremal_at(problem, _point_nearest_zero(problem), ray), (PRACTICAL * x, PRACTICAL * u))
 
 
-def _ends_in_conflict(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
-    for block, t, end in (("initial state", 0, problem.initial_box), ("terminal state", -1, problem.terminal_box)):
-        if ray.mu[t, np.isfinite(end.lower) | np.isfinite(end.upper)].any():
-            yield Conflict(block, 1.0, (t % len(ray.mu),))
-
-
 def _bounds_in_conflict(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
-    """Name the heaviest bounds and joint rows, by their multipliers times the sizes of the bounded components."""
+    """Name the ends, then the heaviest bounds and joint rows: multipliers times the sizes of the components."""
     x, u = stated_sizes(problem)
-    inside = np.abs(ray.mu) * x
-    for t, end in ((0, problem.initial_box), (-1, problem.terminal_box)):
-        inside[t, np.isfinite(end.lower) | np.isfinite(end.upper)] = 0.0
-    blocks = [(f"state bound on {name}", inside[:, i]) for i, name in enumerate(problem.state_names)]
-    outside = np.abs(ray.nu) * u
-    blocks += [(f"control bound on {name}", outside[:, j]) for j, name in enumerate(problem.control_names)]
+    on_states, on_controls = np.abs(ray.mu) * x, np.abs(ray.nu) * u
+    for block, t, end in (("initial state", 0, problem.initial_box), ("terminal state", -1, problem.terminal_box)):
+        bounded = np.isfinite(end.lower) | np.isfinite(end.upper)
+        if ray.mu[t, bounded].any():
+            yield Conflict(block, 1.0, (t % len(ray.mu),))
+        on_states[t, bounded] = 0.0
+    blocks = [(f"state bound on {name}", on_states[:, i]) for i, name in enumerate(problem.state_names)]
+    blocks += [(f"control bound on {name}", on_controls[:, j]) for j, name in enumerate(problem.control_names)]
     for family in problem.stage_rows:
         joint = np.maximum(ray.stage.get(family.name, np.zeros((problem.horizon, family.rows))), 0.0)
         weighted = joint * family.sizes(x, u)

@@ -41,6 +41,7 @@ from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 
@@ -53,14 +54,19 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     curvature = control_curvature(problem, response)
     if curvature is None:
         return None
-    extremal = _passed_extremal(extremal)
+    if problem.quadratic.nonconvexity() is not None and problem.control_stop.any():
+        # the cost may be convex only for controls without removed bins: take the passed part of these
+        spectrum = fft.rfft(extremal.trajectory.u, axis=0)
+        spectrum[problem.control_stop] = 0.0
+        passed = Trajectory(extremal.trajectory.x, fft.irfft(spectrum, n=problem.horizon, axis=0))
+        extremal = extremal_at(problem, passed, extremal.multipliers)
     cost, tube = extremal.cost, problem.control_tube
     proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, RIGOROUS, "the stated bounds")
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
-    near = _cut_bounds(problem, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
+    near = _cut_bounds(tube, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
     sets = f"{NUMERICAL_REACH:g} times the trajectory"
     numerical = _evaluate(extremal, response, curvature, near, cost, NUMERICAL, sets)
     return numerical if numerical.value - proven.value > allowed else proven
@@ -76,7 +82,7 @@ def farkas_bound(extremal: Extremal, largest: Pair) -> Bound:
     proven = _evaluate(extremal, response, flat, (tube.lower, tube.upper), 0.0, RIGOROUS, "the stated bounds")
     if proven.value > 0:
         return proven
-    near = _cut_bounds(problem, largest[1])
+    near = _cut_bounds(tube, largest[1])
     return _evaluate(extremal, response, flat, near, 0.0, NUMERICAL, "what is practical")
 
 
@@ -102,23 +108,10 @@ def control_curvature(problem: OptimalControlProblem, response: Response) -> Arr
     return least if smallest < -2 * error else max(smallest, 0.0) * sizes
 
 
-def _passed_extremal(extremal: Extremal) -> Extremal:
-    """Return the extremal at the passed part of the controls, if the cost may be convex for such controls only."""
-    problem, trajectory = extremal.problem, extremal.trajectory
-    if problem.quadratic.nonconvexity() is None or not problem.control_stop.any():
-        return extremal
-    spectrum = fft.rfft(trajectory.u, axis=0)
-    spectrum[problem.control_stop] = 0.0
-    u = fft.irfft(spectrum, n=problem.horizon, axis=0)
-    return extremal_at(problem, Trajectory(trajectory.x, u), extremal.multipliers)
-
-
-def _cut_bounds(problem: OptimalControlProblem, largest: Array) -> Pair:
+def _cut_bounds(tube: Box, largest: Array) -> Pair:
     """Return the bounds of the controls, cut at ``largest`` (m,)."""
-    tube = problem.control_tube
-    return np.maximum(tube.lower, np.minimum(-largest, tube.upper)), np.minimum(
-        tube.upper, np.maximum(largest, tube.lower)
-    )
+    lower, upper = tube.bounds
+    return np.maximum(lower, np.minimum(-largest, upper)), np.minimum(upper, np.maximum(largest, lower))
 
 
 def _evaluate(

@@ -127,17 +127,17 @@ class BorderedSystem:
             force = np.zeros((len(self.lti.M), count, len(self.spaces.z)), dtype=np.complex128)
             force[self.band_component, np.arange(count)] = self.band_hat
             self.band_responses = fft.irfft(self.spaces.project(force), T)
-            signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
+            signals = self._unit_signals()
             for i, rows in parts:
                 self.band_rows[self.band_component == i] = rows[:, :T] @ signals[i].T
             at_free = self.free_end[:, None] == self.band_component
             self.band_rows[:, self.at_end] += (at_free * self.bands[:, -1]).T
 
-    def _direction_signals(self) -> Array:
-        """Return the signals of unit coordinates of the bordering directions, (n+m, directions, T)."""
+    def _unit_signals(self) -> Array:
+        """Return the signals of unit free ends and of unit coordinates of the bordering directions, (n+m, size, T)."""
         T = self.lti.horizon
         phase = np.exp((2j * np.pi / T) * (np.outer(self.bins, np.arange(T)) % T))
-        return (self.vectors[:, :, None] * phase).real
+        return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
 
     def _decompose(self) -> None:
         """Set K_b and its inverse; if bordering unknowns are soft, with the least proximal weight."""
@@ -219,10 +219,9 @@ class BorderedSystem:
     def values_at_all_times(self, rows: Indices) -> Array:
         """Return the responses of F_f y_t at all t < T to unknowns and equations: (size + equations, len(rows), T)."""
         F = self.lti.F[rows]
-        signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
         response = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
         if self.size:
-            response[:, : self.size] = np.tensordot(F, signals, 1)
+            response[:, : self.size] = np.tensordot(F, self._unit_signals(), 1)
         by_points = self.kernels.table[rows[:, None], self.point_f]  # unit forces at t = 0, (len(rows), points, T) ...
         for i in np.flatnonzero(self.point_t):  # ... which act later at the other points
             by_points[:, i] = np.roll(by_points[:, i], self.point_t[i], axis=-1)

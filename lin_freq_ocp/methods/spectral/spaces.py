@@ -30,6 +30,12 @@ MOST_BORDERING = 128  # directions of small cost; of more, only the smallest bec
 SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
 
 
+FLAT_COST = (
+    "method 'spectral': some direction that the bands allow costs nothing (R singular); "
+    "give every control a cost, or use method 'convex'."
+)
+
+
 class Resolvent:
     """(zI - A)^{-1} at all bins at once, by back substitution in a Schur form of A: no powers of A occur."""
 
@@ -173,20 +179,20 @@ class BinSpaces:
         if m == 1:  # several are checked below
             rounding = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
             if (H[:, 0, 0].real <= rounding)[passed[0]].any():
-                raise _flat_cost()
+                raise UnsupportedError(FLAT_COST)
         H[:, np.arange(m), np.arange(m)] += ~passed.T
         sizes = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
         if not (sizes > 0).all():
-            raise _flat_cost()
+            raise UnsupportedError(FLAT_COST)
         if m == 1:
             N /= sizes.T
             return N
         try:
             factor = np.linalg.cholesky(H / (sizes[:, :, None] * sizes[:, None]))
         except np.linalg.LinAlgError:
-            raise _flat_cost() from None
+            raise UnsupportedError(FLAT_COST) from None
         if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
-            raise _flat_cost()
+            raise UnsupportedError(FLAT_COST)
         return np.einsum("iak,kba->ibk", N, (np.linalg.inv(factor) / sizes[:, None]).conj())
 
     def _choose_bordering_directions(self) -> None:
@@ -234,13 +240,6 @@ class BinSpaces:
             v = sum((self.N[i, a].conj() * force[i] for i in components), start=np.zeros(len(self.z), complex))
             for row, response in zip(spectrum, self.N[:, a], strict=True):
                 row -= response * v
-
-
-def _flat_cost() -> UnsupportedError:
-    return UnsupportedError(
-        "method 'spectral': some direction that the bands allow costs nothing (R singular); "
-        "give every control a cost, or use method 'convex'."
-    )
 
 
 class CirculantKernels:
