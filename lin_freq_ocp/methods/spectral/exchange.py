@@ -161,7 +161,7 @@ class Exchange:
             if count <= KEEP_ALL_AFTER:
                 self.working.keep(self.working.weights > 0)
             self.working.add(*entering)
-            added = np.count_nonzero(self.working.present & ~present)  # rows that return at once are not new
+            added = int(np.count_nonzero(self.working.present & ~present))  # rows that return at once are not new
             self._measure_rows()
         if self._accurate():
             return self._outcome("optimal")
