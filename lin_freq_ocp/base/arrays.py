@@ -188,7 +188,8 @@ def times_vectors(matrix: ArrayLike, vectors: Array) -> Array:
     matrix = np.asarray(matrix)
     if matrix.ndim == 2 and not np.count_nonzero(matrix):
         return np.zeros((len(vectors), len(matrix)), dtype=vectors.dtype)
-    return vectors @ matrix.T if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
+    # in extended precision, dot takes two thirds of the time of @
+    return vectors.dot(matrix.T) if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
 
 
 def with_products(values: Array, *products: tuple[Array, Array]) -> Array:

@@ -23,7 +23,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import fingerprint, require_executor
 from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
-from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
+from lin_freq_ocp.certificate.many import Extremals, batch_judge_takes, judge_batch
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.solver_cache import Change
@@ -278,7 +278,7 @@ def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict
     states = [change.initial_state for change in changes.values() if change.references is None]
     if not again.linear or not again.spectral or len(states) < len(changes) or states[0] is None:
         return {}, False
-    if not judged_together(again.problem):
+    if not batch_judge_takes(again.problem):
         return {}, False
     started = now()
     located = again.located(next(iter(changes.values())).apply(again.problem))
@@ -289,7 +289,7 @@ def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict
     if plans is None:
         return {}, False
     extremals = Extremals(plans.x, plans.u, plans.eta, plans.mu, plans.nu, plans.rho_u)
-    judged = verdicts(translation.problem, starts[plans.solved], extremals)
+    judged = judge_batch(translation.problem, starts[plans.solved], extremals)
     each, keys = (now() - started) / len(changes), list(changes)
     items = {
         keys[i]: Item(

@@ -10,8 +10,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
-from lin_freq_ocp.certificate.rays import Exclusion, exclusion
+from lin_freq_ocp.certificate.many import Extremals, batch_judge_takes, judge_batch
+from lin_freq_ocp.certificate.rays import InfeasibilityCertificate, infeasibility_certificate
 from lin_freq_ocp.methods.condensed.plans import Plan, batch_of
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -37,7 +37,7 @@ class Located:
         base = problem.with_ends(changed.initial_state) if origin.any() else problem
         self.translation = translated_by(base, origin)
         self.kept = SolverCache(self.translation.problem) if linear else None
-        self.exclusions = deque[Exclusion](maxlen=KEPT_RAYS)
+        self.exclusions = deque[InfeasibilityCertificate](maxlen=KEPT_RAYS)
 
     @property
     def origin(self) -> Array:
@@ -85,11 +85,11 @@ class PlannedStart:
 def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, tuple[float, float]]:
     """Return the cost and the relative gap of plans of one problem, by number, that the batch judge proves optimal."""
     translation = next(iter(planned.values())).translation
-    if not judged_together(translation.problem):
+    if not batch_judge_takes(translation.problem):
         return {}
     batch = batch_of({number: one.plan for number, one in planned.items()})
     extremals = Extremals(batch.x, batch.u, batch.eta, batch.mu, batch.nu, batch.rho_u)
-    judged_batch = verdicts(translation.problem, np.array([one.plan.start for one in planned.values()]), extremals)
+    judged_batch = judge_batch(translation.problem, np.array([one.plan.start for one in planned.values()]), extremals)
     return {
         number: (float(judged_batch.costs[k]) + translation.cost, float(judged_batch.gaps[k]))
         for k, number in enumerate(planned)
@@ -155,13 +155,15 @@ class Repeated:
         if located is None or not located.exclusions or not change.starts_elsewhere:
             return False
         start = change.apply(self.problem).initial_box
-        return bool(start.fixed.all()) and any(ray.excludes(start.lower - located.origin) for ray in located.exclusions)
+        return bool(start.fixed.all()) and any(
+            ray.applies_to(start.lower - located.origin) for ray in located.exclusions
+        )
 
     def keep(self, outcome: Outcome) -> None:
         """Keep the ray of an infeasible problem that differs from this one in its initial state alone."""
         located = self._located
         if located is not None and outcome.status == Status.INFEASIBLE and outcome.ray is not None:
-            ray = exclusion(translated_by(outcome.problem, located.origin).problem, outcome.ray)
+            ray = infeasibility_certificate(translated_by(outcome.problem, located.origin).problem, outcome.ray)
             if ray is not None:
                 located.exclusions.appendleft(ray)
 

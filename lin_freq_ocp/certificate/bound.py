@@ -5,12 +5,12 @@ D = sum_t min l_t over X_t x U_t - sum h*(lambda+),
 J - D = sum_t (l_t(x_t, u_t) - min l_t) - <eta, dynamics residual> - <rho, frequency residual>
         + sum (h(L(x, u)) + h*(lambda+) - <lambda+, L(x, u)>).
 
-The last sum is over terms h(L(x, u)) with multipliers lambda, of which lambda+ are the nearest that are subgradients of
-h somewhere; so D is a bound for multipliers of any sign.
+The last sum is over terms h(L(x, u)) with multipliers lambda; lambda+ are the nearest multipliers that are subgradients
+of h somewhere. D is therefore a bound for multipliers of any sign.
 
-Each minimum is bounded from below by the tangent of l_t at (x_t, u_t), plus a diagonal curvature that l_t has at least:
-exact for a diagonal Hessian. The slope of the tangent is the residual of the adjoint equation and of D_u H = nu
-without mu and nu, so nothing large cancels.
+The tangent of l_t at (x_t, u_t), plus a diagonal lower bound of its curvature, bounds each minimum from below; for a
+diagonal Hessian this is exact. The slope of the tangent is the residual of the adjoint equation and of D_u H = nu
+without mu and nu. Its large terms therefore cancel before they enter D.
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ from lin_freq_ocp.problem.costs.quadratic import least_rise
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those near or of practical size
-NEVER_NEGATIVE = "a cost that is never negative"  # what the bound 0 follows from
+NEVER_NEGATIVE = "a cost that is never negative"  # the bound 0 follows from it
 
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """A lower bound on the optimal cost, and where it is lost.
+    """A lower bound on the optimal cost, and its difference from the cost of a trajectory, stage by stage.
 
     Attributes
     ----------
     value : float
         D, with all rounding errors of its evaluation subtracted; 0 where D is below and the cost cannot be.
     kind : str
-        "rigorous" (over sets that the optimum lies in) or "numerical" (over a box around the trajectory).
+        "rigorous" if the minima are over sets that contain an optimum, "numerical" if over a box around the trajectory.
     stage_gaps : (T+1,) or None
-        l_t(x_t, u_t) - min l_t; None for a bound that is no sum over stages.
+        l_t(x_t, u_t) - min l_t; None if the bound is not a sum over stages.
     dynamics_term, frequency_term : float
-        <eta, dynamics residual> and <rho, frequency residual>: how much of J - D is infeasibility.
+        <eta, dynamics residual> and <rho, frequency residual>: the part of J - D that is due to infeasibility.
     stage_term : float
-        The last sum: how much of J - D is complementarity of joint rows and the like; negative if they are violated.
+        The last sum: the part of J - D due to terms beyond boxes, such as joint rows; negative if they are violated.
     rounding : float
-        Bound on the rounding errors, already in ``value``.
+        Bound on the rounding errors, already subtracted from ``value``.
     sets : str
-        What bounds the sets that the minima are taken over.
+        The origin of the sets over which the minima are taken.
     """
 
     value: float
@@ -67,9 +67,9 @@ class Bound:
 def diagonal_curvature(hessian: Array) -> Array | None:
     """Return m with diag(m) <= H, per time, (..., k) for H (..., k, k): H's own diagonal where H is diagonal.
 
-    None if H is not positive semidefinite up to rounding. Of components that H couples, with D = diag(H) and
-    C = D^-1/2 H D^-1/2: H >= lambda_min(C) D. Where H is a rounded product, with lambda_min(C) about 0, m is zero only
-    if H is exactly semidefinite; else it is below zero by the ``least_rise`` of H.
+    None if H is not positive semidefinite up to rounding. For components that H couples, with D = diag(H) and
+    C = D^-1/2 H D^-1/2: H >= lambda_min(C) D. If H is a rounded product, lambda_min(C) may be about 0; m is then zero
+    only if H is exactly semidefinite, else minus the ``least_rise`` of H times its diagonal.
     """
     curvature = hessian.diagonal(axis1=-2, axis2=-1).copy()
     if (curvature < 0).any():
@@ -80,16 +80,16 @@ def diagonal_curvature(hessian: Array) -> Array | None:
         return None
     pattern = (hessian != 0).any(axis=tuple(range(hessian.ndim - 2)))
     _, groups = connected_components(pattern, directed=False)
-    for mine in (np.flatnonzero(groups == group) for group in np.unique(groups)):
-        part = _least_part(hessian[..., mine[:, None], mine]) if len(mine) > 1 else np.ones(())
-        if part is None:
+    for members in (np.flatnonzero(groups == group) for group in np.unique(groups)):
+        share = _diagonal_share(hessian[..., members[:, None], members]) if len(members) > 1 else np.ones(())
+        if share is None:
             return None
-        curvature[..., mine] *= part[..., None]
+        curvature[..., members] *= share[..., None]
     return curvature
 
 
-def _least_part(hessian: Array) -> Array | None:
-    """Return the largest known p with p diag(H) <= H, per time, (...,); None if one is not even zero up to rounding."""
+def _diagonal_share(hessian: Array) -> Array | None:
+    """Return the largest known p with p diag(H) <= H, per time, (...,); None if some p is negative beyond rounding."""
     root = np.sqrt(np.diagonal(hessian, axis1=-2, axis2=-1))
     root = np.where(root > 0, root, np.inf)
     correlation = hessian / (root[..., :, None] * root[..., None, :])
@@ -99,9 +99,8 @@ def _least_part(hessian: Array) -> Array | None:
     smallest = np.asarray(np.linalg.eigvalsh(correlation)[..., 0] - error)
     if (smallest < -2 * error).any():
         return None
-    for index in np.argwhere(smallest <= 0):
-        place = tuple(index.tolist())
-        smallest[place] = max(-least_rise(hessian[place]), smallest[place])
+    for index in map(tuple, np.argwhere(smallest <= 0).tolist()):
+        smallest[index] = max(-least_rise(hessian[index]), smallest[index])
     return smallest
 
 
@@ -120,7 +119,7 @@ def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> A
 def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     """Return D for normal multipliers, or None if the cost is not convex.
 
-    No better bound is computed once its difference from the cost is at most ``allowed``.
+    Better bounds are computed only as long as the difference from the cost exceeds ``allowed``.
     """
     curvatures = _stage_curvatures(extremal)
     if curvatures is None:
@@ -132,8 +131,8 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return proven
     nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed)
     if nearby is not None:
-        other, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
-        proven = other if other.value > proven.value else proven
+        of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
+        proven = of_nearby if of_nearby.value > proven.value else proven
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
@@ -146,15 +145,15 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
 
 
 def optimum_box(extremal: Extremal, allowed: float) -> Region:
-    """Return a box that every trajectory lies in that costs no more than this one and ``allowed``, if one is known.
+    """Return a box around every trajectory whose cost exceeds this one's by at most ``allowed``.
 
-    Else what can be reached. ``allowed`` is more than rounding of the cost.
+    If no such box is known, return the reachable set. ``allowed`` must exceed the rounding errors of the cost.
     """
     problem, curvatures = extremal.problem, _stage_curvatures(extremal)
     if curvatures is not None:
         cost = extremal.cost
         _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
-        summed = _sum_of_terms(extremal, np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms)
+        summed = _sum_of_terms(extremal, extremal.adjoint_terms, extremal.in_u_terms)
         level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
         farther = replace(deviations, left=deviations.left + allowed)
         nearby = nearby_bounds(problem, extremal.trajectory, farther, level, allowed)
@@ -164,10 +163,10 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
 
 
 def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
-    """Return D for eta_C = 0 from any trajectory: above 0, it proves that none satisfies all constraints.
+    """Return D for eta_C = 0 from any trajectory: D > 0 proves that no trajectory satisfies all constraints.
 
-    Where neither the stated nor implied sets bound a component, a "numerical" bound excludes only trajectories whose
-    components stay below ``largest``, (n,) and (m,).
+    If neither the stated sets nor the reachable set bound some component, the bound is "numerical": it proves
+    infeasibility only for trajectories whose components stay below ``largest``, (n,) and (m,).
     """
     uncurved = np.zeros_like(extremal.in_x), np.zeros_like(extremal.in_u)
     proven, _ = _evaluate(extremal, uncurved, stated_bounds(extremal.problem), 0.0, RIGOROUS)
@@ -180,7 +179,7 @@ def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
 
 
 def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
-    """Whether the cost is a sum of squares, norms and penalties: without linear terms, and with Hessians exactly so."""
+    """Whether the cost is a sum of squares, norms and penalties: no linear terms, and exactly semidefinite Hessians."""
     cost = problem.quadratic
     if any(np.any(part) for part in (cost.q, cost.r, cost.p)):
         return False
@@ -189,10 +188,10 @@ def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
 
 
 def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, kind: str) -> tuple[Bound, Deviations]:
-    """Return D over a box, and what it loses on every component."""
+    """Return D over a box, and its losses on every component."""
     x, u = extremal.trajectory.x, extremal.trajectory.u
     slopes = extremal.eta_before - extremal.in_x, -extremal.in_u
-    terms = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
+    terms = extremal.adjoint_terms, extremal.in_u_terms
     unit = unit_rounding(extremal.problem)
     stage_gaps, losses, steepest = np.zeros(len(x)), list[Array](), list[Array]()
     for signal, exact, size, curvature, (lower, upper) in zip(
@@ -207,18 +206,18 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, ki
     residual = extremal.x[1:] - extremal.problem.linear.successors(extremal.x, extremal.u)
     dynamics_term = float((extremal.multipliers.eta * residual).sum())
     frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
-    stage_term = float(sum(priced.gap.sum() + priced.beyond for priced in extremal.terms))
+    stage_term = extremal.terms_gap
     summed = _sum_of_terms(extremal, *terms) + float(sum(priced.gap_terms.sum() for priced in extremal.terms))
     gap, certain = float(stage_gaps.sum()), float(sum(lost.sum() for lost in losses))
     finite = bool(np.isfinite(certain))
     others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term)
-    last = unit * summed + ARITHMETIC_ROUNDING * (others + (abs(gap) if finite else 0.0))
-    unlost = cost + dynamics_term + frequency_term - stage_term
-    value = min(unlost - certain, box.level) - last if finite else -np.inf
-    rounding = certain - gap + last if finite else np.inf
+    in_sums = unit * summed + ARITHMETIC_ROUNDING * (others + (abs(gap) if finite else 0.0))
+    without_losses = cost + dynamics_term + frequency_term - stage_term
+    value = min(without_losses - certain, box.level) - in_sums if finite else -np.inf
+    rounding = certain - gap + in_sums if finite else np.inf
     bound = Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
-    deviations = Deviations((steepest[0], steepest[1]), curvatures, (losses[0], losses[1]), float(cost - unlost) + last)
-    return bound, deviations
+    left = float(cost - without_losses) + in_sums
+    return bound, Deviations((steepest[0], steepest[1]), curvatures, (losses[0], losses[1]), left)
 
 
 def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
@@ -247,7 +246,7 @@ def _stage_curvatures(extremal: Extremal) -> Pair | None:
 
 
 def _cut_sets(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Region:
-    """Return the stated sets, cut at ``largest`` in components without curvature whose bounds are farther away."""
+    """Return the stated sets; components without curvature and with farther bounds are cut at ``largest``."""
     stated, pairs = stated_bounds(problem), list[Pair]()
     for (lower, upper), curvature, size in zip((stated.x, stated.u), curvatures, largest, strict=True):
         low, high = (lower < -size) & (curvature <= 0), (upper > size) & (curvature <= 0)

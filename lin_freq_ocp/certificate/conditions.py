@@ -1,9 +1,9 @@
 """The conditions of the maximum principle (paper, Theorem 4.1 for smooth dynamics), one function each.
 
-Every condition is a residual with the scale it is to be compared with, a tolerance, and the worst time and component.
-C-i .. C-vii are the paper's; S-x, S-u (x_t in X_t, u_t in U_t) and N-x, N-u (normal cones) are used by it unnamed.
-The same is said of each term h(L(x, u)) that a problem has beyond boxes, stop bands and quadratic costs: that L(x, u)
-is where it must be, and that its multipliers are subgradients of h there (for a set, normals).
+Every condition is a residual with its scale, a tolerance, and the worst time and component. C-i .. C-vii are labels of
+the paper. S-x, S-u (x_t in X_t, u_t in U_t) and N-x, N-u (normal cones) are conditions of the paper without a label.
+Each term h(L(x, u)) other than boxes, stop bands and quadratic costs adds two conditions: h(L(x, u)) is finite, if the
+term is a constraint, and its multipliers are subgradients of h there (normals, for a set).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 
-# By kind of term: the labels of the condition that it holds, and of that on its multipliers
+# By kind of term: the labels of the condition on its values, and on its multipliers
 LABELS = {
     "state set": ("S-x", "N-x"),
     "control set": ("S-u", "N-u"),
@@ -44,6 +44,7 @@ LABELS = {
     "stage cost": ("", "N-c"),
     "terminal cost": ("", "N-c"),
 }
+FEASIBILITY_LABELS = {"C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-ends", "S-f"}
 
 
 @dataclass(frozen=True)
@@ -53,16 +54,16 @@ class Condition:
     Attributes
     ----------
     label, name : str
-        The paper's label, and what it says.
+        The label of the paper, and the condition in words.
     residual, scale, tolerance : float
-        In the units of the condition; of the worst component.
+        Of the worst component, in the units of the condition.
     time, component : int or None
-        Where it is worst; for a frequency constraint, time is the bin. None for a condition that is a single number,
+        Of the worst residual; for a frequency constraint, time is the bin. None if the condition is a single number,
         or a vector without components.
     peak : Peak or None
         Of a mask at every frequency: the largest magnitude relative to its limit, with proof.
     rounding : float
-        Of states: the residual that the rounding of given data explains.
+        Of states: the residual that rounding of the data explains.
     """
 
     label: str
@@ -77,14 +78,19 @@ class Condition:
 
     @property
     def passed(self) -> bool:
-        """Whether the condition holds; what has overflowed does not."""
+        """Whether the condition holds; it fails if the residual or scale overflows."""
         return bool(self.residual <= self.tolerance * self.scale < np.inf)
 
     @property
     def exact(self) -> bool:
-        """Whether the residual is rounding, of solvers or of data that does not hide what the component moves."""
+        """Whether the residual is rounding: of solvers, or of data if that is small relative to the scale."""
         rounding = self.rounding if self.rounding <= CONDITION_TOLERANCE * self.scale else 0.0
         return bool(self.residual <= max(DATA_ROUNDING * self.scale, rounding))
+
+    @property
+    def on_feasibility(self) -> bool:
+        """Whether it is a constraint of the problem; the others are conditions on multipliers."""
+        return self.label in FEASIBILITY_LABELS or self.name == "state equation"
 
     def within(self, tolerance: float) -> Condition:
         """Return the condition with another tolerance; exact conditions and that of regions keep theirs."""
@@ -99,7 +105,7 @@ class Condition:
 
 
 def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Condition, ...]:
-    """Judge all conditions, in the paper's order; ``least`` are the least scales, those of the extremal by default."""
+    """Judge all conditions, in the order of the paper; ``least`` are the least scales, by default ``floors``."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
     least = least or floors(extremal)
     level = least.level
@@ -113,7 +119,7 @@ def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Con
         *hamiltonian_maximum(extremal, least),
         frequency("C-vi", "state frequency constraint", x[: problem.state_samples], problem.state_stop, least.x),
         frequency("C-vii", "control frequency constraint", u, problem.control_stop, least.u),
-        _of_states(membership("S-x", "state in its set", x, problem.state_tube, least.x), least),
+        _with_rounding(membership("S-x", "state in its set", x, problem.state_tube, least.x), least),
         membership("S-u", "control in its set", u, problem.control_tube, least.u),
         normal_cone("N-x", "state multiplier in the normal cone", x, mu, problem.state_tube, level, least.x),
         normal_cone("N-u", "control multiplier in the normal cone", u, nu, problem.control_tube, level, least.u),
@@ -134,21 +140,21 @@ def non_negativity(extremal: Extremal) -> Condition:
 def non_triviality(extremal: Extremal) -> Condition:
     """C-ii: eta_C, the adjoint and the frequency multipliers are not all zero."""
     multipliers = extremal.multipliers
-    spectra = [one.weights for one in extremal.terms if one.term.kind.is_spectrum]
+    spectra = [priced.weights for priced in extremal.terms if priced.term.kind.is_spectrum]
     counted = _largest(multipliers.eta, multipliers.rho_u, multipliers.rho_x, *spectra)
-    rest = _largest(multipliers.mu, multipliers.nu, *(one.weights for one in extremal.terms))
-    trivial = multipliers.eta_C == 0 and counted <= TRIVIALITY * rest
+    on_sets = _largest(multipliers.mu, multipliers.nu, *(priced.weights for priced in extremal.terms))
+    trivial = multipliers.eta_C == 0 and counted <= TRIVIALITY * on_sets
     return Condition("C-ii", "multipliers not all zero", float(trivial), 1.0, 0.0)
 
 
 def state_equation(residual: Array, moved: Array, least: Floors) -> Condition:
-    """C-iii: x_{t+1} = f_t(x_t, u_t); the residual (T, n) compared with what each component moves, (n,)."""
+    """C-iii: x_{t+1} = f_t(x_t, u_t); the residual (T, n) compared with the largest move of each component, (n,)."""
     condition = worst_condition("C-iii", "state equation", np.abs(residual), np.maximum(moved, least.x))
-    return _of_states(condition, least)
+    return _with_rounding(condition, least)
 
 
-def _of_states(condition: Condition, least: Floors) -> Condition:
-    """Return a condition of states with what rounding explains in its worst component."""
+def _with_rounding(condition: Condition, least: Floors) -> Condition:
+    """Return a condition on states with the rounding errors of its worst component."""
     component = condition.component
     return condition if component is None else replace(condition, rounding=float(least.rounding[component]))
 
@@ -157,7 +163,7 @@ def adjoint_and_transversality(extremal: Extremal, least: Floors) -> list[Condit
     """C-iii: eta_{t-1} = D_x H_t - mu_t, 0 < t < T; C-iv: D_x H_0 = mu_0, eta_{T-1} = -eta_C D c_T - ... - mu_T."""
     before, mu = extremal.eta_before, extremal.multipliers.mu
     residual = np.abs(before - extremal.in_x + mu).astype(np.float64)
-    scales = _scales(np.abs(before) + extremal.in_x_terms + np.abs(mu), least.in_x)
+    scales = _scales(extremal.adjoint_terms + np.abs(mu), least.in_x)
     last = len(residual) - 1
     conditions = [worst_condition("C-iii", "adjoint equation", residual[1:-1], scales, first=1)] if last > 1 else []
     conditions.append(worst_condition("C-iv", "transversality at 0", residual[:1], scales))
@@ -175,14 +181,14 @@ def stationarity_in_u(extremal: Extremal, least: Floors) -> Condition:
 
 
 def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
-    """C-v, where H is concave in u: max over U_t of H_t exceeds H_t(u_t) by 0 (paper, corollary for linear systems).
+    """C-v, if H is concave in u: max over U_t of H_t exceeds H_t(u_t) by 0 (paper, corollary for linear systems).
 
-    The excess is computed exactly for a diagonal Hessian and bounded from above otherwise. H is concave: what holds for
-    all v that differ from u_t by no more than MAXIMISATION_REACH times the sizes of its components holds for all of
-    U_t. Bounds that are not active do not matter.
+    The difference is exact for a diagonal Hessian, else an upper bound. As H is concave, a maximum over all v that
+    differ from u_t by at most MAXIMISATION_REACH times the sizes of the components is one over U_t. Inactive bounds
+    therefore do not matter.
     With joint rows, the maximum over {v in U_t : D v <= e - C x_t} of H is at most the maximum over U_t of
-    H - <l+, C x_t + D v - e>; the excess is then that of the latter over its value at u_t (the excess over U_t with the
-    slope D_u H - D'l+), plus the complementarity <l+, e - C x_t - D u_t>. The same with the gaps of other terms of u_t.
+    H - <l+, C x_t + D v - e>. The difference is then that of the latter from its value at u_t (the difference over U_t
+    with the slope D_u H - D'l+), plus the complementarity <l+, e - C x_t - D u_t>. Other terms of u_t add their gaps.
     """
     problem, u = extremal.problem, extremal.trajectory.u
     curvature = diagonal_curvature(extremal.multipliers.eta_C * problem.quadratic.R)
@@ -190,9 +196,9 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
         return []
     tube, reach = problem.control_tube, MAXIMISATION_REACH * least.u / SCALE_FLOOR
     low, high = np.maximum(tube.lower - u, -reach), np.minimum(tube.upper - u, reach)
-    excess = -box_minimum(-extremal.in_u.astype(np.float64), curvature, low, np.maximum(low, high))
-    excess = np.maximum(excess, 0.0)  # u_t a rounding error outside U_t can exceed the maximum over it
-    total = excess.sum(1)
+    rise = -box_minimum(-extremal.in_u.astype(np.float64), curvature, low, np.maximum(low, high))
+    rise = np.maximum(rise, 0.0)  # negative if u_t is outside U_t by a rounding error
+    total = rise.sum(1)
     for priced in extremal.terms:
         times = priced.term.map.control_times
         if len(times):
@@ -200,7 +206,7 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
     terms = (extremal.in_u_terms * np.abs(u)).sum(1)
     scale = max(least.level, float(terms.max()))
     t = int(total.argmax())
-    component = int(excess[t].argmax())
+    component = int(rise[t].argmax())
     return [Condition("C-v", "Hamiltonian maximal in u", float(total[t]), scale, CONDITION_TOLERANCE, t, component)]
 
 
@@ -224,11 +230,11 @@ def normal_cone(
 ) -> Condition:
     """N-x, N-u: sigma(mu_t) - <mu_t, x_t> = 0; compared with the largest <|mu_t|, |x_t|>, or the cost.
 
-    A bound that does not exist, or is farther away than the size of the component, counts as if it were that far away.
+    Absent bounds, and bounds at a distance above the size of the component, count as if they were at that distance.
     """
-    reach = np.maximum(np.abs(signal).max(0), least)
-    gap = np.minimum(np.abs(tube.normal_gap_terms(signal, normal)), np.abs(normal) * reach)
-    scale = max(level, float((np.abs(normal) * np.abs(signal)).sum(1).max()))
+    sizes, weights = np.abs(signal), np.abs(normal)
+    gap = np.minimum(np.abs(tube.normal_gap_terms(signal, normal)), weights * np.maximum(sizes.max(0), least))
+    scale = max(level, float((weights * sizes).sum(1).max()))
     t, component = _argmax(gap)
     return Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
@@ -236,8 +242,8 @@ def normal_cone(
 def cost_of_residuals(extremal: Extremal) -> float:
     """Return the residuals of the constraints times their multipliers, in units of the cost.
 
-    Where the optimal cost is differentiable, J differs from that of the nearest feasible problem by this, to first
-    order: a residual that is small for its component is not always small for the cost. Residuals of the same
+    If the optimal cost is differentiable in the constraints, J differs by this from the cost of the nearest feasible
+    trajectory, to first order. A residual may be small for its component and large for the cost. Residuals of one
     constraint add up with their signs.
     """
     multipliers, (x, u) = extremal.multipliers, (extremal.trajectory.x, extremal.trajectory.u)
@@ -245,28 +251,33 @@ def cost_of_residuals(extremal: Extremal) -> float:
     parts = [multipliers.eta * extremal.state_residual, extremal.control_signal * u]
     parts += [extremal.state_signal * x, *(np.abs(normal) * tube.violation(signal) for signal, normal, tube in tubes)]
     parts += [
-        np.abs(one.weights) * np.broadcast_to(one.term.penalty.violation(one.values), one.weights.shape)
-        for one in extremal.terms
-        if one.term.hard
+        np.abs(priced.weights) * np.broadcast_to(priced.term.penalty.violation(priced.values), priced.weights.shape)
+        for priced in extremal.terms
+        if priced.term.hard
     ]
     return sum(abs(float(part.sum())) for part in parts)
 
 
 def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Condition]:
-    """Judge a term: that it holds, if it must, and that its multipliers are subgradients."""
+    """Judge a term: its values, if it is a constraint, and its multipliers, which must be subgradients."""
     term, least = priced.term, np.where(least > 0, least, least.max(initial=0.0))
-    holds, fits = LABELS[term.kind]
-    subgradient = term_subgradient(fits, priced, level, least)
-    if not term.hard:
-        mask = term.semi_infinite
-        return [subgradient if mask is None else _soft_mask_condition(subgradient, priced, mask)]
-    if term.semi_infinite is not None:
-        return [holds_everywhere(holds, priced, term.semi_infinite, least), subgradient]
-    return [term_holds(holds, priced, least), subgradient]
+    on_values, on_multipliers = LABELS[term.kind]
+    subgradient = term_subgradient(on_multipliers, priced, level, least)
+    if term.hard and term.semi_infinite is not None:
+        return [mask_condition(on_values, priced, term.semi_infinite, least), subgradient]
+    if term.hard:
+        return [term_condition(on_values, priced, least), subgradient]
+    if term.semi_infinite is None:
+        return [subgradient]
+    # a soft mask at every frequency: the sum over its atoms, and the largest violation at all other frequencies
+    gap = np.abs(priced.gap).sum() + MISFIT_SHARE * priced.misfit.sum() + abs(priced.peak_price)
+    never = np.abs(priced.multipliers - priced.weights) * priced.sizes
+    time = _bin_of(priced.peak, term.semi_infinite)
+    return [replace(subgradient, residual=float(gap + never.sum()), time=time, peak=priced.peak)]
 
 
-def holds_everywhere(label: str, priced: PricedTerm, everywhere: SemiInfiniteConstraint, least: Array) -> Condition:
-    """C-vi, C-vii, S-yhat everywhere: |V| <= l; compared with l, or a part of the norm of the samples."""
+def mask_condition(label: str, priced: PricedTerm, everywhere: SemiInfiniteConstraint, least: Array) -> Condition:
+    """C-vi, C-vii, S-yhat at every frequency: |V| <= l; compared with l, or a part of the norm of the samples."""
     peak = proven_peak(everywhere, priced.signal)
     frequency, plants = peak.frequency, peak.damping is not None
     limit = float(everywhere.limit_at(np.array([[frequency, peak.damping] if plants else frequency]))[0])
@@ -284,34 +295,27 @@ def _bin_of(peak: Peak | None, everywhere: SemiInfiniteConstraint) -> int | None
     return round(peak.frequency * everywhere.map.samples / (2 * np.pi))
 
 
-def _soft_mask_condition(subgradient: Condition, priced: PricedTerm, everywhere: SemiInfiniteConstraint) -> Condition:
-    """N-... of a soft mask: the sum over its atoms, with the largest excess at all other frequencies."""
-    gap = np.abs(priced.gap).sum() + MISFIT_SHARE * priced.misfit.sum() + abs(priced.beyond)
-    never = np.abs(priced.given - priced.weights) * priced.sizes
-    residual = float(gap + never.sum())
-    return replace(subgradient, residual=residual, time=_bin_of(priced.peak, everywhere), peak=priced.peak)
-
-
-def term_holds(label: str, priced: PricedTerm, least: Array) -> Condition:
-    """S-..., C-vi, C-vii: L(x, u) is where it must be; compared with the largest sum of its terms' absolute values."""
+def term_condition(label: str, priced: PricedTerm, least: Array) -> Condition:
+    """S-..., C-vi, C-vii: h(L(x, u)) is finite; compared with the largest sum of the absolute values of its terms."""
     violation = priced.term.penalty.violation(priced.values).astype(np.float64)
     scales = _scales(priced.sizes, least)
     scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
     what = "rows hold" if priced.term.kind.is_rows else "holds"
-    found = _locate_condition(priced.term, worst_condition(label, f"{what}: {priced.term.name}", violation, scales))
-    return replace(found, tolerance=ENDS_TOLERANCE) if priced.term.kind.is_link else found
+    condition = worst_condition(label, f"{what}: {priced.term.name}", violation, scales)
+    condition = _locate_condition(priced.term, condition)
+    return replace(condition, tolerance=ENDS_TOLERANCE) if priced.term.kind.is_link else condition
 
 
 def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array) -> Condition:
     """N-...: lambda is a subgradient of h at L(x, u); compared with the largest <|lambda|, its terms>, or J.
 
-    The part of lambda that is no subgradient of h anywhere counts with the largest value of that entry.
+    The part of lambda that is not a subgradient of h anywhere is multiplied by the largest value of that entry.
     """
     scales = _scales(priced.sizes, least)
-    never = np.abs(priced.given - priced.weights) * scales
+    never = np.abs(priced.multipliers - priced.weights) * scales
     gap = np.abs(priced.gap) + MISFIT_SHARE * priced.misfit
     gap = gap + (never if gap.shape == never.shape else never.sum(1, keepdims=True))
-    scale = max(level, float((np.abs(priced.given) * priced.sizes).sum(1).max(initial=0.0)))
+    scale = max(level, float((np.abs(priced.multipliers) * priced.sizes).sum(1).max(initial=0.0)))
     t, row = _argmax(gap.astype(np.float64)) if len(gap) else (0, 0)
     residual = float(gap[t, row]) if len(gap) else 0.0
     what = "row multipliers complementary" if priced.term.kind.is_rows else "multipliers are subgradients"
@@ -320,9 +324,9 @@ def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array)
 
 
 def _locate_condition(term: Term, condition: Condition) -> Condition:
-    """Return the condition with the time or bin of its group; its entry is a component of joint rows only."""
+    """Return the condition with the time or bin of its group; only entries of joint rows are components."""
     positions = term.map.positions
-    group = condition.time if 0 < len(positions) == term.shape[0] else None  # a mask may have no atoms
+    group = condition.time if 0 < len(positions) == term.shape[0] else None  # None of a mask without atoms
     time = None if group is None else int(positions[group])
     return replace(condition, time=time, component=condition.component if term.kind.is_rows else None)
 
@@ -337,7 +341,7 @@ def _scales(terms: Array, least: Array) -> Array:
 
 
 def worst_condition(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:
-    """Return the condition at its worst entry relative to its component's scale; residual (times, components)."""
+    """Return the condition at its worst entry, relative to the scale of the component; residual (times, components)."""
     relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
     t, component = _argmax(relative)
     return Condition(

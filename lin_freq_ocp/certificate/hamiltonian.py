@@ -1,10 +1,10 @@
-"""The Hamiltonian's first derivatives along a trajectory, and the size of the terms they are summed from.
+"""The first derivatives of the Hamiltonian along a trajectory, and the sizes of their terms.
 
 H_t(eta, x, u) = <eta, f_t(x, u)> - eta_C c_t(x, u) - <eta_xhat, phi_t(x)> - <eta_uhat, psi_t(u)>   (e:hamiltonian)
 
-What a problem has beyond that, h(L(x, u)) with multipliers lambda, joins it as the Lagrangian term -<lambda+, L(x, u)>,
-with lambda+ the nearest multipliers that are subgradients of h somewhere (for a row, max(lambda, 0)): so all that
-follows from it holds for them, too, and the bound for multipliers of any sign.
+Every other term h(L(x, u)) of a problem, with multipliers lambda, adds -<lambda+, L(x, u)>. Here lambda+ are the
+nearest multipliers that are subgradients of h somewhere; for a row, lambda+ = max(lambda, 0). The bound therefore holds
+for multipliers lambda of any sign.
 """
 
 from __future__ import annotations
@@ -28,16 +28,25 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 class PricedTerm:
     """One term along a trajectory; arrays are (groups, dim), (groups, 1) where they are of whole groups.
 
-    ``given`` are the multipliers, ``weights`` lambda+, the nearest that are subgradients of h somewhere, ``values``
-    L(x, u) in extended precision and ``sizes`` the sums of the absolute values of its terms. ``gap`` is
-    h(v) + h*(lambda+) - <lambda+, v>, zero iff lambda+ is a subgradient of h at v; ``misfit`` is what the gap sees to
-    second order only: how far the directions of lambda+ and v differ. ``signal`` are the windowed samples of a mask at
-    every frequency, else empty. Of a soft one, ``peak`` is the proven maximum, and ``beyond`` what the gap lacks: the
-    price of its excess, less that of the values.
+    Attributes
+    ----------
+    multipliers, weights
+        lambda, and lambda+: the nearest multipliers that are subgradients of h somewhere.
+    values, sizes
+        v = L(x, u) in extended precision, and the sums of the absolute values of its terms.
+    gap
+        h(v) + h*(lambda+) - <lambda+, v>: zero iff lambda+ is a subgradient of h at v.
+    misfit
+        The difference between the directions of lambda+ and v, which the gap sees to second order only.
+    signal
+        The windowed samples of a mask at every frequency, else empty.
+    peak, peak_price
+        Of a soft mask at every frequency: the proven maximum, and the price of its violation less that of the values,
+        which ``gap`` lacks.
     """
 
     term: Term
-    given: Array
+    multipliers: Array
     weights: Array
     values: Array
     sizes: Array
@@ -45,21 +54,21 @@ class PricedTerm:
     misfit: Array
     signal: Array
     peak: Peak | None = None
-    beyond: float = 0.0
+    peak_price: float = 0.0
 
     @property
     def gap_terms(self) -> Array:
-        """Return what the rounding errors of the gaps are relative to, (groups,)."""
+        """Return the sums of the absolute values of the terms of the gaps, (groups,): rounding is relative to these."""
         limits = np.broadcast_to(self.term.penalty.sizes(), self.values.shape)
         return (np.abs(self.weights) * (self.sizes + limits)).sum(1) + np.abs(self.gap).sum(1)
 
 
 @dataclass(frozen=True, eq=False)
 class Extremal:
-    """A trajectory with its multipliers, and what several conditions need of them.
+    """A trajectory with its multipliers, and the derivatives of the Hamiltonian there.
 
-    Signals and derivatives are in extended precision: they are what is left of terms that cancel. Sums of absolute
-    values are not: nothing in them cancels.
+    Signals and derivatives are in extended precision, as their terms cancel. Sums of absolute values are in double
+    precision.
 
     Attributes
     ----------
@@ -70,9 +79,9 @@ class Extremal:
     in_x : (T+1, n), in_u : (T, m)
         D_x H_t and D_u H_t with the terms; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
     in_x_terms, in_u_terms
-        The sums of the absolute values of the terms of in_x and in_u: what their rounding errors are relative to.
+        The sums of the absolute values of the terms of in_x and in_u. Their rounding errors are relative to these.
     terms : list of PricedTerm
-        Everything beyond the quadratic cost, boxes and stop bands.
+        All terms of the problem except the quadratic cost, boxes and stop bands.
     """
 
     problem: OptimalControlProblem
@@ -94,9 +103,19 @@ class Extremal:
         return np.concatenate([np.zeros((1, self.problem.state_dim)), self.multipliers.eta])
 
     @cached_property
+    def adjoint_terms(self) -> Array:
+        """Return |eta_{t-1}| + in_x_terms, (T+1, n): the absolute terms of eta_{t-1} - D_x H_t."""
+        return np.abs(self.eta_before) + self.in_x_terms
+
+    @cached_property
     def state_residual(self) -> Array:
         """Return x_{t+1} - f_t(x_t, u_t), (T, n), in the precision of the trajectory."""
         return state_residual(self.problem, self.trajectory)
+
+    @cached_property
+    def terms_gap(self) -> float:
+        """Return the sum of the gaps h(v) + h*(lambda+) - <lambda+, v> of all terms."""
+        return float(sum(priced.gap.sum() + priced.peak_price for priced in self.terms))
 
     @cached_property
     def cost(self) -> float:
@@ -110,7 +129,13 @@ def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Ar
 
 
 def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Extremal:
-    """Evaluate the Hamiltonian's derivatives; ProblemError if shapes do not fit or what is free has a multiplier."""
+    """Evaluate the derivatives of the Hamiltonian.
+
+    Raises
+    ------
+    ProblemError
+        If shapes do not fit the problem, or a free bin or row has a multiplier.
+    """
     problem.require(trajectory)
     problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
@@ -147,23 +172,23 @@ def _priced_terms(
     """Return the terms along a trajectory, which is (x, u) in extended precision."""
     priced: list[PricedTerm] = []
     for term in problem.terms:
-        given = multipliers.stage.get(term.name, np.zeros(term.shape))
-        values, weights = term.map.values(x, u), term.penalty.subgradient(extended(given), multipliers.eta_C)
+        on_term = multipliers.stage.get(term.name, np.zeros(term.shape))
+        values, weights = term.map.values(x, u), term.penalty.subgradient(extended(on_term), multipliers.eta_C)
         sizes = term.map.sizes(trajectory.x, trajectory.u)
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
         misfit, everywhere = term.penalty.misfit(values, weights), term.semi_infinite
         signal = np.zeros(0) if everywhere is None else everywhere.map.signal(trajectory.x, trajectory.u)
-        peak, beyond = None, 0.0
-        if everywhere is not None and not term.hard:  # the proven largest excess, whether its values have it or not
+        peak, peak_price = None, 0.0
+        if everywhere is not None and not term.hard:  # the largest violation may lie between the values
             peak = proven_peak(everywhere, signal)
             price = everywhere.price * max(peak.ratio - 1.0, 0.0)
-            beyond = multipliers.eta_C * (price - float(term.penalty.cost(values).sum()))
-        priced.append(PricedTerm(term, given, weights, values, sizes, gap, misfit, signal, peak, beyond))
+            peak_price = multipliers.eta_C * (price - float(term.penalty.cost(values).sum()))
+        priced.append(PricedTerm(term, on_term, weights, values, sizes, gap, misfit, signal, peak, peak_price))
     return priced
 
 
 def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) -> None:
-    """Raise ProblemError if multipliers do not have the problem's shape, or if what is free has one."""
+    """Raise ProblemError if the shape of multipliers does not fit the problem, or a free bin or row has one."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     if multipliers.eta.shape != (T, n) or multipliers.nu.shape != (T, m):
         got = f"eta {multipliers.eta.shape}, nu {multipliers.nu.shape}"
@@ -174,16 +199,16 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
     ):
         if rho.shape != stop.shape:
             raise ProblemError(f"multipliers.{field}", f"shape {rho.shape}", f"shape {stop.shape}")
-        of_free = (rho != 0) & ~stop
-        if of_free.any():
-            k, i = np.argwhere(of_free)[0]
+        on_free_bins = (rho != 0) & ~stop
+        if on_free_bins.any():
+            k, i = np.argwhere(on_free_bins)[0]
             raise ProblemError(f"multipliers.{field}[{k}, {i}]", f"{rho[k, i]:g}", "0", f"Bin {k} is free.")
     terms = {term.name: term for term in problem.terms}
-    for name, given in multipliers.stage.items():
+    for name, on_term in multipliers.stage.items():
         if name not in terms:
             raise ProblemError("multipliers.stage", repr(name), f"the names of the constraints: {list(terms)}")
         field, term = f"multipliers.stage[{name!r}]", terms[name]
-        if given.shape != term.shape:
-            raise ProblemError(field, f"shape {given.shape}", f"shape {term.shape}")
-        for t, row in np.argwhere((given != 0) & term.penalty.unlimited)[:1]:
-            raise ProblemError(f"{field}[{t}, {row}]", f"{given[t, row]:g}", "0", "There is no limit to this row then.")
+        if on_term.shape != term.shape:
+            raise ProblemError(field, f"shape {on_term.shape}", f"shape {term.shape}")
+        for t, row in np.argwhere((on_term != 0) & term.penalty.unlimited)[:1]:
+            raise ProblemError(f"{field}[{t}, {row}]", f"{on_term[t, row]:g}", "0", "The row has no limit there.")

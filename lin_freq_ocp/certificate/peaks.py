@@ -69,10 +69,10 @@ MOST_CELLS = 2_000_000  # at a time
 
 @dataclass(frozen=True)
 class Peak:
-    """The largest |V| / l: proven to be at most ``ratio``; ``found`` at ``frequency`` in rad/sample.
+    """The largest |V| / l: proven to be at most ``ratio``; it is ``found`` at ``frequency`` in rad/sample.
 
-    Of a residual vibration: at a natural frequency in Hz, and a damping ratio. Texts state a mask's frequency in Hz if
-    its band is in Hz: ``hertz`` per rad/sample.
+    For a residual vibration, ``frequency`` is a natural frequency in Hz, with a damping ratio. Texts state a mask's
+    frequency in Hz if its band is in Hz: ``hertz`` per rad/sample.
     """
 
     ratio: float
@@ -99,11 +99,16 @@ class Cells:
     half: Array  # half-width, (cells,)
     limit: Array  # at y = 0, (cells,)
     slope: Array  # of the limit in y, (cells,)
-    error: Array  # by which |g| can miss |V|, (cells,)
+    error: Array  # largest difference of |g| and |V|, (cells,)
 
-    def chosen(self, at: Indices) -> Cells:
+    def take(self, at: Indices) -> Cells:
         """Return some of the cells."""
         return Cells(*(getattr(self, field.name)[at] for field in fields(self)))
+
+    @staticmethod
+    def concatenate(parts: list[Cells]) -> Cells:
+        """Return the cells of all parts."""
+        return Cells(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Cells)))
 
     def part(self, first: Array, last: Array) -> Cells:
         """Return the parts first <= y <= last of the cells."""
@@ -127,8 +132,8 @@ class Cells:
         return self.limit - np.abs(self.slope)
 
 
-def largest(cells: Cells) -> Peak:
-    """Return the largest |V| / l on cells, at a parameter."""
+def bound_peak(cells: Cells) -> Peak:
+    """Return the largest |V| / l on cells, at a parameter, with proof."""
     found, frequency, proven = 0.0, float(cells.middle[0]), 0.0
     for _ in range(HALVINGS):
         values = np.abs(cells.a[:, 0]) / cells.limit
@@ -136,23 +141,23 @@ def largest(cells: Cells) -> Peak:
         if values[best] > found:
             found, frequency = float(values[best]), float(cells.middle[best])
         proven = max(proven, found * (1 + RATIO) + 2 * float(cells.error[best] / cells.limit[best]))
-        cells = cells.chosen(_unclear(cells, proven))
+        cells = cells.take(_undecided_cells(cells, proven))
         if not len(cells.a) or 2 * len(cells.a) > MOST_CELLS:
             break
         ends = np.ones(len(cells.a))
-        cells = joined([cells.part(-ends, 0 * ends), cells.part(0 * ends, ends)])
+        cells = Cells.concatenate([cells.part(-ends, 0 * ends), cells.part(0 * ends, ends)])
     if len(cells.a):
         proven = max(proven, float(((np.abs(cells.a).sum(1) + cells.error) / cells.least).max()))
     return Peak(proven, found, frequency)
 
 
-def _unclear(cells: Cells, ratio: float) -> Indices:
-    """Return which cells are not proven to have |V| <= ratio * l."""
+def _undecided_cells(cells: Cells, ratio: float) -> Indices:
+    """Return the cells on which |V| <= ratio * l is not proven."""
     sums, margin = np.abs(cells.a).sum(1), ratio * cells.least - cells.error
     left = np.flatnonzero(sums > margin)
     if not len(left):
         return left
-    few = cells.chosen(left)
+    few = cells.take(left)
     square = _product(few.a.real, few.a.real) + _product(few.a.imag, few.a.imag)
     centre, slope = ratio * few.limit - few.error, ratio * few.slope
     square[:, 0] -= centre**2
@@ -164,21 +169,16 @@ def _unclear(cells: Cells, ratio: float) -> Indices:
 
 def _product(p: NDArray[Scalar], q: NDArray[Scalar]) -> NDArray[Scalar]:
     """Return the coefficients of the products of polynomials (cells, TERMS)."""
-    found = np.zeros((len(p), 2 * TERMS - 1), dtype=p.dtype)
+    product = np.zeros((len(p), 2 * TERMS - 1), dtype=p.dtype)
     for j in range(TERMS):
-        found[:, j : j + TERMS] += p[:, j : j + 1] * q
-    return found
+        product[:, j : j + TERMS] += p[:, j : j + 1] * q
+    return product
 
 
-def joined(parts: list[Cells]) -> Cells:
-    """Return all cells of several."""
-    return Cells(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Cells)))
-
-
-def _bernstein(degree: int) -> Array:
+def _bernstein_matrix(degree: int) -> Array:
     """Return the matrix from coefficients in y on [-1, 1] to Bernstein coefficients, (degree + 1, degree + 1).
 
-    That of y^j at place k is the coefficient of z^j in (1 - z)^(d - k) (1 + z)^k, divided by that in (1 + z)^d.
+    Its entry (k, j) is the coefficient of z^j in (1 - z)^(d - k) (1 + z)^k, divided by that in (1 + z)^d.
     """
     powers = [np.ones(1)]
     for _ in range(degree):
@@ -188,7 +188,7 @@ def _bernstein(degree: int) -> Array:
     return np.stack(columns, axis=1) / powers[degree][:, None]
 
 
-BERNSTEIN = _bernstein(2 * TERMS - 2)
+BERNSTEIN = _bernstein_matrix(2 * TERMS - 2)
 
 
 CELLS = 4  # for each sample: the series then converges like (pi/8)^j / j!
@@ -202,7 +202,7 @@ class Series:
     """The polynomials g on cells of the half-width ``step`` about 2 k step, k = 0, 1, ..., from those on [0, pi]."""
 
     a: ComplexArray  # (cells, TERMS)
-    error: float  # by which |g| can miss |V|
+    error: float  # largest difference of |g| and |V|
 
     @property
     def step(self) -> float:
@@ -210,7 +210,7 @@ class Series:
         return float(np.pi / (2 * (len(self.a) - 1)))
 
     def on(self, k: Indices) -> tuple[ComplexArray, Array]:
-        """Return a of cells k, (k, TERMS), and their errors: V(w + 2 pi) = V(w), and V(-w) is its conjugate."""
+        """Return a of cells k, (k, TERMS), and their errors: V(w + 2 pi) = V(w), and V(-w) = conj(V(w))."""
         points = 2 * (len(self.a) - 1)
         k = k % points
         mirrored = 2 * k > points
@@ -219,18 +219,18 @@ class Series:
 
 
 def certified_peak(samples: Array, limits: Limits, kind: Callable[[ComplexArray, float], Series] = Series) -> Peak:
-    """Return the largest |V| / l of samples (N,), with proof; of another kind of series, its |g| / l."""
+    """Return the largest |V| / l of samples (N,), with proof; for another kind of series, its |g| / l."""
     size = float(np.abs(samples).max(initial=0.0))
     if size == 0:
         return Peak(0.0, 0.0, float(limits.low[0]))
     if not np.isfinite(size):
         return Peak(np.inf, np.inf, float(limits.low[0]))
     least = float(min(limits.at_low.min(), limits.at_high.min())) / size
-    return largest(_on_intervals(kind(*_series(extended(samples) / size, least)), limits, size))
+    return bound_peak(_cells_on_intervals(kind(*_coefficients(extended(samples) / size, least)), limits, size))
 
 
-def _series(values: Array, least: float) -> tuple[ComplexArray, float]:
-    """Return a, (cells, TERMS), and by how much |g| can miss |V|."""
+def _coefficients(values: Array, least: float) -> tuple[ComplexArray, float]:
+    """Return a, (cells, TERMS), and the largest difference of |g| and |V|."""
     N = len(values)
     points = 2 * fft.next_fast_len(CELLS * N // 2, real=True)
     tau = np.arange(N) - np.longdouble(N - 1) / 2
@@ -245,26 +245,25 @@ def _series(values: Array, least: float) -> tuple[ComplexArray, float]:
         weighted = weighted.astype(np.float64) if in_double else weighted
         a.append(((-1j) ** j * fft.rfft(weighted, n=points)).astype(np.complex128))
         error += rounding * float(np.finfo(weighted.dtype).eps)
-    found = np.stack(a, axis=1)
-    return found, error
+    return np.stack(a, axis=1), error
 
 
-def _on_intervals(series: Series, limits: Limits, size: float) -> Cells:
+def _cells_on_intervals(series: Series, limits: Limits, size: float) -> Cells:
     """Return the parts of the cells on each interval on which the limit is linear."""
     step, parts = series.step, list[Cells]()
     for low, high, at_low, at_high in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
         k = np.arange(max(round(low / (2 * step)) - 1, 0), round(high / (2 * step)) + 2)
         slack = END_ROUNDING * max(len(series.a), len(k) + int(k[0]))
         first, last = np.maximum(low / step - 2 * k - slack, -1.0), np.minimum(high / step - 2 * k + slack, 1.0)
-        kept = first <= last
-        k, first, last = k[kept], first[kept], last[kept]
+        within = first <= last
+        k, first, last = k[within], first[within], last[within]
         slope = (at_high - at_low) / (high - low) if high > low else 0.0
         middle, ones = 2.0 * step * k, np.ones(len(k))
         limit = at_low + slope * (middle - low)
         a, error = series.on(k)
         whole = Cells(a, middle, step * ones, limit / size, slope * step / size * ones, error)
         parts.append(whole.part(first, last))
-    return joined(parts)
+    return Cells.concatenate(parts)
 
 
 ROUNDING = 64 * TERMS * float(np.finfo(np.float64).eps)  # of S, its FFT and the product, per sum of |a_j|; |S| < 1.1
@@ -283,10 +282,10 @@ class HeldSeries(Series):
 
 
 def peak_points(problem: OptimalControlProblem, x: Array, u: Array, above: float) -> dict[str, Array]:
-    """Return the points of all local maxima above a ratio, by name of the terms that have some."""
+    """Return the points of all local maxima above a ratio, by the names of their terms."""
     sets = {term.name: term.semi_infinite for term in problem.terms if term.semi_infinite is not None}
-    found = {name: peaks_above(everywhere, x, u, above)[0] for name, everywhere in sets.items()}
-    return {name: points for name, points in found.items() if len(points)}
+    maxima = {name: peaks_above(everywhere, x, u, above)[0] for name, everywhere in sets.items()}
+    return {name: points for name, points in maxima.items() if len(points)}
 
 
 CIRCLE_GROWTH = 16.0  # W (e^R - 1): the least of exp(CIRCLE_GROWTH) (r/R)^TERMS is near CIRCLE_GROWTH = TERMS
@@ -303,15 +302,17 @@ def certified_vibration(samples: Array, box: VibrationLimit) -> Peak:
         ratio = 0.0 if size == 0 else np.inf
         return Peak(ratio, ratio, float(box.low[0]), float(box.low[1]))
     values, limit = extended(samples) / size, box.limit / size
-    parts = [_cells(values, box, limit, k, edge) for k, edge in enumerate(box.edges)]
-    peak = largest(joined(parts))
+    parts = [_cells_on_edge(values, box, limit, k, edge) for k, edge in enumerate(box.edges)]
+    peak = bound_peak(Cells.concatenate(parts))
     k, share = divmod(peak.frequency, 2.0)
     ((frequency, damping),) = box.points_on(box.edges[int(k)], np.array([share])).tolist()
     return Peak(peak.ratio, peak.found, frequency, damping)
 
 
-def _cells(values: Array, box: VibrationLimit, limit: float, number: int, edge: tuple[complex, complex]) -> Cells:
-    """Return the cells of an edge; their parameter is twice the edge's number, plus the share of the way along it."""
+def _cells_on_edge(
+    values: Array, box: VibrationLimit, limit: float, number: int, edge: tuple[complex, complex]
+) -> Cells:
+    """Return the cells of an edge; their parameter is twice the number of the edge, plus the share of its length."""
     (start, end), W = edge, 2 * np.pi * float(box.high[0]) * box.duration
     R = float(np.log1p(CIRCLE_GROWTH / W))
     length = abs(end - start)
@@ -323,13 +324,13 @@ def _cells(values: Array, box: VibrationLimit, limit: float, number: int, edge: 
     direction = step / radius if step else 1.0
     centre, turns = start + (end - start) * share, np.exp(2j * np.pi * np.arange(TERMS) / TERMS)
     circles = (centre[:, None] + radius * direction * turns).astype(np.complex128)
-    found = _at(values, circles, box.sampling_time, box.map.relative)
-    a = np.fft.fft(found.reshape(count, TERMS), axis=1) / TERMS
+    on_circles = _evaluate_vibration(values, circles, box.sampling_time, box.map.relative)
+    a = np.fft.fft(on_circles.reshape(count, TERMS), axis=1) / TERMS
     if not step:
         a[:, 1:] = 0.0
     total = float(np.abs(values).sum())
     rest = 4 * total * np.exp(CIRCLE_GROWTH) * (radius / R) ** TERMS / (1 - radius / R)
-    near = 2 * total * np.exp(W * np.expm1(radius))  # what Q cannot exceed on the small circles
+    near = 2 * total * np.exp(W * np.expm1(radius))  # a bound of Q on the small circles
     rounding = (2 * np.sqrt(len(values)) + 30 + 4 * W) * EXTENDED + (TERMS + 4 * W) * DOUBLE
     phi = np.array([start.imag, *(start + (end - start) * (np.arange(count) + 1) / count).imag])
     sines = np.ones(count + 1) if box.map.relative else np.sin(phi)
@@ -339,8 +340,8 @@ def _cells(values: Array, box: VibrationLimit, limit: float, number: int, edge: 
     return Cells(a, 2 * number + share, ones / (2 * count), below, slope, error)
 
 
-def _at(values: Array, points: ComplexArray, sampling_time: float, relative: bool) -> ComplexArray:
-    """Return Q of samples at points y, flattened, in extended precision before it is rounded."""
+def _evaluate_vibration(values: Array, points: ComplexArray, sampling_time: float, relative: bool) -> ComplexArray:
+    """Return Q of samples at points y, flattened; computed in extended precision, then rounded."""
     y, N = points.reshape(-1, 1).astype(np.clongdouble), len(values)
     sh = np.exp(y) * np.longdouble(sampling_time)
     B = int(np.ceil(np.sqrt(N)))
@@ -354,7 +355,7 @@ def _at(values: Array, points: ComplexArray, sampling_time: float, relative: boo
 
 @singledispatch
 def proven_peak(everywhere: SemiInfiniteConstraint, samples: Array) -> Peak:
-    """Return the largest |V| / l of windowed samples (N,) over a parameter set; by kind of set."""
+    """Return the largest |V| / l of windowed samples (N,) over a parameter set, with proof."""
     raise NotImplementedError(type(everywhere).__name__)
 
 

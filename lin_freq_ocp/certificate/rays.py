@@ -1,10 +1,9 @@
-"""Proofs by rays: that a problem is infeasible, that its cost has no lower bound, or that a trajectory is no extremal.
+"""Proofs by rays: a problem is infeasible or unbounded, or a trajectory is not an extremal.
 
-A problem is infeasible if multipliers with eta_C = 0 have a bound D above 0; the constraints that carry it are in
-conflict. A direction (dx, du) that keeps every active constraint to first order and along which the cost falls leaves
-no room for normal multipliers: with g the gradient of J and v any sum of normals, <g + v, d> <= <g, d> < 0, so that g +
-v is not 0. A direction that is feasible at every length and along which the cost has no lower bound shows that the
-problem is unbounded.
+A problem is infeasible if multipliers with eta_C = 0 have a bound D above 0; the constraints with these multipliers are
+in conflict. If a direction d = (dx, du) keeps every active constraint to first order and lowers the cost, no normal
+multipliers exist: with g the gradient of J and v any sum of normals, <g + v, d> <= <g, d> < 0, so g + v is not 0. If a
+direction is feasible at every length and the cost falls along it without bound, the problem is unbounded.
 """
 
 from __future__ import annotations
@@ -27,32 +26,26 @@ from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 CLEAR_MARGIN = 1e-4  # margin of a proof from which half of its bound is far above the rounding of data
-SHARE_TOLERANCE = 0.1
-"""Bounds on a component with less than this share of the heaviest ones in a proof are not named."""
-
-SMALL_TIME = 1e-2
-"""Times and bins at which a block acts with less than this fraction of its largest multiplier are not named."""
-
-PRACTICAL = 1e4
-"""Multiple of the sizes in the data beyond which a trajectory is not looked for where nothing bounds it."""
-
-OVER_BINS = ("stop band", "mask", "energy bound")
-"""Words in the names of blocks that act at bins and not at times."""
+SHARE_TOLERANCE = 0.1  # share of the heaviest bounds in a proof from which bounds on a component are named
+SMALL_TIME = 1e-2  # fraction of the largest multiplier of a block from which its times and bins are named
+PRACTICAL = 1e4  # sizes in the data up to which unbounded components are covered by a proof
+OVER_BINS = ("stop band", "mask", "energy bound")  # words in the names of blocks that act at bins and not at times
+MOST_RUNS = 4  # of times, after which a conflict shows ...
 
 
 @dataclass(frozen=True)
 class Conflict:
-    """One block of constraints that an infeasibility proof rests on.
+    """One block of constraints in an infeasibility proof.
 
     Attributes
     ----------
     block : str
-        In words, with the component's name.
+        In words, with the name of the component.
     share : float
-        1 for ends, stop bands and terms, without which the ray proves nothing; for bounds and joint rows, how much of
-        the proof would be lost if they were relaxed by their own size, relative to the heaviest ones.
+        1 for ends, stop bands and terms that the proof needs. For bounds and joint rows: the part of the proof that is
+        lost if they are relaxed by their own size, relative to the heaviest ones.
     times : tuple of int
-        Where it acts; bins for a stop band.
+        Times at which it acts; bins for a stop band.
     """
 
     block: str
@@ -60,8 +53,15 @@ class Conflict:
     times: tuple[int, ...]
 
     def __str__(self) -> str:
-        where = "bins" if any(word in self.block for word in OVER_BINS) else "t ="
-        return f"{self.block}, {where} {_runs(self.times)}"
+        axis = "bins" if any(word in self.block for word in OVER_BINS) else "t ="
+        runs: list[list[int]] = []  # of increasing whole numbers: 0..3, 7
+        for t in self.times:
+            if runs and t == runs[-1][1] + 1:
+                runs[-1][1] = t
+            else:
+                runs.append([t, t])
+        shown = ", ".join(f"{first}" if first == last else f"{first}..{last}" for first, last in runs[:MOST_RUNS])
+        return f"{self.block}, {axis} {shown}{', ...' if len(runs) > MOST_RUNS else ''}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +71,11 @@ class InfeasibilityProof:
     Attributes
     ----------
     bound : Bound
-        Its kind is "numerical" if, in components without bounds, only trajectories of practical size are excluded.
+        Its kind is "numerical" if the proof covers components without bounds only up to a practical size.
     multipliers : Multipliers
         The verified ray.
     conflict : tuple of Conflict
-        The blocks of constraints that carry it.
+        The conflicting blocks of constraints.
     """
 
     bound: Bound
@@ -84,18 +84,18 @@ class InfeasibilityProof:
 
 
 def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> InfeasibilityProof | None:
-    """Return a proof of infeasibility from a Farkas ray (its eta_C is taken as 0), or None if it proves nothing."""
+    """Return the proof of infeasibility by a Farkas ray, whose eta_C is set to 0; None if it proves nothing."""
     abnormal, problem = replace(ray, eta_C=0.0, weights=None), at_frequencies(problem, ray.frequencies)
     bound = _bound(problem, abnormal)
     if bound.value <= 0:
         return None
-    conflict = tuple(one for find in (_ends, _bounds, _bands, _terms) for one in find(problem, abnormal))
-    return InfeasibilityProof(bound, abnormal, conflict)
+    blocks = (_bounds_in_conflict, _bands_in_conflict, _terms_in_conflict)
+    return InfeasibilityProof(bound, abnormal, tuple(block for find in blocks for block in find(problem, abnormal)))
 
 
 def proof_margin(problem: OptimalControlProblem, ray: Multipliers) -> float:
-    """Return the bound D of a Farkas ray relative to the terms that it is a difference of: 1 at best."""
-    rest, bound = _rest(problem), _bound(problem, ray)
+    """Return the bound D of a Farkas ray relative to the absolute sum of its terms: 1 at best."""
+    rest, bound = _point_nearest_zero(problem), _bound(problem, ray)
     residual = rest.x[1:] - problem.equations.successors(rest.x, rest.u)
     terms = float(np.abs(ray.eta * residual).sum()) + abs(bound.stage_term)
     if bound.stage_gaps is not None:
@@ -104,31 +104,33 @@ def proof_margin(problem: OptimalControlProblem, ray: Multipliers) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Exclusion:
-    """A rigorous ray that excludes initial states: its bound is an affine function of them.
+class InfeasibilityCertificate:
+    """A rigorous ray as a function of the initial state x_0.
 
-    From x_0, it is ``value`` + slope (x_0 - start) > 0: the ray has no cost, and l_0 is linear at the fixed x_0.
+    Its bound is D = ``value`` + slope (x_0 - start), as the ray has no cost and l_0 is linear in a fixed x_0. Initial
+    states with D > 0 are infeasible.
     """
 
     start: Array
     slope: Array
     value: float
 
-    def excludes(self, state: Array) -> bool:
+    def applies_to(self, state: Array) -> bool:
         """Whether the bound from a state (n,) is at least half of that from ``start``: above all rounding."""
         return self.value + float(self.slope @ (state - self.start)) >= 0.5 * self.value
 
 
-def exclusion(problem: OptimalControlProblem, ray: Multipliers) -> Exclusion | None:
-    """Return what a ray proves of other initial states; None unless it excludes the problem's own, a point, clearly."""
+def infeasibility_certificate(problem: OptimalControlProblem, ray: Multipliers) -> InfeasibilityCertificate | None:
+    """Return the ray as a function of the initial state; None if its bound for this problem is not clearly above 0."""
     bound = _bound(problem, ray)
     start = problem.initial_box
     if not start.fixed.all() or bound.kind != RIGOROUS or proof_margin(problem, ray) <= CLEAR_MARGIN:
         return None
-    return Exclusion(start.lower, -extremal_at(problem, _rest(problem), ray).in_x[0].astype(np.float64), bound.value)
+    slope = -extremal_at(problem, _point_nearest_zero(problem), ray).in_x[0].astype(np.float64)
+    return InfeasibilityCertificate(start.lower, slope, bound.value)
 
 
-def _rest(problem: OptimalControlProblem) -> Trajectory:
+def _point_nearest_zero(problem: OptimalControlProblem) -> Trajectory:
     """Return the point nearest to zero within the bounds, at every time."""
     return Trajectory(
         problem.state_tube.project(np.zeros((problem.horizon + 1, problem.state_dim))),
@@ -138,24 +140,20 @@ def _rest(problem: OptimalControlProblem) -> Trajectory:
 
 def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
     x, u = stated_sizes(problem)
-    return farkas_bound(extremal_at(problem, _rest(problem), ray), (PRACTICAL * x, PRACTICAL * u))
+    return farkas_bound(extremal_at(problem, _point_nearest_zero(problem), ray), (PRACTICAL * x, PRACTICAL * u))
 
 
-def _ends(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
-    for what, t, end in (("initial state", 0, problem.initial_box), ("terminal state", -1, problem.terminal_box)):
-        if ray.mu[t, np.isfinite(end.lower) | np.isfinite(end.upper)].any():
-            yield Conflict(what, 1.0, (t % len(ray.mu),))
-
-
-def _bounds(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
-    """Name the bounds and joint rows that weigh most, by their multipliers times the sizes of what they bound."""
+def _bounds_in_conflict(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
+    """Name the ends, then the heaviest bounds and joint rows: multipliers times the sizes of the components."""
     x, u = stated_sizes(problem)
-    inside = np.abs(ray.mu) * x
-    for t, end in ((0, problem.initial_box), (-1, problem.terminal_box)):
-        inside[t, np.isfinite(end.lower) | np.isfinite(end.upper)] = 0.0
-    blocks = [(f"state bound on {name}", inside[:, i]) for i, name in enumerate(problem.state_names)]
-    outside = np.abs(ray.nu) * u
-    blocks += [(f"control bound on {name}", outside[:, j]) for j, name in enumerate(problem.control_names)]
+    on_states, on_controls = np.abs(ray.mu) * x, np.abs(ray.nu) * u
+    for block, t, end in (("initial state", 0, problem.initial_box), ("terminal state", -1, problem.terminal_box)):
+        bounded = np.isfinite(end.lower) | np.isfinite(end.upper)
+        if ray.mu[t, bounded].any():
+            yield Conflict(block, 1.0, (t % len(ray.mu),))
+        on_states[t, bounded] = 0.0
+    blocks = [(f"state bound on {name}", on_states[:, i]) for i, name in enumerate(problem.state_names)]
+    blocks += [(f"control bound on {name}", on_controls[:, j]) for j, name in enumerate(problem.control_names)]
     for family in problem.stage_rows:
         joint = np.maximum(ray.stage.get(family.name, np.zeros((problem.horizon, family.rows))), 0.0)
         weighted = joint * family.sizes(x, u)
@@ -163,10 +161,10 @@ def _bounds(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Confli
     largest = max(float(weights.sum()) for _, weights in blocks)
     for block, weights in blocks:
         if weights.sum() > SHARE_TOLERANCE * largest:
-            yield Conflict(block, float(weights.sum()) / largest, _important(weights))
+            yield Conflict(block, float(weights.sum()) / largest, _largest_indices(weights))
 
 
-def _bands(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
+def _bands_in_conflict(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
     """Name the stop bands without whose multipliers the ray proves nothing."""
     for signal, names, field in (("state", problem.state_names, "rho_x"), ("control", problem.control_names, "rho_u")):
         prices: ComplexArray = getattr(ray, field)
@@ -174,51 +172,37 @@ def _bands(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflic
             rest = prices.copy()
             rest[:, i] = 0.0
             if prices[:, i].any() and _bound(problem, replace(ray, **{field: rest})).value <= 0:
-                yield Conflict(f"{signal} stop band on {name}", 1.0, _important(np.abs(prices[:, i])))
+                yield Conflict(f"{signal} stop band on {name}", 1.0, _largest_indices(np.abs(prices[:, i])))
 
 
-def _terms(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
+def _terms_in_conflict(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
     """Name the terms other than joint rows without whose multipliers the ray proves nothing."""
     for term in problem.terms:
         weights = ray.stage.get(term.name)
         if term.kind.is_rows or weights is None or not weights.any():
             continue
-        rest = {name: one for name, one in ray.stage.items() if name != term.name}
+        rest = {name: on_term for name, on_term in ray.stage.items() if name != term.name}
         if _bound(problem, replace(ray, stage=rest)).value <= 0:
             positions = term.map.positions
-            acting = _important(np.abs(weights).sum(1)) if len(weights) == len(positions) else range(len(positions))
+            grouped = len(weights) == len(positions)
+            acting = _largest_indices(np.abs(weights).sum(1)) if grouped else range(len(positions))
             yield Conflict(term.name, 1.0, tuple(sorted({int(positions[i]) for i in acting})))
 
 
-def _important(weights: Array) -> tuple[int, ...]:
+def _largest_indices(weights: Array) -> tuple[int, ...]:
     return tuple(int(t) for t in np.flatnonzero(weights > SMALL_TIME * weights.max()))
 
 
-def _runs(times: tuple[int, ...]) -> str:
-    """Return increasing whole numbers as runs: 0..3, 7."""
-    runs: list[list[int]] = []
-    for t in times:
-        if runs and t == runs[-1][1] + 1:
-            runs[-1][1] = t
-        else:
-            runs.append([t, t])
-    shown = [f"{first}" if first == last else f"{first}..{last}" for first, last in runs[:4]]
-    return ", ".join(shown) + (", ..." if len(runs) > 4 else "")
-
-
-DIRECTION_TOLERANCE = 1e-6
-"""How far a direction may lead out of a constraint, relative to its own size; its slope must be below minus this."""
-
-TOUCHING = 1e-6
-"""A constraint is active, and a value at its kink, at this distance, relative to its size: what the judge forgives."""
-
-LEAVING_MARGIN = 10.0
-"""The cost must fall this many times faster than what leaving constraints, as far as it does, could account for."""
+DIRECTION_TOLERANCE = (
+    1e-6  # violation of constraints by a direction, relative to its size; its slope is below minus this
+)
+TOUCHING = 1e-6  # distance, relative to sizes, of active constraints and of kinks: the judge accepts such violations
+LEAVING_MARGIN = 10.0  # least slope of the cost over the one that the violation of constraints can explain
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """A direction that was checked.
+    """A verified direction of descent.
 
     Attributes
     ----------
@@ -227,7 +211,7 @@ class Direction:
     slope : float
         Change of the cost per unit of the direction, below zero.
     residual : float
-        How far it leads out of constraints, relative to its size.
+        Violation of constraints along the direction, relative to its size.
     """
 
     x: Array
@@ -237,34 +221,41 @@ class Direction:
 
     @property
     def steepest(self) -> int:
-        """Return the time at which it changes a control most, in the units of the problem."""
+        """Return the time of the largest change of a control, in the units of the problem."""
         return int(np.argmax(np.abs(self.u).max(1)))
 
 
 def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, along: Trajectory) -> Direction | None:
-    """Return the direction if, to first order, it keeps what holds at the trajectory and lowers the cost; else None.
+    """Return the direction if, to first order, it keeps all active constraints and lowers the cost; else None.
 
-    Constraints that the trajectory violates count as active: the direction does not make them worse.
+    Constraints that the trajectory violates count as active: the direction does not increase their violation.
     """
     x, u = trajectory.x, trajectory.u
     sizes = trajectory_sizes(problem, trajectory)
     along = _normalised_direction(problem, along, sizes)
     residuals = _linear_residuals(problem, along, sizes)
-    slopes, scales = _quadratic_slope(problem, along, problem.quadratic.gradient(x, u))
-    scales.append(_least_slope(problem, trajectory, along, sizes))
+    slopes, scales = _quadratic_slope(along, problem.quadratic.gradient(x, u))
+    # At an optimum to six digits, gradient and multipliers cancel to these digits of their largest entries: slopes are
+    # relative to the largest gradient of each component, on all of its change
+    natural = problem.quadratic.gradient_magnitudes(np.ones((len(x), 1)) * sizes[0], np.ones((len(u), 1)) * sizes[1])
+    at_point = problem.quadratic.gradient_magnitudes(x, u)
+    scales += [
+        float(np.maximum(part.max(0), SCALE_FLOOR * least.max(0)) @ np.abs(change).sum(0))
+        for part, least, change in zip(at_point, natural, (along.x, along.u), strict=True)
+    ]
     tubes = problem.state_tube, problem.control_tube
     for signal, change, tube, size in zip((x, u), (along.x, along.u), tubes, sizes, strict=True):
         near = TOUCHING * (size + np.abs(signal))
         residuals.append(_box_residual(change / size, tube.upper - signal <= near, signal - tube.lower <= near))
     for term in problem.terms:
-        values, change = term.map.values(x, u), _change(term.map, along)
+        values, change = term.map.values(x, u), _linear_part(term.map, along)
         size = float((term.map.sizes(x, u) + np.abs(change)).max())
         left = term.penalty.leaving(values, change, TOUCHING * size)
         residuals.append(left / (max(float(np.abs(change).max()), size) or 1.0))  # zero: a row that limits nothing
         slopes.append(term.penalty.slope(values, change, TOUCHING * size))
         scales.append(abs(slopes[-1]))
-    steepest = _steepest(problem.quadratic.gradient(x, u), sizes)
-    return _proven(along, residuals, slopes, scales, steepest)
+    steepest = _largest_slope(problem.quadratic.gradient(x, u), sizes)
+    return _verified_direction(along, residuals, slopes, scales, steepest)
 
 
 def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
@@ -273,27 +264,28 @@ def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Di
     along = _normalised_direction(problem, along, sizes)
     residuals = _linear_residuals(problem, along, sizes)
     at_rest = problem.quadratic.gradient(np.zeros_like(along.x), np.zeros_like(along.u))
-    slopes, scales = _quadratic_slope(problem, along, at_rest)
+    slopes, scales = _quadratic_slope(along, at_rest)
     # d'H d for the Hessian of the quadratic cost
-    there = problem.quadratic.gradient(along.x, along.u)
-    changes = zip(at_rest, there, (along.x, along.u), strict=True)
+    at_direction = problem.quadratic.gradient(along.x, along.u)
+    changes = zip(at_rest, at_direction, (along.x, along.u), strict=True)
     curvature = float(sum(((after - before) * change).sum() for before, after, change in changes))
     residuals.append(curvature / max(curvature, *scales) if curvature > 0 else 0.0)
     for change, tube, size in zip((along.x, along.u), tubes, sizes, strict=True):
         residuals.append(_box_residual(change / size, np.isfinite(tube.upper), np.isfinite(tube.lower)))
     for term in problem.terms:
-        change = _change(term.map, along)
+        change = _linear_part(term.map, along)
         left, price = term.penalty.unbounded(change)
         steady = np.broadcast_to(sizes[0], along.x.shape), np.broadcast_to(sizes[1], along.u.shape)
         residuals.append(left / float(term.map.sizes(*steady).max()) if left > 0 else 0.0)
         slopes.append(price)
         scales.append(price)
-    return _proven(along, residuals, slopes, scales, _steepest(at_rest, sizes))
+    return _verified_direction(along, residuals, slopes, scales, _largest_slope(at_rest, sizes))
 
 
-def _proven(
+def _verified_direction(
     along: Trajectory, residuals: list[float], slopes: list[float], scales: list[float], steepest: float
 ) -> Direction | None:
+    """Return the direction if its residuals are small and the cost falls by more than they can explain, else None."""
     slope, residual = sum(slopes), max(residuals)
     needed = max(DIRECTION_TOLERANCE * sum(scales), LEAVING_MARGIN * residual * steepest)
     if residual > DIRECTION_TOLERANCE or not slope < -needed or slope == 0:
@@ -301,8 +293,8 @@ def _proven(
     return Direction(along.x, along.u, slope, residual)
 
 
-def _steepest(gradient: tuple[Array, Array], sizes: tuple[Array, Array]) -> float:
-    """Return what the cost changes by, at most, where every state and control changes by its size."""
+def _largest_slope(gradient: tuple[Array, Array], sizes: tuple[Array, Array]) -> float:
+    """Return the largest change of the cost, to first order, if every state and control changes by its size."""
     return float(sum((np.abs(part) * size).sum() for part, size in zip(gradient, sizes, strict=True)))
 
 
@@ -314,7 +306,7 @@ def _normalised_direction(problem: OptimalControlProblem, along: Trajectory, siz
 
 
 def _linear_residuals(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> list[float]:
-    """Return how far it leaves the dynamics and the stop bands; what should be zero holds rounding only."""
+    """Return the violations of the dynamics and the stop bands; components near zero hold rounding errors only."""
     dynamics = problem.equations
     rest = np.zeros_like(along.x), np.zeros_like(along.u)
     moved = dynamics.successors(along.x, along.u) - dynamics.successors(*rest)
@@ -328,34 +320,17 @@ def _linear_residuals(problem: OptimalControlProblem, along: Trajectory, sizes: 
     return residuals
 
 
-def _quadratic_slope(
-    problem: OptimalControlProblem, along: Trajectory, gradient: tuple[Array, Array]
-) -> tuple[list[float], list[float]]:
+def _quadratic_slope(along: Trajectory, gradient: tuple[Array, Array]) -> tuple[list[float], list[float]]:
+    """Return the slopes of the quadratic cost in states and controls, and the sums of the absolute values of terms."""
     products = [part * change for part, change in zip(gradient, (along.x, along.u), strict=True)]
     return [float(part.sum()) for part in products], [float(np.abs(part).sum()) for part in products]
 
 
-def _least_slope(
-    problem: OptimalControlProblem, trajectory: Trajectory, along: Trajectory, sizes: tuple[Array, Array]
-) -> float:
-    """Return what slopes are measured by: each component's largest gradient, on all of its change.
-
-    At an optimum to six digits the gradient and the multipliers cancel to these digits of their largest entries.
-    """
-    T, (x, u) = problem.horizon, sizes
-    natural = problem.quadratic.gradient_magnitudes(np.tile(x, (T + 1, 1)), np.tile(u, (T, 1)))
-    there = problem.quadratic.gradient_magnitudes(trajectory.x, trajectory.u)
-    return sum(
-        float(np.maximum(now.max(0), SCALE_FLOOR * least.max(0)) @ np.abs(change).sum(0))
-        for now, least, change in zip(there, natural, (along.x, along.u), strict=True)
-    )
-
-
 def _box_residual(change: Array, above: Mask, below: Mask) -> float:
-    """Return by how much a change leads out of the bounds that are looked at."""
+    """Return the largest violation by a change of the upper bounds ``above`` and the lower bounds ``below``."""
     return max(float(np.where(above, change, 0.0).max()), float(np.where(below, -change, 0.0).max()), 0.0)
 
 
-def _change(one: AffineMap, along: Trajectory) -> Array:
-    """Return the linear part of a map, of the direction."""
-    return one.values(along.x, along.u) - one.values(np.zeros_like(along.x), np.zeros_like(along.u))
+def _linear_part(affine: AffineMap, along: Trajectory) -> Array:
+    """Return L(d) - L(0): the linear part of a map applied to a direction d."""
+    return affine.values(along.x, along.u) - affine.values(np.zeros_like(along.x), np.zeros_like(along.u))

@@ -1,4 +1,4 @@
-"""Boxes that the optimum lies in: the stated sets, what can be reached, and what is near a trajectory as good."""
+"""Boxes that contain an optimum: the stated sets, the reachable set, trajectories that cost no more than one."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Pair = tuple[Array, Array]
 class Region:
     """A box (lower, upper) around every optimum: x (T+1, n), u (T, m).
 
-    An optimum lies in it or costs at least ``level``; inf: it lies in the box. ``follows_from`` says why, in words.
+    Trajectories outside the box cost at least ``level``, inf if none is feasible. ``follows_from`` is the reason.
     """
 
     x: Pair
@@ -41,16 +41,16 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Losses of a bound on every state (T+1, n) and control (T, m): they say how far a better trajectory can be away.
+    """Losses of a bound on every state (T+1, n) and control (T, m): they limit the distance of a better trajectory.
 
     Attributes
     ----------
     slopes, curvatures : Pair
-        |slope| of l_t, rounding errors included, and diagonal curvature that l_t has at least.
+        |slope| of l_t, rounding errors included, and a lower bound of the diagonal curvature of l_t.
     losses : Pair
-        l_t at the trajectory less its minimum over the stated sets; inf where there is none.
+        l_t at the trajectory less its minimum over the stated sets; inf if it has no minimum.
     left : float
-        The cost of the trajectory less the bound without any of these losses.
+        The cost of the trajectory less the bound without these losses.
     """
 
     slopes: Pair
@@ -66,7 +66,7 @@ def stated_bounds(problem: OptimalControlProblem) -> Region:
 
 
 def reachable_bounds(problem: OptimalControlProblem) -> Region:
-    """Return the stated sets, cut by what the bounded controls can reach from the initial set."""
+    """Return the intersection of the stated sets with the states that bounded controls reach from the initial set."""
     stated = stated_bounds(problem)
     reach = _forward_reach(problem, *stated.u)
     if reach is None:
@@ -77,9 +77,9 @@ def reachable_bounds(problem: OptimalControlProblem) -> Region:
 def nearby_bounds(
     problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float, allowed: float
 ) -> Region | None:
-    """Return a box around all trajectories that cost no more than the given trajectory, or None if none follows.
+    """Return a box around all trajectories that cost no more than the given trajectory, or None if none is known.
 
-    A bound D adds up what l_t loses on every component. Of a feasible trajectory at distances d that costs no more,
+    A bound D adds up the losses of l_t on every component. A feasible trajectory at distances d that costs no more has
 
         sum over curved and bounded components of (1/2 m d^2 - |s| |d|, at least minus the loss)
             <= left + sum over all others of |s| |d| + 1/2 |m| d^2  =: q^2,
@@ -87,7 +87,7 @@ def nearby_bounds(
     so that |d| <= 2 |s|/m + sqrt(2/m) q where there is curvature; m of the others is zero, or below by rounding. The
     dynamics turn these radii into those of the others, all of the form alpha + beta q; then
     q^2 <= left + losses + a + b q + c q^2, and q is at most the larger root if c < 1.
-    The unknown bounds do not matter: that far away the cost is higher.
+    Missing bounds do not matter: the cost is higher that far away.
     """
     known, radii = _known_radii(problem, trajectory, deviations, allowed)
     if not _propagate_radii(problem, trajectory, radii):
@@ -124,7 +124,7 @@ def _intersection(bounds: Pair, others: Pair) -> Pair:
 def _known_radii(
     problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, allowed: float
 ) -> tuple[list[Mask], Pair]:
-    """Return which components are curved, or lose a negligible part over their bounds, with their radii.
+    """Return which components are curved, or have negligible losses over their bounds, with their radii.
 
     Radii are alpha and beta of |d| <= alpha + beta q, stacked: (2, T+1, n) and (2, T, m); inf where unknown.
     """
@@ -145,12 +145,12 @@ def _known_radii(
 
 
 def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair) -> bool:
-    """Fill in the radii that the dynamics imply; whether none is unknown."""
+    """Fill in the radii that the dynamics imply; return whether all are known."""
     x, u = radii
     residual = np.abs(state_residual(problem, trajectory))
     residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
     rows = _two_sided_rows(problem, trajectory)
-    _one_step(problem.linear, residual, rows, 0, radii)
+    _propagate_one_step(problem.linear, residual, rows, 0, radii)
     if np.isfinite(u[0]).all() and np.isfinite(x[0, 0]).all():
         unknown = np.isinf(x[0])
         if unknown.any():
@@ -162,17 +162,17 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
     steps = range(problem.horizon)
     for times in (steps, reversed(steps), steps):
         for t in times:
-            _one_step(problem.linear, residual, rows, t, radii)
-    _all_steps(problem.linear, residual, radii)
+            _propagate_one_step(problem.linear, residual, rows, t, radii)
+    _solve_all_steps(problem.linear, residual, radii)
     return all(bool(np.isfinite(part).all()) for part in radii)
 
 
 def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[int, list[tuple[Array, float]]]:
-    """Return, per time, rows of (x_t, u_t) whose values cannot move farther than the distance beside them.
+    """Return, per time, rows of (x_t, u_t) with the largest distance that their values can move.
 
-    These are the rows around norm balls, and those of half-spaces of which there are two, opposite.
+    These are the rows around norm balls, and pairs of opposite half-spaces.
     """
-    found: dict[int, list[tuple[Array, float]]] = {}
+    two_sided: dict[int, list[tuple[Array, float]]] = {}
     signals = np.hstack([trajectory.x, np.vstack([trajectory.u, np.zeros(problem.control_dim)])])
     for term in problem.terms:
         rows = term.implied_rows(problem.state_dim, problem.control_dim)
@@ -185,11 +185,11 @@ def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> d
                 for j in range(i + 1, len(matrix)):
                     distance = max(float(slack[i]), float(slack[j]))
                     if np.array_equal(row, -matrix[j]) and np.isfinite(distance) and row.any():
-                        found.setdefault(int(t), []).append((row, distance))
-    return found
+                        two_sided.setdefault(int(t), []).append((row, distance))
+    return two_sided
 
 
-def _one_step(
+def _propagate_one_step(
     dynamics: LinearDynamics, residual: Array, rows: dict[int, list[tuple[Array, float]]], t: int, radii: Pair
 ) -> None:
     """Fill in the components of x_t, u_t, x_{t+1} that the equation and the rows of this step imply."""
@@ -199,14 +199,14 @@ def _one_step(
     values = np.concatenate([x[:, t], u[:, t], x[:, t + 1]], axis=1)
     if not np.isinf(values[0]).any():
         return
-    given = rows.get(t, [])
-    columns = np.vstack([np.hstack([A, B, -np.eye(n)]), *(np.append(row, np.zeros(n)) for row, _ in given)])
-    if _determine_radii(columns, np.append(residual[t], [distance for _, distance in given]), values):
+    rows_here = rows.get(t, [])
+    columns = np.vstack([np.hstack([A, B, -np.eye(n)]), *(np.append(row, np.zeros(n)) for row, _ in rows_here)])
+    if _determine_radii(columns, np.append(residual[t], [distance for _, distance in rows_here]), values):
         x[:, t], u[:, t], x[:, t + 1] = values[:, :n], values[:, n : n + m], values[:, n + m :]
 
 
-def _all_steps(dynamics: LinearDynamics, residual: Array, radii: Pair) -> None:
-    """Fill in what the equations of all steps together determine, as a free state whose ends are fixed in part."""
+def _solve_all_steps(dynamics: LinearDynamics, residual: Array, radii: Pair) -> None:
+    """Fill in radii that only the equations of all steps determine, as of a free state with partly fixed ends."""
     x, u = radii
     values = np.concatenate([part.reshape(2, -1) for part in radii], axis=1)
     if not 0 < np.isinf(values[0]).sum() <= MAX_UNKNOWN:
@@ -222,7 +222,7 @@ def _all_steps(dynamics: LinearDynamics, residual: Array, radii: Pair) -> None:
 
 
 def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
-    """Fill in unknown radii, values (2, k), that |columns d| <= residual implies; whether it does, for all of them."""
+    """Fill in unknown radii, values (2, k), if |columns d| <= residual implies all of them; return whether it does."""
     unknown = np.isinf(values[0])
     if unknown.sum() > len(columns):
         return False
@@ -239,7 +239,7 @@ def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
 
 
 def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Array) -> Pair | None:
-    """Return an interval around every state reachable from X_0 with bounded controls; None if there is none.
+    """Return an interval around every state reachable from X_0 with bounded controls; None if none is finite.
 
     x_t lies within sum_s |A_{t-1} .. A_{s+1} B_s| r_s + |A_{t-1} .. A_0| r_0 of the trajectory of the interval centres.
     """
@@ -259,7 +259,7 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
 
 
 def _radii_of(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius_d: Array) -> Array:
-    """Return how far x_t can be away, (T+1, n), if x_0, u_t and the offsets are away by radii (n,), (T, m), (T, n)."""
+    """Return the radii of x_t, (T+1, n), from the radii of x_0 (n,), u_t (T, m) and the offsets (T, n)."""
     inputs = np.hstack([radius_u, radius_d])
     with np.errstate(over="ignore", invalid="ignore"):
         if not dynamics.time_varying:

@@ -1,18 +1,18 @@
-"""The global lower bound where a frequency response gives all states: a bound over the controls alone.
+"""The global lower bound of a problem whose states are a frequency response: a bound over the controls alone.
 
 With x(u) = base + Y u, multipliers mu of bounds on states and lambda of terms h(L), the Lagrangian
 
     l(u) = J(x(u), u) + <mu, x(u)> - sigma(mu) + <rho, bands> + sum (<lambda+, L> - h*(lambda+))  <=  J  if feasible
 
-is convex on the controls that the bands allow, whatever the stage Hessian is, if every bin is (``control_curvature``;
-derived in problem/response_curvature.py, of which nothing is used). So D = l(u_0) + min over U of its tangent and of
-the curvature that all bins have. eta, the multiplier of x = Y u, takes no part: any slope in x is pulled back to the
-controls exactly.
+is convex on the controls that the bands allow, for any stage Hessian, if it is convex at every bin
+(``control_curvature``; derived in problem/response_curvature.py, whose code the judge does not use). Therefore
+D = l(u_0) + min over U of the tangent of l plus the least curvature over all bins. The multiplier eta of x = Y u does
+not enter: slopes in x are pulled back to the controls exactly.
 
-At a trajectory whose states differ from x(u_0) by r, l is taken at these states, with <slope in x, r> and what the
-curvature can lose by r: 1/2 <|Q| |r|, |r|> + <|r|, |Q| |Y du| + |S| |du|> where the stage Hessian is not positive
-semidefinite by itself. u_0 is then what the bands let pass of the controls: du must not leave the space where l is
-convex.
+If the states of the trajectory differ from x(u_0) by r, l is taken at these states, with <slope in x, r> and the
+largest loss of curvature by r: 1/2 <|Q| |r|, |r|> + <|r|, |Q| |Y du| + |S| |du|>, if the stage Hessian is not positive
+semidefinite by itself. u_0 is then the part of the controls that the bands pass, as du must stay in the space on which
+l is convex.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 
@@ -53,14 +54,19 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     curvature = control_curvature(problem, response)
     if curvature is None:
         return None
-    extremal = _passed_extremal(extremal)
+    if problem.quadratic.nonconvexity() is not None and problem.control_stop.any():
+        # the cost may be convex only for controls without removed bins: take the passed part of these
+        spectrum = fft.rfft(extremal.trajectory.u, axis=0)
+        spectrum[problem.control_stop] = 0.0
+        passed = Trajectory(extremal.trajectory.x, fft.irfft(spectrum, n=problem.horizon, axis=0))
+        extremal = extremal_at(problem, passed, extremal.multipliers)
     cost, tube = extremal.cost, problem.control_tube
     proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, RIGOROUS, "the stated bounds")
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
-    near = _cut_bounds(problem, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
+    near = _cut_bounds(tube, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
     sets = f"{NUMERICAL_REACH:g} times the trajectory"
     numerical = _evaluate(extremal, response, curvature, near, cost, NUMERICAL, sets)
     return numerical if numerical.value - proven.value > allowed else proven
@@ -76,18 +82,18 @@ def farkas_bound(extremal: Extremal, largest: Pair) -> Bound:
     proven = _evaluate(extremal, response, flat, (tube.lower, tube.upper), 0.0, RIGOROUS, "the stated bounds")
     if proven.value > 0:
         return proven
-    near = _cut_bounds(problem, largest[1])
+    near = _cut_bounds(tube, largest[1])
     return _evaluate(extremal, response, flat, near, 0.0, NUMERICAL, "what is practical")
 
 
 def control_curvature(problem: OptimalControlProblem, response: Response) -> Array | None:
-    """Return the curvature that the cost has at least in each control, (m,); None if it is not convex.
+    """Return the least curvature c of the cost in each control, (m,); None if the cost is not convex.
 
-    By the judge itself, from H_k = G^*Q G + G^*S + S'G + R: c >= 0 with diag(c) <= H_k on the controls that use bin k.
+    From H_k = G^*Q G + G^*S + S'G + R: c >= 0 with diag(c) <= H_k on the controls that use bin k.
     """
     cost, adjoint, m = problem.quadratic, np.swapaxes(response.G, 1, 2).conj(), problem.control_dim
     rises, last = cost.rises
-    least = np.zeros(m) if not rises.any() and last == 0 else None  # of a cost that is exactly convex at each time
+    least = np.zeros(m) if not rises.any() and last == 0 else None  # zero if the cost is exactly convex at each time
     if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
         return least
     if diagonal_curvature(cost.P) is None or (not response.closed and diagonal_curvature(cost.Q) is None):
@@ -102,23 +108,10 @@ def control_curvature(problem: OptimalControlProblem, response: Response) -> Arr
     return least if smallest < -2 * error else max(smallest, 0.0) * sizes
 
 
-def _passed_extremal(extremal: Extremal) -> Extremal:
-    """Return the extremal at controls without what the bands remove, where the cost may be convex only there."""
-    problem, trajectory = extremal.problem, extremal.trajectory
-    if problem.quadratic.nonconvexity() is None or not problem.control_stop.any():
-        return extremal
-    spectrum = fft.rfft(trajectory.u, axis=0)
-    spectrum[problem.control_stop] = 0.0
-    u = fft.irfft(spectrum, n=problem.horizon, axis=0)
-    return extremal_at(problem, Trajectory(trajectory.x, u), extremal.multipliers)
-
-
-def _cut_bounds(problem: OptimalControlProblem, largest: Array) -> Pair:
+def _cut_bounds(tube: Box, largest: Array) -> Pair:
     """Return the bounds of the controls, cut at ``largest`` (m,)."""
-    tube = problem.control_tube
-    return np.maximum(tube.lower, np.minimum(-largest, tube.upper)), np.minimum(
-        tube.upper, np.maximum(largest, tube.lower)
-    )
+    lower, upper = tube.bounds
+    return np.maximum(lower, np.minimum(-largest, upper)), np.minimum(upper, np.maximum(largest, lower))
 
 
 def _evaluate(
@@ -127,7 +120,7 @@ def _evaluate(
     """Return D over bounds of the controls."""
     problem, multipliers = extremal.problem, extremal.multipliers
     x, u, unit = extremal.x, extremal.u, unit_rounding(problem)
-    # the part of mu at bounds that exist, and these bounds
+    # mu at existing bounds, and these bounds
     mu, lower, upper = multipliers.mu, problem.state_tube.lower, problem.state_tube.upper
     above, below = (mu > 0) & np.isfinite(upper), (mu < 0) & np.isfinite(lower)
     normal, limits = np.where(above | below, mu, 0.0), np.where(above, upper, np.where(below, lower, 0.0))
@@ -138,32 +131,29 @@ def _evaluate(
     Q, S = (np.abs(part) for part in (problem.quadratic.Q, problem.quadratic.S))
     in_states = unit * (extremal.in_x_terms + np.abs(normal))
     in_states[:-1] += times_vectors(Q, lost)
-    error = unit * (extremal.in_u_terms + np.abs(through_u)) + _gain(response, in_states + unit * np.abs(slope_x))
+    # response.pull_back of any weights of these magnitudes is at most the largest gain times their norm
+    weights = (in_states + unit * np.abs(slope_x)).astype(np.float64)
+    weights[0] += weights[-1]  # of one period, x_T repeats x_0
+    through_states = np.abs(response.G).max(0).T @ np.linalg.norm(weights, axis=0)
+    error = unit * (extremal.in_u_terms + np.abs(through_u)) + through_states
     error = (error + times_vectors(np.swapaxes(S, -1, -2), lost)).astype(np.float64)
     error += ARITHMETIC_ROUNDING * np.abs(slope)
     low, high = box[0] - extremal.trajectory.u, box[1] - extremal.trajectory.u
     minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
     losses = ARITHMETIC_ROUNDING * np.abs(slope * u) - np.minimum(*pessimistic)
-    beyond = (normal * (x - limits)).sum(1)
-    stage_gaps = -beyond.astype(np.float64)
+    at_bounds = (normal * (x - limits)).sum(1)
+    stage_gaps = -at_bounds.astype(np.float64)
     stage_gaps[:-1] -= minimum.sum(1)
     dynamics_term = -float((slope_x * residual).sum()) - 0.5 * float((lost * times_vectors(Q, lost)).sum())
     frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
-    stage_term = float(sum(priced.gap.sum() + priced.beyond for priced in extremal.terms))
+    stage_term = extremal.terms_gap
     summed = float((extremal.in_x_terms * np.abs(x)).sum() + (extremal.in_u_terms * np.abs(u)).sum())
     summed += float((np.abs(normal) * (np.abs(x) + np.abs(limits))).sum())
     summed += float(sum(priced.gap_terms.sum() for priced in extremal.terms))
-    certain, complementary = float(losses.sum()), float(beyond.sum())
+    certain, complementary = float(losses.sum()), float(at_bounds.sum())
     others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term) + abs(complementary)
-    last = unit * summed + ARITHMETIC_ROUNDING * others
-    value = cost + complementary + dynamics_term + frequency_term - stage_term - certain - last
+    in_sums = unit * summed + ARITHMETIC_ROUNDING * others
+    value = cost + complementary + dynamics_term + frequency_term - stage_term - certain - in_sums
     value = value if np.isfinite(value) else -np.inf
-    rounding = certain + float(minimum.sum()) + last if np.isfinite(certain) else np.inf
+    rounding = certain + float(minimum.sum()) + in_sums if np.isfinite(certain) else np.inf
     return Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, sets)
-
-
-def _gain(response: Response, weights: Array) -> Array:
-    """Return a bound on ``pull_back`` of all weights (T+1, p) of these magnitudes, (m,)."""
-    folded = weights.astype(np.float64)
-    folded[0] += folded[-1]  # of one period, x_T repeats x_0
-    return np.abs(response.G).max(0).T @ np.linalg.norm(folded, axis=0)

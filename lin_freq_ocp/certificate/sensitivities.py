@@ -1,4 +1,4 @@
-"""What the optimal cost would gain or lose if the data were others: multipliers with the signs of derivatives."""
+"""Derivatives of the optimal cost by the data of a problem, from its multipliers."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from lin_freq_ocp.problem.trajectory import Multipliers
 class Sensitivities:
     """Derivatives of the optimal cost J*, in the units of the problem; one-sided where the active bounds change.
 
-    Where the multipliers are not unique, each is one of several, and what a change really costs lies between them.
+    If the multipliers are not unique, each is one of several, and the cost of a change lies between these.
 
     Attributes
     ----------
     initial_state, terminal_state : (n,)
         dJ*/dx_0 and dJ*/dx_T where these are fixed, NaN elsewhere.
     state_upper, state_lower : (T+1, n)
-        By the bounds of x_t: never above 0 for an upper bound, never below 0 for a lower one; 0 where a bound is not
-        active or not there. Fixed values have theirs in the two fields above.
+        By the bounds of x_t: at most 0 for an upper bound, at least 0 for a lower one; 0 where a bound is inactive or
+        absent. The derivatives by fixed values are in the two fields above.
     control_upper, control_lower : (T, m)
     stage_rows : mapping from name to (T, rows)
         By the limits e_t.
@@ -35,9 +35,9 @@ class Sensitivities:
         By the limits of all other terms: of the rows of a set; of the radius of a ball, the limit of a mask at each of
         its bins, the root of an energy.
     offset : (T, n)
-        By the offset d_t of the dynamics: what a push at time t is worth.
+        By the offset d_t of the dynamics: the price of a disturbance at time t.
     control_bins : complex (T//2 + 1, m), state_bins : complex ((T+1)//2 + 1, n)
-        Prices of removed bins, 0 at free ones: if a bin were to be z instead of 0, its conjugate with it, J* would grow
+        Prices of removed bins, 0 at free ones: if a bin and its conjugate become z and conj(z) instead of 0, J* grows
         by Re(conj(price) z).
 
     Examples
@@ -90,7 +90,7 @@ def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> S
     Raises
     ------
     UnsupportedError
-        If the multipliers are abnormal (eta_C = 0): they price nothing.
+        If the multipliers are abnormal (eta_C = 0): then they are not prices.
 
     Notes
     -----
@@ -126,10 +126,9 @@ def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> S
 
 
 def bin_prices(problem: OptimalControlProblem, multipliers: Multipliers) -> tuple[Array, Array]:
-    """Return what a little more room at each bin is worth, (T//2 + 1, m) for controls, ((T+1)//2 + 1, n) for states.
+    """Return the prices of a larger limit at each bin, (T//2 + 1, m) for controls, ((T+1)//2 + 1, n) for states.
 
-    |rho| of removed bins, and for masks and energies |lambda|, of points between bins at the nearest one: dJ*/dlimit is
-    minus that.
+    -dJ*/dlimit: |rho| of removed bins, and |lambda| of masks and energies. Points between bins count at the nearest.
     """
     prices = np.abs(multipliers.rho_u), np.abs(multipliers.rho_x)
     for term in at_frequencies(problem, multipliers.frequencies).terms:

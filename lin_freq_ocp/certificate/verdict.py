@@ -1,4 +1,4 @@
-"""The judgement of a trajectory: every condition of the theorem, and the global bound."""
+"""The judge: every condition of the maximum principle at a trajectory, and the global bound."""
 
 from __future__ import annotations
 
@@ -25,19 +25,17 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-FEASIBILITY_LABELS = ("state equation", "C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-ends", "S-f")
-
 
 @dataclass(frozen=True)
 class Rounded:
-    """What the rounding of a trajectory explains.
+    """The rounding of a trajectory, as of printed numbers, that explains its residuals.
 
     Attributes
     ----------
     decimals : int
         All states and controls are whole multiples of 10^-decimals.
     satisfied_to : float
-        The least of 1e-5, 1e-4, 1e-3, 1e-2 that all conditions of the maximum principle are satisfied to.
+        The least of the tolerances 1e-5, 1e-4, 1e-3, 1e-2 at which the maximum principle is satisfied.
     """
 
     decimals: int
@@ -52,7 +50,7 @@ class Rounded:
 
 
 def decimals_of(trajectory: Trajectory) -> int | None:
-    """Return how many decimals the states and controls have, or None where they have more than MAX_DECIMALS."""
+    """Return the number of decimals of the states and controls, or None if some have more than MAX_DECIMALS."""
     values = np.concatenate([trajectory.x.ravel(), trajectory.u.ravel()])
     values = values[values != 0]
     if len(values) < MIN_ROUNDED:
@@ -61,7 +59,7 @@ def decimals_of(trajectory: Trajectory) -> int | None:
 
 
 class Facts(ABC):
-    """Facts about a trajectory of nonsmooth dynamics that the conditions do not say."""
+    """Facts about a trajectory of nonsmooth dynamics in addition to the conditions."""
 
     @property
     @abstractmethod
@@ -71,9 +69,9 @@ class Facts(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What a judge returns, for any dynamics; ``extremal`` if a global bound follows from the multipliers.
+    """The result of the judge of one kind of dynamics.
 
-    ``cost_scale`` is S of the trajectory, if it was computed.
+    ``extremal`` is None if no global bound follows from the multipliers; ``cost_scale`` is S, None if not computed.
     """
 
     conditions: tuple[Condition, ...]
@@ -85,7 +83,7 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is proven of a trajectory with multipliers.
+    """The facts proven about a trajectory with multipliers.
 
     Attributes
     ----------
@@ -94,24 +92,24 @@ class Certificate:
     normal : bool or None
         Whether eta_C = 1.
     conditions : tuple of Condition
-        All that was checked, in the paper's order.
+        All checked conditions, in the order of the paper.
     cost : float
         J of the trajectory.
     cost_scale : float
-        S, the sum of the absolute values of the terms of the cost: what the gap is relative to.
+        S, the sum of the absolute values of the terms of the cost. The gap is relative to S.
     worth_of_residuals : float
-        Residuals of constraints times their multipliers: to first order, by how much they lower the cost. Infinite
-        where all multipliers are zero and residuals are more than rounding: such multipliers price nothing.
+        Residuals of constraints times their multipliers: the amount by which they lower the cost, to first order.
+        Infinite if all multipliers are zero and residuals exceed rounding: such multipliers price nothing.
     bound : Bound or None
         The global lower bound; None if the cost is not convex, eta_C is not 1, or the dynamics have modes: then a
         search over modes may add its own, ``dataclasses.replace(certificate, bound=Bound(value, kind, sets=...))``.
     descent : Direction or None
-        A verified direction of descent. Of a linear problem, it shows that no normal multipliers exist; where modes
-        meet, it leads into the flip of ``borders`` that improves, and the trajectory is no local minimum.
+        A verified direction of descent. It shows that a linear problem has no normal multipliers. At a switching
+        boundary it leads into the mode of a flip of ``borders``: the trajectory is not a local minimum.
     borders : SwitchingFacts or None
-        The conditions where modes meet; None for linear dynamics.
+        The conditions at switching boundaries; None for linear dynamics.
     rounded : Rounded or None
-        If the maximum principle is violated and rounding of the trajectory explains it: to how much it is satisfied.
+        If rounding of the trajectory explains a violation of the maximum principle: the tolerance that it satisfies.
 
     Examples
     --------
@@ -133,7 +131,7 @@ class Certificate:
 
     @property
     def lower_bound(self) -> float | None:
-        """Return D, a lower bound on the cost of every feasible trajectory (numerical: of those in its box)."""
+        """Return D, a lower bound on the cost of every feasible trajectory (if numerical, of those in its box)."""
         return None if self.bound is None or not np.isfinite(self.bound.value) else self.bound.value
 
     @property
@@ -151,18 +149,18 @@ class Certificate:
 
     @property
     def stage_gaps(self) -> Array | None:
-        """Return what each stage adds to J - D, shape (T+1,)."""
+        """Return the part of J - D of each stage, shape (T+1,)."""
         return None if self.bound is None else self.bound.stage_gaps
 
     @property
     def feasible(self) -> bool:
         """Whether every constraint of the problem holds within tolerance."""
-        return not any(_of_feasibility(condition) for condition in self.failed)
+        return not any(condition.on_feasibility for condition in self.failed)
 
     @property
     def violation(self) -> float:
         """Return the largest residual of a constraint relative to its scale."""
-        return max(condition.relative for condition in self.conditions if _of_feasibility(condition))
+        return max(condition.relative for condition in self.conditions if condition.on_feasibility)
 
     @property
     def globally_optimal(self) -> bool:
@@ -172,17 +170,17 @@ class Certificate:
     def proven_within(self, gap: float) -> bool:
         """Whether the trajectory is feasible and its cost proven to be within ``gap`` of the least, relative to S.
 
-        A numerical bound proves nothing outside its box. The cost of residuals must not be more than the gap, nor may
-        the cost be below the bound by more: then residuals lower it.
+        A numerical bound proves nothing outside its box. The worth of the residuals must be within the gap, too, and
+        the cost must not be below the bound by more than the gap: residuals would explain such a cost.
         """
         if self.bound is None or self.gap is None or self.bound.kind != RIGOROUS or not self.feasible:
             return False
         return abs(self.gap) <= gap and self.worth_of_residuals <= gap * self.cost_scale
 
     def within(self, tolerance: float) -> Certificate:
-        """Return the certificate with another tolerance of its conditions; facts about ``borders`` stay."""
+        """Return the certificate with another tolerance of its conditions; ``borders`` keeps its own."""
         conditions = tuple(condition.within(tolerance) for condition in self.conditions)
-        pmp = self.pmp if self.pmp == "not_applicable" else _principle(conditions)
+        pmp = self.pmp if self.pmp == "not_applicable" else _pmp_status(conditions)
         return replace(self, conditions=conditions, pmp=pmp)
 
     def raised(self, constant: float) -> Certificate:
@@ -191,10 +189,10 @@ class Certificate:
         return replace(self, cost=self.cost + constant, bound=bound)
 
     def status_within(self, gap: float) -> Status:
-        """Return OPTIMAL, as ``proven_within`` says, else LOCALLY_OPTIMAL or NUMERICAL_ERROR.
+        """Return OPTIMAL if ``proven_within(gap)``, else LOCALLY_OPTIMAL or NUMERICAL_ERROR.
 
-        Locally optimal means that the maximum principle is satisfied with normal multipliers: where the dynamics are
-        linear, no feasible direction lowers the cost to first order; where they have modes, it is necessary only.
+        Locally optimal means that the maximum principle is satisfied with normal multipliers. With linear dynamics, no
+        feasible direction then lowers the cost to first order; with modes, the principle is a necessary condition only.
         """
         if self.proven_within(gap):
             return Status.OPTIMAL
@@ -203,7 +201,7 @@ class Certificate:
 
     @property
     def failed(self) -> tuple[Condition, ...]:
-        """Return the conditions that do not hold."""
+        """Return the conditions that fail."""
         return tuple(condition for condition in self.conditions if not condition.passed)
 
     @property
@@ -254,10 +252,10 @@ def judge(
     trajectory : Trajectory
     multipliers : Multipliers
     tolerance : float
-        Residuals over scales up to which conditions hold. Facts about switching facets keep theirs.
+        The largest residual over scale of a condition that holds. Facts about switching boundaries keep their own.
 
-    With piecewise-affine dynamics, the state equation is that of an active mode, and all other conditions are those of
-    the linear dynamics averaged by ``multipliers.weights``, if None by the weights that fit best (docs/borders.md).
+    With piecewise-affine dynamics, the state equation is that of an active mode. All other conditions are those of the
+    linear dynamics averaged with ``multipliers.weights``, by default the weights that fit best (docs/borders.md).
 
     Raises
     ------
@@ -265,40 +263,32 @@ def judge(
         If shapes do not fit the problem, or a free bin or row has a multiplier.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a condition that overflows does not pass
-        found = entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers)
-        scale = cost_scale(problem, trajectory) if found.cost_scale is None else found.cost_scale
-        bound = None
-        if found.extremal is not None and multipliers.eta_C == 1:
-            bound = best_bound(found.extremal, max(GAP_TOLERANCE, tolerance) * scale)
-        applicable = found.borders is None or found.borders.applicable
+        judgement = entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers)
+        scale = cost_scale(problem, trajectory) if judgement.cost_scale is None else judgement.cost_scale
+        bound, normal, worth = None, multipliers.eta_C == 1, judgement.cost_of_residuals
+        if judgement.extremal is not None and normal:
+            bound = best_bound(judgement.extremal, max(GAP_TOLERANCE, tolerance) * scale)
+        parts = multipliers.eta, multipliers.mu, multipliers.nu, multipliers.rho_u, multipliers.rho_x
+        if not any(part.any() for part in (*parts, *multipliers.stage.values())):
+            # multipliers that are all zero do not price residuals: these must be rounding, or the cost zero
+            costs_nothing = problem.quadratic.zero and all(term.hard for term in problem.terms)
+            on_feasibility = (condition for condition in judgement.conditions if condition.on_feasibility)
+            worth = worth if costs_nothing or all(condition.exact for condition in on_feasibility) else np.inf
+        applicable = judgement.borders is None or judgement.borders.applicable
         certificate = Certificate(
-            pmp=_principle(found.conditions) if applicable else "not_applicable",
-            normal=multipliers.eta_C == 1,
-            conditions=found.conditions,
+            pmp=_pmp_status(judgement.conditions) if applicable else "not_applicable",
+            normal=normal,
+            conditions=judgement.conditions,
             cost=problem.value(trajectory.x, trajectory.u),
             cost_scale=scale,
-            worth_of_residuals=np.inf if _no_price(problem, multipliers, found.conditions) else found.cost_of_residuals,
+            worth_of_residuals=worth,
             bound=bound,
-            borders=found.borders,
+            borders=judgement.borders,
         )
         return certificate if tolerance == CONDITION_TOLERANCE else certificate.within(tolerance)
 
 
-def _no_price(problem: OptimalControlProblem, multipliers: Multipliers, conditions: tuple[Condition, ...]) -> bool:
-    """Whether multipliers that are all zero say nothing of what residuals beyond rounding are worth."""
-    parts = multipliers.eta, multipliers.mu, multipliers.nu, multipliers.rho_u, multipliers.rho_x
-    if any(part.any() for part in (*parts, *multipliers.stage.values())):
-        return False
-    costs_nothing = problem.quadratic.zero and all(term.hard for term in problem.terms)
-    exact = (condition.exact for condition in conditions if _of_feasibility(condition))
-    return not costs_nothing and not all(exact)
-
-
-def _of_feasibility(condition: Condition) -> bool:
-    return bool({condition.label, condition.name} & set(FEASIBILITY_LABELS))
-
-
-def _principle(conditions: tuple[Condition, ...]) -> str:
+def _pmp_status(conditions: tuple[Condition, ...]) -> str:
     return "satisfied" if all(condition.passed for condition in conditions) else "violated"
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
-from lin_freq_ocp.certificate.rays import exclusion, prove_infeasible
+from lin_freq_ocp.certificate.many import Extremals, batch_judge_takes, judge_batch
+from lin_freq_ocp.certificate.rays import infeasibility_certificate, prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 
 COST = lfo.QuadraticCost(Q=np.diag([1.0, 0.1]), R=0.5, S=[[0.1], [0.0]], P=2.0, q=[0.1, 0.0], x_ref=[0.1, 0.0])
@@ -33,8 +33,8 @@ def solved(request) -> tuple[lfo.OptimalControlProblem, np.ndarray, Extremals]:
 
 def test_figures_are_those_of_the_judge(solved):
     problem, starts, given = solved
-    assert judged_together(problem)
-    found = verdicts(problem, starts, given)
+    assert batch_judge_takes(problem)
+    found = judge_batch(problem, starts, given)
     assert found.proven.all()
     for i, start in enumerate(starts):
         rho_x = np.zeros(problem.state_stop.shape, dtype=complex)
@@ -61,7 +61,7 @@ def test_what_is_wrong_is_not_proven(solved, name):
     field, changed = WRONG[name]
     values = getattr(given, field).copy()
     values[1] = changed(values[1])
-    found = verdicts(problem, starts, replace(given, **{field: values}))
+    found = judge_batch(problem, starts, replace(given, **{field: values}))
     assert found.proven.tolist() == [True, False, True, True]
 
 
@@ -69,7 +69,7 @@ def test_another_initial_state_is_not_proven(solved):
     problem, starts, given = solved
     moved = starts.copy()
     moved[2] += 1e-3
-    assert verdicts(problem, moved, given).proven.tolist() == [True, True, False, True]
+    assert judge_batch(problem, moved, given).proven.tolist() == [True, True, False, True]
 
 
 def test_a_control_in_its_stop_band_is_not_proven():
@@ -80,14 +80,14 @@ def test_a_control_in_its_stop_band_is_not_proven():
     parts += [getattr(result.multipliers, name) for name in ("eta", "mu", "nu", "rho_u")]
     given = Extremals(*(part[None] for part in parts))
     starts = problem.initial_state.lower[None]
-    assert verdicts(without, starts, given).proven.all()
-    assert not verdicts(problem, starts, given).proven.any()
+    assert judge_batch(without, starts, given).proven.all()
+    assert not judge_batch(problem, starts, given).proven.any()
 
 
 def test_what_a_ray_proves_of_other_initial_states_is_what_its_bound_says_there():
     problem = lfo.library.pendulum(horizon=60, sampling_time=0.04).with_ends([-0.15, 0.1, -1.5, 0.0])
     ray = lfo.solve(problem, throw=False).ray
-    proven = exclusion(problem, ray)
+    proven = infeasibility_certificate(problem, ray)
     seen = set()
     for state in problem.initial_state.lower + np.random.default_rng(2).standard_normal((30, 4)) * [
         0.01,
@@ -100,10 +100,10 @@ def test_what_a_ray_proves_of_other_initial_states_is_what_its_bound_says_there(
         assert (proof is not None) == (value > 0)
         if proof is not None:
             assert proof.bound.value == pytest.approx(value, rel=1e-9)
-        seen.add(proven.excludes(state))
-        assert proof is not None or not proven.excludes(state)
+        seen.add(proven.applies_to(state))
+        assert proof is not None or not proven.applies_to(state)
     assert seen == {True, False}
-    assert exclusion(problem.with_ends([-0.15, 0.1, 0.0, 0.0]), ray) is None
+    assert infeasibility_certificate(problem.with_ends([-0.15, 0.1, 0.0, 0.0]), ray) is None
 
 
 def test_other_kinds_of_problems_are_for_the_judge_alone():
@@ -114,4 +114,4 @@ def test_other_kinds_of_problems_are_for_the_judge_alone():
         replace(problem, state_spectrum=lfo.stop_band(bins=[3], component=0)),
         lfo.library.elliptic_rendezvous(),
     ]
-    assert not any(map(judged_together, others))
+    assert not any(map(batch_judge_takes, others))

@@ -20,7 +20,7 @@ from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import SearchLimits
-from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDER
+from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDERED
 from lin_freq_ocp.methods.spectral.qp import BorderedQp, interior_point
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.program.backends.clarabel_ import solve as clarabel_solve
@@ -205,14 +205,14 @@ def test_working_rows_that_do_not_fit_are_refused(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_large_border_is_refused_before_it_is_made() -> None:
-    problem = lfo.library.double_integrator(horizon=2 * LARGEST_BORDER)
-    lower, upper = np.full((2 * LARGEST_BORDER, 1), -1.0), np.full((2 * LARGEST_BORDER, 1), 1.0)
+    problem = lfo.library.double_integrator(horizon=2 * LARGEST_BORDERED)
+    lower, upper = np.full((2 * LARGEST_BORDERED, 1), -1.0), np.full((2 * LARGEST_BORDERED, 1), 1.0)
     lower[::2] = upper[::2] = 0.0
     fixed = replace(problem, control_set=lfo.Box(lower, upper))
     tracemalloc.start()
     try:
-        with pytest.raises(lfo.errors.UnsupportedError, match=r"values within the horizon|border unknowns"):
+        with pytest.raises(lfo.errors.UnsupportedError, match=r"values within the horizon|bordering unknowns"):
             lfo.SpectralSolver(fixed)
-        assert tracemalloc.get_traced_memory()[1] < 8 * LARGEST_BORDER**2 / 2
+        assert tracemalloc.get_traced_memory()[1] < 8 * LARGEST_BORDERED**2 / 2
     finally:
         tracemalloc.stop()

@@ -232,7 +232,7 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
         active = priced.values >= priced.term.penalty.bounds(priced.term.shape)[1] - near
         for group in np.flatnonzero(np.asarray(rows.times) == t):
             normals.append(rows.matrix(int(group))[active[group]])
-            multipliers_of_normals.append(priced.given[group, active[group]])
+            multipliers_of_normals.append(priced.multipliers[group, active[group]])
     return np.vstack(normals), np.maximum(np.concatenate(multipliers_of_normals), 0.0)
 
 

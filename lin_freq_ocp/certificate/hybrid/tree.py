@@ -348,7 +348,7 @@ class LeafJudge:
         final, largest = _box_minimum(end_slope, eta_C * self._problem.quadratic.P, end_low, end_high)
         size_x = np.abs(extremal.eta_before[-1]) + extremal.in_x_terms[-1]
         cost = self._cost if eta_C else 0.0
-        gaps = float(sum(term.gap.sum() + term.beyond for term in extremal.terms))
+        gaps = extremal.terms_gap
         at_centre = float((eta * centre.x[1:]).sum())
         at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())
         rounding += float(size_x.astype(np.float64) @ largest) + abs(float(final)) + abs(cost) + abs(gaps)

@@ -18,7 +18,7 @@ from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
 from lin_freq_ocp.methods.condensed.tables import SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
-from lin_freq_ocp.methods.spectral.recovery import Recovered, in_units
+from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units
 from lin_freq_ocp.methods.spectral.spaces import bin_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -50,7 +50,7 @@ class Plan:
         found = tables.recover((self.start / units.x)[None], self.v[:, None], self.weights[..., None])
         none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
         stationarity = float(found.stationarity[0])
-        duals = Recovered(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
+        duals = LtiMultipliers(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
         trajectory = Trajectory(sealed(found.x[:, 0] * units.x), sealed(found.u[:, 0] * units.u))
         return Candidate(Status.OPTIMAL, trajectory, in_units(problem, lti, units, duals))
 
@@ -93,7 +93,7 @@ class CondensedSolver:
         self.setup_seconds = now() - started
 
     def _set_up(self, tables: CondensedTables) -> None:
-        self._turn = threading.Lock()  # the kernel keeps the multipliers of its last step
+        self._lock = threading.Lock()  # the kernel keeps the multipliers of its last step
         compiled = library() if len(tables.families) <= FAMILIES and tables.loop.shape[1] <= STATES else None
         self.kernel = DenseKernel(tables) if compiled is None else NativeKernel(tables, compiled)
 
@@ -130,7 +130,7 @@ class CondensedSolver:
         claim of contradictory rows proves nothing.
         """
         units = self.units
-        with self._turn:
+        with self._lock:
             kernel = self.kernel
             if not self._take(lti) or kernel.step(start / units.x) != SOLVED:
                 return None
@@ -142,7 +142,7 @@ class CondensedSolver:
         Ctrl-C ends it early.
         """
         plans, units = dict[int, Plan](), self.units
-        with self._turn, interrupts_noted() as interrupt:
+        with self._lock, interrupts_noted() as interrupt:
             kernel = self.kernel
             if not self._take(lti):
                 return None

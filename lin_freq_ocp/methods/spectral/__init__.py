@@ -10,7 +10,7 @@ In reading order:
 ``qp``          the small quadratic programs over the working rows
 ``structure``   all that depends on the problem, then on its data; points from multipliers; rays of infeasible data
 ``exchange``    from the first working set to the optimum
-``recovery``    multipliers of the maximum principle and their residuals, for one problem or for a batch
+``recovery``    multipliers of the maximum principle and their residuals
 ``solver``      SpectralSolver, which puts these together; ``tolerances`` are those of all files
 """
 

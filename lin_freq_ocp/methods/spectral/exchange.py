@@ -1,8 +1,8 @@
-"""The exchange: a small QP over the working rows, signals by FFT, new rows, until none is violated.
+"""The exchange: a small QP over the working rows, signals by FFT, new rows, until no row is violated.
 
-docs/spectral.md, 7, 8 and 11. Every round corrects the defects of the true signals (section 6): its fixed point has
-true slacks in spite of errors of the small QP. On short horizons, rounds on the tabulated values of all rows come
-first. On long ones, the first working set comes from a cheaper problem: a shorter horizon, or a coarser control.
+docs/spectral.md, 7, 8 and 11. Every round corrects the residuals of the true signals (section 6): its fixed point has
+true slacks in spite of errors of the small QP. On short horizons, the first rounds use the couplings of all bounded
+values. On long ones, the first working set is that of a cheaper problem: a shorter horizon, or a coarser control.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from lin_freq_ocp.methods.spectral.rows import (
 )
 from lin_freq_ocp.methods.spectral.structure import (
     Data,
-    EndsModel,
     Ray,
     Signals,
     Structure,
@@ -46,36 +45,36 @@ from lin_freq_ocp.methods.spectral.structure import (
     unconstrained_point,
 )
 
-MODEL_ROUNDS = 12  # after which the true signals are evaluated
+MODEL_ROUNDS = 12  # rounds on couplings, after which the true signals are evaluated
 INFEASIBLE = "no trajectory satisfies all constraints"
 MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual
-QP_SECONDS = 1e-10  # of a small QP, measured, over the cube of its rows ...
-LARGE_QP = 1000  # ... of which this many take 0.1 s: it is not begun if less time is left
+QP_SECONDS = 1e-10  # measured time of a small QP over the cube of its rows
+LARGE_QP = 1000  # rows of a small QP that takes 0.1 s: it is not begun if less time is left
 LOCAL_ROUNDS = 6  # small QPs with further rows nearby, before all signals are evaluated
 KEEP_ALL_AFTER = 30  # rounds after which no row is dropped: the exchange is then finite
-STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above tol.FINE_VIOLATION, add a row: no improvement
-RAY_ROUNDS = 8  # every so many rounds, and where the small QP is not accurate, a Farkas ray is computed
+STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above tol.FINE_VIOLATION, add a row
+RAY_ROUNDS = 8  # rounds between Farkas rays; one is also computed if the small QP is not accurate
 LONGER_STEPS = 0.03  # factor on the proximal weight for longer steps
-GUESSED_HORIZON = 600  # from which a first guess costs less than the rounds it saves
+GUESSED_HORIZON = 600  # horizon from which a first guess costs less than the rounds that it saves
 HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
 SPREAD = 2  # further samples on each side of an active coarse control
 DECAY_EXPONENT = 40.0  # the ends do not affect each other where the slowest mode decays by exp(-DECAY_EXPONENT)
-ON_CIRCLE = 1e-6  # |log |lambda|| of a mode that does not decay, and is not counted
-LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR where samples may be held instead
+ON_CIRCLE = 1e-6  # |log |lambda|| up to which a mode does not decay: it has no decay time
+LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR if samples may be held instead
 HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
 LARGEST_SHORTENING = 10  # largest ratio of the horizons
 
 
 class Stop(Protocol):
-    """What asks for the time limit and for Ctrl-C."""
+    """A function that reports the time limit and Ctrl-C."""
 
     def __call__(self, needed: float = 0.0) -> str | None:
-        """Return why to stop, or None, if so many more seconds are needed."""
+        """Return the reason to stop if the next step needs so many seconds, or None."""
         ...
 
 
 def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
-    """Return a function that says why to stop, or None."""
+    """Return a function that returns the reason to stop, or None."""
     end = np.inf if seconds is None else now() + seconds
 
     def stop(needed: float = 0.0) -> str | None:
@@ -88,7 +87,7 @@ def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
 
 @dataclass(eq=False)
 class ExchangeOutcome:
-    """How an exchange ended: the last point, and the multipliers of equations and rows that it comes from."""
+    """The result of an exchange: the last point, and its multipliers of equations and rows."""
 
     status: str  # of a Candidate
     message: str
@@ -146,7 +145,7 @@ class Exchange:
                 return self._outcome("limit", reason)
             self.rounds += 1
             diverging = self.working.weights.max(initial=0.0) > tol.DIVERGING_WEIGHT * self.data.lti.cost_level
-            self._step(ask=diverging or count % RAY_ROUNDS == 0)
+            self._step(want_ray=diverging or count % RAY_ROUNDS == 0)
             if self.ray is not None:
                 return self._outcome("infeasible", INFEASIBLE)
             if self._optimal(added):
@@ -156,16 +155,22 @@ class Exchange:
             reason = self.stop()
             if reason is not None:
                 return self._outcome("limit", reason)
-            added = self._exchange_rows(count)
+            entering = self.violations.entering(self.tolerance)
+            present = self.working.present.copy()
+            if count <= KEEP_ALL_AFTER:
+                self.working.keep(self.working.weights > 0)
+            self.working.add(*entering)
+            added = int(np.count_nonzero(self.working.present & ~present))  # rows that return at once are not new
+            self._measure_rows()
         if self._accurate():
             return self._outcome("optimal")
         return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
 
-    def _step(self, ask: bool) -> None:
-        """Correct the defects of the present point, with the best weights of the working rows."""
+    def _step(self, want_ray: bool) -> None:
+        """Correct the residuals of the present point, with the best weights of the working rows."""
         working, kkt = self.working, self.kkt
-        whole = None if ask or self.whole is None else self._whole_step(self.whole)
-        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self.defects, ask)
+        whole = None if want_ray or self.whole is None else self._whole_step(self.whole)
+        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self.defects, want_ray)
         self.ray = ray
         if ray is not None:
             return
@@ -178,36 +183,35 @@ class Exchange:
 
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
         """Return the bordering step and weights from rounds on all values; None if a small QP was inaccurate."""
-        working, known = self.working, self.first_point is not None
-        (step, base), self.first_point = self.first_point or self._unconstrained_point(whole), None
+        working, is_first = self.working, self.first_point is not None
+        if self.first_point is None:  # the point without working rows, from the present one
+            step = self.kkt.inverse @ self.defects
+            indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
+            base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
+            step, base = step + whole.through[:, indices] @ mu, base + whole.response(indices, mu)
+        else:
+            (step, base), self.first_point = self.first_point, None
         start, self.first = whole.duals(self.first or working.rows()), None
-        found = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
-        rows = whole.rows_of(found)
-        self.rounds += max(0, found.rounds - 1)
-        if not found.accurate:
-            if known:
+        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
+        rows = whole.rows_of(duals)
+        self.rounds += max(0, duals.rounds - 1)
+        if not duals.accurate:
+            if is_first:
                 self._evaluate()
             working.add(rows.t, rows.f, rows.sign)
             self._measure_rows()
             return None
-        working.replace(rows, whole.coupling[:, found.indices] * found.sign)
-        return step - whole.through[:, found.indices] @ (found.sign * found.weights), found.weights, None
+        working.replace(rows, whole.coupling[:, duals.indices] * duals.sign)
+        return step - whole.through[:, duals.indices] @ (duals.sign * duals.weights), duals.weights, None
 
-    def _unconstrained_point(self, whole: WholeHorizon) -> UnconstrainedPoint:
-        """Return the point without working rows, from the present one."""
-        working, step = self.working, self.kkt.inverse @ self.defects
-        indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
-        values = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
-        return UnconstrainedPoint(step + whole.through[:, indices] @ mu, values + whole.response(indices, mu))
+    def _stiff_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the bordering step, weights and a ray if one is found, with the bordering unknowns eliminated.
 
-    def _stiff_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the bordering step, weights and perhaps a ray, with the bordering unknowns eliminated.
-
-        Rows near the working rows that the step violates enter at once, and the step is computed again.
+        Rows near the working rows that the step violates enter at once; then the step is computed again.
         """
         near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
-            step, new, ray = self._eliminated_step(right, guess, ask)
+            step, new, ray = self._eliminated_step(right, guess, want_ray)
             converged = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
             if converged or not 0 < len(working) <= LOCAL_ROWS:
                 break
@@ -217,11 +221,11 @@ class Exchange:
             self._measure_rows()
             guess = np.append(new, np.zeros(len(working) - len(new)))
         else:
-            step, new, ray = self._eliminated_step(right, guess, ask)
+            step, new, ray = self._eliminated_step(right, guess, want_ray)
         return step, new, ray
 
-    def _eliminated_step(self, right: Array, guess: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for the present working rows; with ``ask``, or if the QP is inaccurate, a ray is computed."""
+    def _eliminated_step(self, right: Array, guess: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the same for the present working rows; an inaccurate QP, too, leads to the search for a ray."""
         working, inverse = self.working, self.kkt.inverse
         step = inverse @ right
         if not len(working):
@@ -232,14 +236,14 @@ class Exchange:
         prices = working.prices(self.data.lti)
         response = None if prices is None else working.free_response()
         new, accurate = bounded_qp(S, d, guess, unconstrained, self.stop, prices, response)
-        asked = (ask or not accurate) and self.stop() is None
-        ray = row_ray(self.structure, self.data, working, S, d, Z, asked, self.stop)
-        if ray is None and asked:
-            ray = regularised_ray(self.structure, self.data, working, self.stop)
+        combine = (want_ray or not accurate) and self.stop() is None
+        ray = row_ray(self.structure, self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
+        if ray is None and combine:
+            ray = regularised_ray(self.structure, self.data, working, self._ray_tolerance, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
-    def _soft_step(self, right: Array, ask: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for bordering unknowns of little curvature: kept in the small QP, with a proximal term."""
+    def _soft_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the same for soft bordering unknowns, which stay in the small QP, with a proximal term."""
         working, kkt = self.working, self.kkt
         if not len(working):
             return kkt.inverse_with(self.proximal) @ right, working.weights, None
@@ -248,13 +252,18 @@ class Exchange:
         upper = np.full(len(working), np.inf) if prices is None else prices
         qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, self.slack, working.weights, upper)
         step, new, accurate = qp.solve(self.stop)
-        if not (ask or not accurate) or self.stop():
+        if not (want_ray or not accurate) or self.stop():
             return step, new, None
-        return step, new, regularised_ray(self.structure, self.data, working, self.stop)
+        return step, new, regularised_ray(self.structure, self.data, working, self._ray_tolerance, self.stop)
+
+    @property
+    def _ray_tolerance(self) -> float:
+        """Return the stationarity of rays: the exchange may stall because the rows conflict."""
+        return tol.ACCEPTED_RAY if self.stalled >= STALLED_ROUNDS else tol.RAY_TOLERANCE
 
     def _evaluate(self) -> None:
-        """Compute the signals of this point by FFT, their violations, and the defects in the equations and in theta."""
-        for name in ("signals", "spectrum", "cost"):  # large: given back before the next are made
+        """Compute the signals by FFT, their violations, and the residuals of the equations and the slope in theta."""
+        for name in ("signals", "spectrum", "cost"):  # large: freed before the next are made
             self.__dict__.pop(name, None)
         point = self.theta, self.multipliers, self.working
         self.signals, self.spectrum = signals(self.structure, self.data, *point)
@@ -273,23 +282,17 @@ class Exchange:
         """Set the slacks of the working rows at this point."""
         self.slack = self.working.slacks(self.data.lti, self.signals.y, self.signals.last)
 
-    def _exchange_rows(self, count: int) -> int:
-        """Drop rows without multiplier, add violated ones; return how many are new."""
-        entering = self.violations.entering(self.tolerance)
-        if count <= KEEP_ALL_AFTER:
-            self.working.keep(self.working.weights > 0)
-        added = self.working.add(*entering)
-        self._measure_rows()
-        return added
-
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
-        worst, slope = self.violations.worst, self._relative_slope()
-        level = worst < tol.NEARLY_FEASIBLE and slope < self.slope_tolerance and self._flat()
+        kkt, worst, slope = self.kkt, self.violations.worst, self._relative_slope()
+        level = worst < tol.NEARLY_FEASIBLE and slope < self.slope_tolerance
+        if level and kkt.size:  # the cost hardly decreases along the bordering unknowns
+            gain = abs(float(self.slope @ kkt.inverse[: kkt.size, : kkt.size] @ self.slope))
+            level = gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
         far = float(np.abs(self.theta).max(initial=0.0))
         moving = self.soft and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
         if self.soft and worst < tol.NEARLY_FEASIBLE and not level:
-            self.proximal = max(self.proximal * LONGER_STEPS, self.kkt.least_proximal)
+            self.proximal = max(self.proximal * LONGER_STEPS, kkt.least_proximal)
         improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moving
         self.stalled = 0 if improving else self.stalled + 1
         self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
@@ -308,21 +311,13 @@ class Exchange:
         slack = float(self.working.weights @ np.maximum(0.0, self.slack))
         return self.relative_residual < tol.EQUATION_TOLERANCE and slack <= allowed * self._cost_size()
 
-    def _flat(self) -> bool:
-        """Whether the cost hardly decreases along the bordering unknowns, without working rows or by such moves."""
-        slope, kkt = self.slope, self.kkt
-        if not kkt.size:
-            return True
-        gain = abs(float(slope @ kkt.inverse[: kkt.size, : kkt.size] @ slope))
-        return gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
-
     def _cannot_decrease(self) -> bool:
         """Whether moves of the bordering unknowns as large as the point, and as 1, hardly decrease the cost."""
         decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
         return decrease <= tol.DECREASE_TOLERANCE * max(abs(self.cost), tol.SMALL_COST * self.data.lti.cost_level)
 
     def _relative_slope(self) -> float:
-        """Return the largest derivative in theta, relative to the terms that it is the sum of."""
+        """Return the largest derivative in theta, relative to the absolute sum of its terms."""
         kkt, working = self.kkt, self.working
         terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
         terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.multipliers)
@@ -338,11 +333,11 @@ class Exchange:
         return float(0.5 * np.einsum("it,it->", lti.M @ at.y, at.y) + linear + last) + lti.constant
 
     def _cost_size(self) -> float:
-        """Return what differences in cost are relative to."""
+        """Return the size of the cost: differences in cost are relative to it."""
         return max(self.data.lti.cost_level, abs(self.cost))
 
     def _outcome(self, status: str, message: str = "") -> ExchangeOutcome:
-        self.violations.violation = np.zeros((0, 0))  # large, and measured again before it is used
+        self.violations.violation = np.zeros((0, 0))  # large; it is measured again before the next use
         point = self.signals, self.multipliers, self.working
         return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, self.cost, self.ray)
 
@@ -367,7 +362,7 @@ def exchange_values(
     ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
     """
     index, sign, weights = start.indices, start.sign, start.weights
-    lti, found, entered = violations.lti, start, np.zeros(len(base), dtype=bool)
+    lti, duals, present = violations.lti, start, np.zeros(len(base), dtype=bool)
     n, prices = lti.state_dim, lti.prices
     for count in range(1, MODEL_ROUNDS + 1):
         values, saturated = base, index[:0]
@@ -375,38 +370,38 @@ def exchange_values(
             t, f = whole.t[index], whole.f[index]
             d = sign * (lti.bounds.at(t, f, sign) - base[index])
             free = None if unconstrained is None else unconstrained[f] * (t < lti.horizon)
-            most = None if prices is None else prices.at(t, f, sign)
+            price = None if prices is None else prices.at(t, f, sign)
             response = None if prices is None else whole.kernels.free_response(t, f)
             S = whole.gram(index) * sign * sign[:, None]
-            weights, accurate = bounded_qp(S, d, weights, free, stop, most, response)
-            found = ActiveSetDuals(index, sign, weights, count, accurate)
+            weights, accurate = bounded_qp(S, d, weights, free, stop, price, response)
+            duals = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break
             values = base - whole.response(index, sign * weights)
-            saturated = saturated if most is None else index[weights >= most]
+            saturated = saturated if price is None else index[weights >= price]
         violations.set_saturated(whole.t[saturated], whole.f[saturated])
         if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
             break
-        kept = weights > 0
-        index, sign, weights = index[kept], sign[kept], weights[kept]
-        entered[:] = False
-        entered[index] = True
+        active = weights > 0
+        index, sign, weights = index[active], sign[active], weights[active]
+        present[:] = False
+        present[index] = True
         entering, side = violations.entering_values(tolerance)
-        new = ~entered[entering]
+        new = ~present[entering]
         added = np.count_nonzero(new)
         if not added or len(index) + added > LOCAL_ROWS:
             break
         index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
         weights = np.concatenate([weights, np.zeros(added)])
-    return found
+    return duals
 
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
-    """Return a guess of the active rows, or None; ``structures`` keeps those of the cheaper problems by horizon."""
+    """Return a guess of the active rows, or None; ``structures`` caches those of the cheaper problems by horizon."""
     if lti.horizon < GUESSED_HORIZON or lti.response is not None:
         return None
     shorter = _shortened_horizon(lti)
-    hold = shorter * HOLD_FACTOR > lti.horizon and _may_be_held(lti)
+    hold = shorter * HOLD_FACTOR > lti.horizon and _grows_slowly(lti)
     if not hold and shorter * LEAST_SHORTENING > lti.horizon:
         return None
     coarse, tolerance = (
@@ -428,8 +423,8 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
     return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
 
 
-def _may_be_held(lti: Lti) -> bool:
-    """Whether the dynamics hardly grow while a control is held."""
+def _grows_slowly(lti: Lti) -> bool:
+    """Whether the dynamics hardly grow over the samples of a zero-order hold."""
     return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HOLD_FACTOR <= HOLD_GROWTH
 
 
@@ -443,17 +438,13 @@ def _shortened_horizon(lti: Lti) -> int:
 
 def _shorten(lti: Lti, T: int) -> Lti:
     """Return the problem without its middle; bands keep their frequencies."""
-    head, tail = slice(0, T // 2), slice(lti.horizon - (T - T // 2), lti.horizon)
-
-    def without_middle(signal: Array) -> Array:
-        return np.hstack([signal[:, head], signal[:, tail]])
-
+    times = np.append(np.arange(T // 2), np.arange(lti.horizon - (T - T // 2), lti.horizon))
     bins = np.round(np.arange(T // 2 + 1) * (lti.horizon / T)).astype(int).clip(0, lti.horizon // 2)
-    return _without_equations(lti, T, lti.passed[:, bins], without_middle)
+    return _without_equations(lti, T, lti.passed[:, bins], lambda signal: signal[:, times])
 
 
 def _hold_samples(lti: Lti) -> Lti:
-    """Return the problem in which HOLD_FACTOR samples of the control are equal."""
+    """Return the problem with a zero-order hold of HOLD_FACTOR samples on the control."""
     T, n = lti.horizon // HOLD_FACTOR, lti.state_dim
     A, B = np.eye(n), np.zeros_like(lti.B)
     offset = None if lti.offset is None else np.zeros((n, T))
@@ -468,7 +459,7 @@ def _hold_samples(lti: Lti) -> Lti:
 
 
 def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array], Array]) -> Lti:
-    """Return the problem at another horizon, without state bands and without values that bounds fix."""
+    """Return the problem at another horizon, without state bands and without values fixed by bounds."""
     bounds = lti.bounds.map(sample)
     fixed = bounds.lower == bounds.upper
     return replace(
@@ -486,7 +477,7 @@ def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array],
 
 
 def _refine_rows(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
-    """Return rows of the coarse problem as rows of the given: controls with their neighbours, states once, and x_T."""
+    """Return rows of the coarse problem as rows of ``lti``: controls with their neighbours, states once, and x_T."""
     n, T = lti.state_dim, lti.horizon
     last = t == T // HOLD_FACTOR
     states = ~last & ~lti.F[f, n:].any(1)
@@ -498,35 +489,3 @@ def _refine_rows(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
     signs = np.concatenate([sign[last], sign[states], np.repeat(sign[controls], len(around))])
     _, unique = np.unique((times * len(lti.F) + rows) * 2 + (signs > 0), return_index=True)
     return Rows(times[unique], rows[unique], signs[unique])
-
-
-def batch_working_sets(
-    structure: Structure,
-    model: EndsModel,
-    values: Array,
-    first: Rows | None,
-    tolerance: float,
-    stop: Callable[[], str | None],
-    solve_alone: Callable[[int], None],
-) -> tuple[Array, Mask, Rows | None]:
-    """Return the multipliers of all values with signs, (N, values), where they were found, and the last rows.
-
-    ``values`` (N, values) are those of the unconstrained points of a batch; each exchange begins with the working rows
-    of the one before. A problem without a working set here is solved alone.
-    """
-    whole, violations = model.whole, model.violations
-    weights, found, rows = np.zeros(values.shape), np.zeros(len(values), dtype=bool), first
-    none = np.zeros(0, dtype=np.intp)
-    for i, base in enumerate(values):
-        if stop():
-            break
-        if model.may_have_known_ray(base):
-            continue
-        start = ActiveSetDuals(none, np.zeros(0), np.zeros(0)) if rows is None else whole.duals(rows)
-        duals = exchange_values(whole, violations, start, base, tolerance, structure.unconstrained, stop)
-        if duals.accurate and violations.worst < tol.FINE_VIOLATION:
-            weights[i, duals.indices], found[i] = duals.sign * duals.weights, True
-            rows = whole.rows_of(duals).active()
-        else:
-            solve_alone(i)
-    return weights, found, rows

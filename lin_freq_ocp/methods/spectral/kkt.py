@@ -1,8 +1,8 @@
-"""The bordered KKT system: the few unknowns and equations that belong to no single bin (docs/spectral.md, 4).
+"""The bordered KKT system: the unknowns and equations that couple bins (docs/spectral.md, 4).
 
 Bordering unknowns theta: the free components of x_0 and x_T, then real coordinates of the bordering directions, each
 with a signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that
-bounds fix, compatibility at singular bins, state bands. Together:
+bounds fix, compatibility at singular bins, state bands. The KKT matrix is
 
     K_b = [[H, E'], [E, -G_EE]].
 """
@@ -22,7 +22,7 @@ from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels, ti
 from lin_freq_ocp.program.program_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling
-LARGEST_BORDER = 3000  # rows of the matrix beyond which its dense decomposition takes longer than the sparse program
+LARGEST_BORDERED = 3000  # rows of the matrix; with more, its dense decomposition takes longer than the sparse program
 
 
 class BorderedSystem:
@@ -36,12 +36,23 @@ class BorderedSystem:
     def __init__(self, lti: Lti, spaces: BinSpaces, kernels: CirculantKernels):
         self.lti, self.spaces, self.kernels = lti, spaces, kernels
         self._set_variables()
-        self._require_size()
+        fixed, bands = len(lti.fixed_points[0]), 2 * int(lti.state_stop.sum())
+        compatibility = int(sum(spaces.weight[equation.k] for equation in spaces.compatibility))
+        equations = lti.state_dim + fixed + compatibility + bands
+        if self.size + equations > LARGEST_BORDERED:  # before any matrix of this size is made
+            raise UnsupportedError(
+                f"method 'spectral': {self.size} bordering unknowns and {equations} equations that fix points "
+                f"({fixed} by bounds) or bins of states; it takes {LARGEST_BORDERED} together. Use method 'convex'."
+            )
         self._set_hessian()
-        self._set_points()
-        self._set_singular_rows()
+        # x(0) = x_0, with its free components on the left side, and values that bounds fix
+        n, (t, f) = lti.start_points, lti.fixed_points
+        self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
+        point_rows = self.values(self.point_t, self.point_f)
+        point_rows[self.free_start, self.at_start] -= 1.0
+        self._set_compatibility_rows()
         self._set_band_rows()
-        self.E = np.vstack([self.point_rows, self.singular_rows, self.band_rows])
+        self.E = np.vstack([point_rows, self.compatibility_rows, self.band_rows])
         self._decompose()
 
     def _set_variables(self) -> None:
@@ -58,24 +69,13 @@ class BorderedSystem:
             self.end_responses = self.spaces.particular(self.spaces.z * self.ends[:, :, None].astype(np.complex128))
             self.end_signals = fft.irfft(self.end_responses, T)
         # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
-        k, v = self.spaces.border_bin, self.spaces.border_vector
+        k, v = self.spaces.bordering_bin, self.spaces.bordering_vector
         counts = self.spaces.weight[k].astype(int)
         direction = np.repeat(np.arange(len(k)), counts)
         self.first, self.bins = ends + np.cumsum(counts) - counts, k[direction]
         self.ends_count, self.size = ends, ends + len(self.bins)
         self.vectors = v[:, direction] * np.where(np.arange(ends, self.size) == self.first[direction], 1, 1j)
         self.amplitude = T / self.spaces.weight[self.bins]  # of a spectrum whose signal has unit amplitude
-
-    def _require_size(self) -> None:
-        """Raise UnsupportedError before any matrix of the system's size is made, if it is too large."""
-        lti, fixed = self.lti, len(self.lti.fixed_points[0])
-        singular = int(sum(self.spaces.weight[equation.k] for equation in self.spaces.singular))
-        equations = lti.state_dim + fixed + singular + 2 * int(lti.state_stop.sum())
-        if self.size + equations > LARGEST_BORDER:
-            raise UnsupportedError(
-                f"method 'spectral': {self.size} border unknowns and {equations} equations that fix points ({fixed} by "
-                f"bounds) or bins of states; it takes {LARGEST_BORDER} together. Use method 'convex'."
-            )
 
     def _set_hessian(self) -> None:
         """H_ab = 1/T sum_k weight_k Re(Y_a^* M Y_b) over the responses Y of theta, and P for the free end."""
@@ -91,30 +91,22 @@ class BorderedSystem:
         self.H[e:, e:] = np.where(same, (v.conj().T @ lti.M @ v).real * self.amplitude, 0.0)
         self.H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
 
-    def _set_points(self) -> None:
-        """x(0) = x_0, with its free components on the left side, and values that bounds fix."""
-        n = self.lti.start_points
-        t, f = self.lti.fixed_points
-        self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
-        self.point_rows = self.values(self.point_t, self.point_f)
-        self.point_rows[self.free_start, self.at_start] -= 1.0
-
-    def _set_singular_rows(self) -> None:
+    def _set_compatibility_rows(self) -> None:
         """Rows (T/weight) sigma (theta_re + i theta_im) - L^* z W theta_e, real and imaginary part, scaled to 1."""
         spaces, rows = self.spaces, list[Array]()
-        self.singular_scale = np.ones(len(spaces.singular))
-        for j, singular in enumerate(spaces.singular):
+        self.compatibility_scale = np.ones(len(spaces.compatibility))
+        for j, equation in enumerate(spaces.compatibility):
             row = np.zeros(self.size, dtype=np.complex128)
-            row[: self.ends_count] = -spaces.z[singular.k] * (singular.left.conj() @ self.ends)
-            column, amplitude = self.first[singular.direction], self.lti.horizon / spaces.weight[singular.k]
-            row[column] = singular.sigma * amplitude
-            if spaces.weight[singular.k] == 2:
-                row[column + 1] = 1j * singular.sigma * amplitude
-            self.singular_scale[j] = 1 / max(1.0, float(np.abs(row).max()))
-            rows.append(self.singular_scale[j] * self._parts(singular.k, row))
-        self.singular_rows = np.vstack([*rows, np.zeros((0, self.size))])
+            row[: self.ends_count] = -spaces.z[equation.k] * (equation.left.conj() @ self.ends)
+            column, amplitude = self.first[equation.direction], self.lti.horizon / spaces.weight[equation.k]
+            row[column] = equation.sigma * amplitude
+            if spaces.weight[equation.k] == 2:
+                row[column + 1] = 1j * equation.sigma * amplitude
+            self.compatibility_scale[j] = 1 / max(1.0, float(np.abs(row).max()))
+            rows.append(self.compatibility_scale[j] * self._real_and_imaginary(equation.k, row))
+        self.compatibility_rows = np.vstack([*rows, np.zeros((0, self.size))])
 
-    def _parts(self, k: int, values: ComplexArray) -> Array:
+    def _real_and_imaginary(self, k: int, values: ComplexArray) -> Array:
         """Return the real and imaginary part of a complex equation at bin k; only the real one at real bins."""
         return values.real[None] if self.spaces.weight[k] == 1 else np.stack([values.real, values.imag])
 
@@ -123,40 +115,39 @@ class BorderedSystem:
         stop, T = self.lti.state_stop, self.lti.horizon
         samples = self.lti.state_samples
         padding = (0, 0), (0, T + 1 - samples)
-        chosen = np.flatnonzero(stop.any(0))
-        parts = [(int(i), np.pad(real_rows(samples, stop[:, i]), padding)) for i in chosen]
+        parts = [(int(i), np.pad(real_rows(samples, stop[:, i]), padding)) for i in np.flatnonzero(stop.any(0))]
         self.band_component = np.concatenate([np.full(len(rows), i) for i, rows in parts] + [np.zeros(0, int)])
         self.band_components = tuple(i for i, _ in parts)
         self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])
         count = len(self.bands)
         self.band_hat = fft.rfft(self.bands[:, :T]) if count else np.zeros((0, len(self.spaces.z)), complex)
-        # what y_t loses by a unit force on each band row, (n+m, rows, T)
+        # decrease of y_t by a unit force on each band row, (n+m, rows, T)
         self.band_responses, self.band_rows = np.zeros((len(self.lti.M), 0, T)), np.zeros((count, self.size))
         if count:
             force = np.zeros((len(self.lti.M), count, len(self.spaces.z)), dtype=np.complex128)
             force[self.band_component, np.arange(count)] = self.band_hat
             self.band_responses = fft.irfft(self.spaces.project(force), T)
-            signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
+            signals = self._unit_signals()
             for i, rows in parts:
                 self.band_rows[self.band_component == i] = rows[:, :T] @ signals[i].T
             at_free = self.free_end[:, None] == self.band_component
             self.band_rows[:, self.at_end] += (at_free * self.bands[:, -1]).T
 
-    def _direction_signals(self) -> Array:
-        """Return the signals of unit coordinates of the bordering directions, (n+m, directions, T)."""
+    def _unit_signals(self) -> Array:
+        """Return the signals of unit free ends and of unit coordinates of the bordering directions, (n+m, size, T)."""
         T = self.lti.horizon
         phase = np.exp((2j * np.pi / T) * (np.outer(self.bins, np.arange(T)) % T))
-        return (self.vectors[:, :, None] * phase).real
+        return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
 
     def _decompose(self) -> None:
-        """Set K_b and its inverse; where bordering unknowns are soft, with the least proximal weight."""
-        points, first_band = len(self.point_t), len(self.point_t) + len(self.singular_rows)
+        """Set K_b and its inverse; if bordering unknowns are soft, with the least proximal weight."""
+        points, first_band = len(self.point_t), len(self.point_t) + len(self.compatibility_rows)
         G = np.zeros((len(self.E), len(self.E)))
         G[:, :points] = self.responses(self.point_t, self.point_f)
         G[:points, first_band:] = G[first_band:, :points].T
         for i in self.band_components:
-            mine = first_band + np.flatnonzero(self.band_component == i)
-            G[first_band:, mine] = self.band_responses[i] @ self.bands[self.band_component == i, :-1].T
+            of_component = np.flatnonzero(self.band_component == i)
+            G[first_band:, first_band + of_component] = self.band_responses[i] @ self.bands[of_component, :-1].T
         self.matrix = np.empty((self.size + len(G), self.size + len(G)))
         self.matrix[: self.size, : self.size], self.matrix[: self.size, self.size :] = self.H, self.E.T
         self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(G + G.T) / 2
@@ -164,11 +155,12 @@ class BorderedSystem:
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
         self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
         self.inverse = self.inverse_with(0.0)
-        # soft: an unknown responds so much to a force that the digits of other responses are lost, or is NaN
+        # soft: the response of an unknown to a force is so large that digits of other responses are lost, or it is NaN
         response = np.abs(self.inverse.diagonal()[: self.size])
-        of_ends, inside = response[: self.ends_count].max(initial=0.0), response[self.ends_count :].max(initial=0.0)
+        of_ends = response[: self.ends_count].max(initial=0.0)
+        of_directions = response[self.ends_count :].max(initial=0.0)
         stiff_ends = of_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal)
-        self.soft = not (stiff_ends and inside <= tol.SOFT_RESPONSE / unit)
+        self.soft = not (stiff_ends and of_directions <= tol.SOFT_RESPONSE / unit)
         if self.soft:
             self.inverse = self.inverse_with(self.least_proximal)
 
@@ -211,11 +203,11 @@ class BorderedSystem:
         """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
         spaces, n, (start, end) = self.spaces, lti.start_points, lti.ends
         points = start[:n], lti.bounds.lower[self.point_f[n:], self.point_t[n:]]
-        singular = [
-            scale * self._parts(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
-            for scale, equation in zip(self.singular_scale, spaces.singular, strict=True)
+        compatibility = [
+            scale * self._real_and_imaginary(equation.k, np.array([equation.left.conj() @ jump[:, equation.k]]))[:, 0]
+            for scale, equation in zip(self.compatibility_scale, spaces.compatibility, strict=True)
         ]
-        return np.concatenate([*points, *singular, -self.bands[:, -1] * end[self.band_component]])
+        return np.concatenate([*points, *compatibility, -self.bands[:, -1] * end[self.band_component]])
 
     def values(self, t: Indices, f: Indices) -> Array:
         """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
@@ -225,25 +217,24 @@ class BorderedSystem:
         return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
 
     def values_at_all_times(self, rows: Indices) -> Array:
-        """Return how unknowns and equations move F_f y_t at all t < T: (size + equations, len(rows), T)."""
+        """Return the responses of F_f y_t at all t < T to unknowns and equations: (size + equations, len(rows), T)."""
         F = self.lti.F[rows]
-        signals = np.concatenate([self.end_signals, self._direction_signals()], axis=1)
-        moved = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
+        response = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
         if self.size:
-            moved[:, : self.size] = np.tensordot(F, signals, 1)
+            response[:, : self.size] = np.tensordot(F, self._unit_signals(), 1)
         by_points = self.kernels.table[rows[:, None], self.point_f]  # unit forces at t = 0, (len(rows), points, T) ...
         for i in np.flatnonzero(self.point_t):  # ... which act later at the other points
             by_points[:, i] = np.roll(by_points[:, i], self.point_t[i], axis=-1)
-        moved[:, self.size : self.size + len(self.point_t)] = -by_points
+        response[:, self.size : self.size + len(self.point_t)] = -by_points
         if len(self.bands):
-            moved[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
-        return moved.swapaxes(0, 1)
+            response[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
+        return response.swapaxes(0, 1)
 
     def responses(self, t: Indices, f: Indices) -> Array:
-        """Return what the equations' left sides lose by unit forces on F_f y_t, shape (equations, len(t)), t < T."""
+        """Return the decrease of the equations by unit forces on F_f y_t, (equations, len(t)), for t < T."""
         at_points = self.kernels.gram(self.point_t, self.point_f, t, f)
         at_bands = np.einsum("ri,idr->dr", self.lti.F[f], self.band_responses[:, :, t])
-        return np.vstack([at_points, np.zeros((len(self.singular_rows), len(t))), at_bands])
+        return np.vstack([at_points, np.zeros((len(self.compatibility_rows), len(t))), at_bands])
 
     def add(self, theta: Array, spectrum: ComplexArray) -> None:
         """Add the responses to theta (size, N) to the spectra (n+m, N, bins), in place."""
@@ -254,15 +245,15 @@ class BorderedSystem:
 
 
 def _null_space(rows: Array, gram: Array) -> Array:
-    """Return an orthonormal basis of the directions that neither the rows nor the positive semidefinite gram see."""
+    """Return an orthonormal basis of the null space of both the rows and the positive semidefinite gram."""
     rounding = tol.EQUATION_ROUNDING * float(np.abs(gram).max(initial=0.0))
     if not len(gram) or np.linalg.eigvalsh(gram)[0] > rounding:
         return np.zeros((len(gram), 0))
     _, singular, V = np.linalg.svd(rows)
     rank = int((singular > tol.NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
-    unseen = V[rank:].T
-    eigenvalues, vectors = np.linalg.eigh(unseen.T @ gram @ unseen)
-    return unseen @ vectors[:, eigenvalues <= rounding]
+    basis = V[rank:].T
+    eigenvalues, vectors = np.linalg.eigh(basis.T @ gram @ basis)
+    return basis @ vectors[:, eigenvalues <= rounding]
 
 
 def equilibration(matrix: Array) -> Array:

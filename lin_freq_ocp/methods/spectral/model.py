@@ -4,15 +4,14 @@
     subject to  x_{t+1} = A x_t + B u_t + d_t,   lower_t <= F y_t <= upper_t,   F = [I; C D],
                 ends fixed, free or in a box, per component,   stopped bins of u (length T) and of x (length T+1)
 
-A bound with a finite price is soft: the price times its violation joins the cost, and limits its multiplier. Where
-there is no recursion, the dynamics are the response of x_{t+1} at every bin. Units are powers of two: changing to them
-and back rounds nothing.
+A bound with a finite price is soft: the price times its violation joins the cost, and limits its multiplier. Without a
+recursion, the dynamics are the frequency response of x_{t+1} at every bin. Units are powers of two: conversions do not
+round.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,7 +19,7 @@ import numpy as np
 from scipy.linalg import matrix_balance
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign, with_fields
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set
@@ -34,7 +33,7 @@ STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations o
 
 @dataclass(frozen=True, eq=False)
 class Lti:
-    """The problem; a new solve may change what follows ``horizon``."""
+    """The problem; a new solve may change the fields after ``horizon``."""
 
     A: Array
     B: Array
@@ -80,22 +79,20 @@ class Lti:
         """x_0 and x_T with zeros for free components, (n,)."""
         return np.where(np.isnan(self.start), 0.0, self.start), np.where(np.isnan(self.end), 0.0, self.end)
 
-    def between(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
+    def with_ends(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
         """Return the problem between other ends, in units x (n,) of the states; None if x_0 has free components."""
         start, end = (_fixed_values(box) / x for box in ends)
         if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
             return None
-        other = self.at_points(start, end)
+        changed = self.with_end_values(start, end)
         if self.prices is None:  # else, the end is the same
             last_lower, last_upper = (side / x for side in ends[1].bounds)
-            assign(other, bounds=replace(self.bounds, last_lower=last_lower, last_upper=last_upper))
-        return other
+            assign(changed, bounds=replace(self.bounds, last_lower=last_lower, last_upper=last_upper))
+        return changed
 
-    def at_points(self, start: Array, end: Array) -> Lti:
+    def with_end_values(self, start: Array, end: Array) -> Lti:
         """Return the problem with other values of the fixed components of its ends."""
-        other = copy(self)
-        assign(other, start=start, end=end)
-        return other
+        return with_fields(self, start=start, end=end)
 
     def row_values(self, y: Array, t: Indices, f: Indices) -> Array:
         """Return F_f y_t of some rows at t < T, (count,), for y (n+m, T)."""
@@ -121,8 +118,8 @@ class Lti:
     def fixed_points(self) -> tuple[Indices, Indices]:
         """(t, f) of the rows F_f y_t with equal bounds, without fixed ends: 0 <= t < T."""
         f, t = np.nonzero(self.bounds.lower == self.bounds.upper)
-        elsewhere = (t > 0) | (f >= self.state_dim)
-        return t[elsewhere], f[elsewhere]
+        not_at_start = (t > 0) | (f >= self.state_dim)
+        return t[not_at_start], f[not_at_start]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +149,7 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class LtiUnits:
-    """What one unit of the Lti problem is in the user's: states (n,), controls (m,), stage rows, cost."""
+    """Units of the Lti problem in those of the user: of states (n,), controls (m,), stage rows, cost."""
 
     x: Array
     u: Array
@@ -177,13 +174,13 @@ def refusal(problem: OptimalControlProblem) -> str | None:
         return "only a periodic frequency response, without terminal cost, fixed ends and soft sets"
     taken = TermKind.STAGE_ROWS, TermKind.LINKED_ENDS
     sets = [term for term in problem.terms if term.kind not in taken]
-    others = [term for term in sets if soft_set(problem, term) is None]
-    if others:
-        return f"{others[0].name}: only boxes, joint rows, stop bands and quadratic costs"
+    unsupported = [term for term in sets if soft_set(problem, term) is None]
+    if unsupported:
+        return f"{unsupported[0].name}: only boxes, joint rows, stop bands and quadratic costs"
     if any(term.kind == TermKind.LINKED_ENDS for term in problem.terms) and not closes_on_the_circle(problem):
         return "the ends are linked otherwise than by x_T = x_0 alone, without terminal cost, fixed ends and soft sets"
     if sets and priced_bounds(problem) is None:
-        return "two bounds on the same side of a component, of which one is soft"
+        return "a hard and a soft bound on the same side of a component"
     if response is None and problem.linear.time_varying:
         return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
     if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
@@ -194,8 +191,8 @@ def refusal(problem: OptimalControlProblem) -> str | None:
     if bins > STATE_BAND_ROWS:
         return f"the state bands are about {bins} dense rows; the Fourier-domain method takes {STATE_BAND_ROWS}"
     if not any(part.any() for part in (cost.Q, cost.R)):
-        other = "" if response is None else " (solve takes such a cost over a frequency response)"
-        return f"neither Q nor R is above zero; the Fourier-domain method needs a strictly convex cost{other}"
+        advice = "" if response is None else " (solve takes such a cost over a frequency response)"
+        return f"neither Q nor R is above zero; the Fourier-domain method needs a strictly convex cost{advice}"
     return None
 
 
@@ -203,14 +200,14 @@ def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
     """Whether x_T = x_0 is the only constraint on the ends, apart from bounds: the trajectory is then one period."""
     links, cost = problem.links, problem.quadratic
     return (
-        [(one.periodic, one.penalty.reach) for one in links] == [(True, 0.0)]
+        [(link.periodic, link.penalty.reach) for link in links] == [(True, 0.0)]
         and not (cost.P.any() or cost.p.any() or problem.state_tube.fixed[[0, -1]].any())
         and all(term.hard for term in problem.terms)
     )
 
 
 def natural_units(problem: OptimalControlProblem) -> LtiUnits:
-    """Return units in which the data are of order 1; UnsupportedError if the cost is then no number above zero."""
+    """Return units with data of order 1; UnsupportedError if the cost of the sizes is not finite and above 0."""
     given = given_sizes(problem)
     states, controls = completed_sizes(problem, given)
     known = given[: len(states)] > 0
@@ -229,23 +226,23 @@ def natural_units(problem: OptimalControlProblem) -> LtiUnits:
 def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
     """Return sizes of the states, (n,): as given, else such that A is balanced among states that act on each other.
 
-    The estimate |x| <= T |A| |x| of a state without a given size grows with T, once per state of a chain, even where
+    The estimate |x| <= T |A| |x| of a state without a given size grows with T, once per state of a chain, even if
     states oscillate against each other. In such units A would be nearly defective.
     """
     sizes = stated.copy()
     count, group = connected_components(A != 0, connection="strong")
-    for mine in (np.flatnonzero(group == i) for i in range(count)):
-        coupling = A[np.ix_(mine, mine)] * ~np.eye(len(mine), dtype=bool)
+    for members in (np.flatnonzero(group == i) for i in range(count)):
+        coupling = A[np.ix_(members, members)] * ~np.eye(len(members), dtype=bool)
         balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
-        known, ratio = given[mine], sizes[mine] / balanced
+        known, ratio = given[members], sizes[members] / balanced
         level = ratio[known].max() if known.any() else np.exp(np.log(ratio).mean())
         wrong = np.abs(np.log(ratio / level)) > np.log(tol.MUCH_LARGER)
-        sizes[mine] = np.where(wrong & ~known, level * balanced, sizes[mine])
+        sizes[members] = np.where(wrong & ~known, level * balanced, sizes[members])
     return sizes
 
 
 def _control_sizes(tube: Box, stated: Array) -> Array:
-    """Return sizes of the controls, (m,): as stated, or their bounds where only a much smaller reference is stated."""
+    """Return sizes of the controls, (m,): as stated, or their bounds if the stated sizes are much smaller."""
     sides = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in tube.bounds]
     if all((side <= tol.MUCH_LARGER * stated).all() for side in sides):
         return stated
@@ -257,7 +254,7 @@ def _control_sizes(tube: Box, stated: Array) -> Array:
 def revised_units(units: LtiUnits, y: Array) -> LtiUnits | None:
     """Return units from a solution y (n+m, T) in the given units, or None if those were right.
 
-    With bounds such as 1e9 that stand for none, all signals may be rounding in the first units.
+    If bounds such as 1e9 stand for no bound, all signals may be rounding errors in the first units.
     """
     reached = np.abs(y).max(1)
     wrong = (reached > tol.ROUNDED_COMPONENT) & (reached < tol.WRONG_UNIT)
@@ -273,12 +270,17 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     x, u = units.x, units.u
-    found = problem.dynamics.response(T)
-    if found is None:
+    outputs = problem.dynamics.response(T)
+    if outputs is None:
         A, B, d, response = problem.linear.A, problem.linear.B, problem.linear.offset, None
     else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion
         lead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
-        A, B, d, response = np.zeros((n, n)), np.zeros((n, len(u))), found.base[1:], lead * np.moveaxis(found.G, 0, -1)
+        A, B, d, response = (
+            np.zeros((n, n)),
+            np.zeros((n, len(u))),
+            outputs.base[1:],
+            lead * np.moveaxis(outputs.G, 0, -1),
+        )
     y = units.signals
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]
@@ -330,7 +332,7 @@ def _linear_terms(problem: OptimalControlProblem) -> Array | None:
 
 
 def _bounds(problem: OptimalControlProblem, units: LtiUnits) -> Bounds:
-    """Return the limits of boxes and stage rows; without memory where they do not depend on time."""
+    """Return the limits of boxes and stage rows; limits that do not depend on time take no memory."""
     T, states, controls = problem.horizon, problem.state_tube, problem.control_tube
     free = ~states.fixed[0]  # a fixed start is an equation, not a bound on x_0
     joint = [np.atleast_2d(rows.e).T for rows in problem.stage_rows]
@@ -358,21 +360,21 @@ def _as_columns(bounds: Array, first: Array) -> Array:
 
 
 def _soft_bounds(problem: OptimalControlProblem, units: LtiUnits, hard: Bounds) -> tuple[Bounds, Bounds]:
-    """Return the bounds with those of soft sets in their places, and all prices; rows are soft on their upper side."""
+    """Return the bounds, including those of soft sets, and all prices; rows are soft on their upper side."""
     n, T, y = problem.state_dim, problem.horizon, units.signals
-    everything = priced_bounds(problem)
-    if everything is None:
+    priced = priced_bounds(problem)
+    if priced is None:
         raise UnsupportedError(
-            "method 'spectral': a soft set that bounds of components cannot say. Use method 'convex'."
+            "method 'spectral': a soft set that is not a set of bounds on components. Use method 'convex'."
         )
     per_row = [np.full(rows.rows, np.inf if rows.penalty is None else rows.penalty) for rows in problem.stage_rows]
     joint = np.concatenate([*per_row, np.zeros(0)]) * units.rows / units.cost
-    of_lower, of_upper = (side.T * y[:, None] / units.cost for side in (everything.of_lower, everything.of_upper))
+    of_lower, of_upper = (side.T * y[:, None] / units.cost for side in (priced.of_lower, priced.of_upper))
     sides = list[Array]()
-    for side, own, price in ((hard.lower, everything.lower, of_lower), (hard.upper, everything.upper, of_upper)):
+    for side, limit, price in ((hard.lower, priced.lower, of_lower), (hard.upper, priced.upper, of_upper)):
         soft = np.isfinite(price[:, :T])
-        sides.append(np.vstack([np.where(soft, own[:T].T / y[:, None], side[: len(y)]), side[len(y) :]]))
-    last = (everything.lower[T, :n] / units.x, everything.upper[T, :n] / units.x)
+        sides.append(np.vstack([np.where(soft, limit[:T].T / y[:, None], side[: len(y)]), side[len(y) :]]))
+    last = (priced.lower[T, :n] / units.x, priced.upper[T, :n] / units.x)
     rows = np.broadcast_to(joint[:, None], (len(joint), T))
     prices = Bounds(
         np.vstack([of_lower[:, :T], np.full(rows.shape, np.inf)]),
@@ -384,13 +386,13 @@ def _soft_bounds(problem: OptimalControlProblem, units: LtiUnits, hard: Bounds) 
 
 
 def _with_end_bound(tighter: np.ufunc, side: Array, last: Array) -> Array:
-    """Return bounds (rows, T) with those of x_T, (n,), on x_0, too."""
+    """Return bounds (rows, T) whose bounds on x_0 include those of x_T, (n,)."""
     first = tighter(side[: len(last), 0], last)
     if (first == side[: len(last), 0]).all():
         return side
-    both = np.array(side)
-    both[: len(last), 0] = first
-    return both
+    bounds = np.array(side)
+    bounds[: len(last), 0] = first
+    return bounds
 
 
 def _fixed_values(box: Box) -> Array:
@@ -400,7 +402,7 @@ def _fixed_values(box: Box) -> Array:
 
 def _scaled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Array:
     """Return [C D] of all stage rows, for states and controls in the units x and u, (rows, n+m)."""
-    rows = [np.hstack([given.C * x, given.D * u]) for given in problem.stage_rows]
+    rows = [np.hstack([family.C * x, family.D * u]) for family in problem.stage_rows]
     return np.concatenate([*rows, np.zeros((0, len(x) + len(u)))])
 
 

@@ -1,11 +1,11 @@
 """The small QP over the working rows: min lam'S lam / 2 + d'lam over 0 <= lam <= u, S often singular.
 
-docs/spectral.md, 6, 7 and 12. u is the price of a soft row and infinite for a hard one; a row with lam = u > 0 is
+docs/spectral.md, 6, 7 and 12. u is the price of a soft row and infinite for a hard one. A row with lam = u > 0 is
 saturated: it is violated, and its slope S lam + d, which is its slack, is at most 0. S is positive semidefinite, and
-numerically singular where a state or a control stays at a bound.
+numerically singular if a state or a control stays at a bound.
 
-``bounded_qp`` tries block pivoting, then the interior point. ``BorderedQp`` keeps the bordering unknowns of little
-curvature, whose elimination would lose the digits of S. The exchange measures every answer by the signals that follow.
+``bounded_qp`` tries block pivoting, then the interior point. ``BorderedQp`` keeps soft bordering unknowns, whose
+elimination would lose the digits of S. The exchange measures every answer by its signals.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.kkt import equilibration
 
 INTERIOR_STEPS = 60  # after which the best iterate is returned; 10 to 25 are usual
-LOW_RANK_ROWS = 200  # from which a factor of low rank saves time ...
-LARGEST_SHARE = 0.45  # ... and rank over rows up to which it does
+LOW_RANK_ROWS = 200  # rows from which a factor of low rank saves time
+LARGEST_SHARE = 0.45  # rank over rows up to which it saves time
 TO_BOUNDARY = 0.995  # fraction of the step to the boundary
 REFINED = 1e-8  # diagonal added to a thin factor below which solves are refined
 WARM = 1e-2  # least weight and slack of a warm start
 POLISHES = 3  # refinements of the polish: each squares the relative error of the factor
 DROPPINGS = 5  # passes that drop active rows of the wrong sign
-PIVOTING_ROWS = 300  # up to which block pivoting is tried first
+PIVOTING_ROWS = 300  # rows up to which block pivoting is tried first
 PIVOTING_STEPS = 30  # after which it has not converged; 1 to 4 are usual
-STEPS_OF_ALL = 3  # steps that exchange all wrong rows ...
-WORST_SHARE = 0.5  # ... and part of the worst error from which the later ones exchange a row
+STEPS_OF_ALL = 3  # steps that exchange all wrong rows
+WORST_SHARE = 0.5  # part of the worst error from which later steps exchange a row
 
 
 def bounded_qp(
@@ -47,43 +47,41 @@ def bounded_qp(
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
 
-    ``upper`` is u, None if all of it is infinite. A row with a price that equations decide is saturated if it is
-    violated: its entry of S is rounding of zero, relative to its ``response`` without equations.
+    ``upper`` is u, None if all prices are infinite. If equations decide a row with a price, it is saturated iff it is
+    violated: its entry of S is a rounding error, relative to its ``response`` without equations.
 
-    ``unconstrained`` is a diagonal with diag - S >= 0 of low rank, 1/R for control rows and zero for others, if any.
+    ``unconstrained`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows and zero for others. None if
+    there is no such diagonal.
     """
     if upper is not None and response is not None:
         decided = np.isfinite(upper) & (np.diagonal(S) < tol.DECIDED_SOFT * response)
         if decided.any():  # they are at a bound of their multipliers
-            lam, rest, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
-            if rest.any():
-                free = None if unconstrained is None else unconstrained[rest]
-                target = d[rest] + S[np.ix_(rest, decided)] @ lam[decided]
-                lam[rest], accurate = bounded_qp(S[np.ix_(rest, rest)], target, start[rest], free, stop, upper[rest])
+            lam, undecided, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
+            if undecided.any():
+                free = None if unconstrained is None else unconstrained[undecided]
+                target = d[undecided] + S[np.ix_(undecided, decided)] @ lam[decided]
+                S = S[np.ix_(undecided, undecided)]
+                lam[undecided], accurate = bounded_qp(S, target, start[undecided], free, stop, upper[undecided])
             return lam, accurate
     unit = 1 / np.sqrt(np.maximum(np.diagonal(S), tol.TINY))
     size = max(float((np.abs(d) * unit).max()), tol.TINY)
     A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
     A *= unit
-    most = None if upper is None else upper / unit / size
-    lam = block_pivoting(A, b, warm, most) if len(d) <= PIVOTING_ROWS else None
-    if lam is not None:
-        return _in_units(lam, unit * size, most, upper), True
-    thin = None if unconstrained is None else unconstrained * unit**2
-    lam, accurate = interior_point(A, b, thin, stop, warm, most)
-    return _in_units(lam, unit * size, most, upper), accurate
-
-
-def _in_units(lam: Array, units: Array, most: Array | None, upper: Array | None) -> Array:
-    """Return lam in the units of the problem, exactly at its upper bounds where it is there."""
-    return lam * units if most is None or upper is None else np.where(lam >= most, upper, lam * units)
+    scaled_upper = None if upper is None else upper / unit / size
+    lam, accurate = block_pivoting(A, b, warm, scaled_upper) if len(d) <= PIVOTING_ROWS else None, True
+    if lam is None:
+        thin = None if unconstrained is None else unconstrained * unit**2
+        lam, accurate = interior_point(A, b, thin, stop, warm, scaled_upper)
+    if upper is None or scaled_upper is None:
+        return lam * unit * size, accurate
+    return np.where(lam >= scaled_upper, upper, lam * unit * size), accurate  # exactly u if saturated
 
 
 def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None) -> Array | None:
-    """Exchange all wrong rows at once, later the worst of them; None if that cycles, or if rows are nearly dependent.
+    """Exchange all wrong rows at once, later the worst ones; None if that cycles, or if rows are nearly dependent.
 
-    To exchange all is fast, and cycles on some programs. Most cycles end where only those rows are exchanged that are
-    at least half as wrong as the worst one. Judice and Pires (1994) exchange a single row there, which takes longer.
+    An exchange of all rows is fast, but cycles on some programs. Most cycles end if only rows with at least half of the
+    worst error are exchanged. Judice and Pires (1994) exchange a single row instead, which takes longer.
     """
     slope, none = A @ start + b, np.zeros(len(b), dtype=bool)
     saturated, above = none if upper is None else start >= upper, none
@@ -123,7 +121,7 @@ def interior_point(
     start: Array | None = None,
     upper: Array | None = None,
 ) -> tuple[Array, bool]:
-    """Return (lam, whether it is accurate) by Mehrotra's predictor-corrector; what follows b is as in ``bounded_qp``.
+    """Return (lam, whether it is accurate) by Mehrotra's predictor-corrector; arguments after b as in ``bounded_qp``.
 
     A lam + b = z - y with lam >= 0, z >= 0, lam'z = 0, and, where u is finite, margin
     w = u - lam >= 0, y >= 0, w'y = 0.
@@ -165,7 +163,7 @@ def interior_point(
 
 
 def _polish(system: _Dense | _Thin, b: Array, caps: Caps, weights: Array, z: Array) -> Array:
-    """Return lam with zero slope on the active rows, and zeros or upper bounds elsewhere, if that keeps it between."""
+    """Return lam with zero slope on the active rows and the others at their bounds, if that lowers the slope."""
     active, lam = caps.split(weights, z)
     if not active.any() or not system.factor(np.where(active, tol.INTERIOR_RIDGE, tol.HOLDING_DIAGONAL)):
         return lam
@@ -177,8 +175,8 @@ def _polish(system: _Dense | _Thin, b: Array, caps: Caps, weights: Array, z: Arr
     def slope_left(v: Array) -> float:
         return float(np.abs((system.times(v) + b)[active]).max())
 
-    better = np.clip(polished, 0.0, caps.upper)
-    return better if slope_left(better) < slope_left(lam) else lam
+    polished = np.clip(polished, 0.0, caps.upper)
+    return polished if slope_left(polished) < slope_left(lam) else lam
 
 
 class Caps:
@@ -188,7 +186,7 @@ class Caps:
         self.upper, self.capped, self.count = upper, np.flatnonzero(np.isfinite(upper)), len(upper)
 
     def inside(self, lam: Array, least: float) -> Array:
-        """Return (lam, w) from a lam >= 0, moved inside its bounds."""
+        """Return (lam, w) from a lam >= 0, shifted to the interior of its bounds."""
         lam = np.maximum(lam, least)
         cap = self.upper[self.capped]
         margin = np.minimum(least, cap / 4)
@@ -196,7 +194,7 @@ class Caps:
         return np.concatenate([lam, cap - lam[self.capped]])
 
     def slacks(self, slope: Array, weights: Array, least: float) -> Array:
-        """Return (z, y) for a slope z - y: z at least this large, y too, but smaller where the margin is wide."""
+        """Return (z, y) for a slope z - y, with z at least ``least``; y may be smaller if the margin is wide."""
         smallest = least / np.maximum(1.0, weights[self.count :])
         return np.concatenate([np.maximum(slope, least), np.maximum(-slope[self.capped], smallest)])
 
@@ -205,7 +203,7 @@ class Caps:
         return self._sum_of_pairs(z, -1.0)
 
     def _sum_of_pairs(self, pairs: Array, sign: float) -> Array:
-        """Return the entries of (lam, z) with those of (w, y) added to, or taken from, their rows, (count,)."""
+        """Return the entries of (lam, z) plus ``sign`` times those of (w, y) of the same rows, (count,)."""
         if not len(self.capped):
             return pairs
         total = pairs[: self.count].copy()
@@ -221,7 +219,7 @@ class Caps:
         return np.concatenate([change, -change[self.capped]]) if len(self.capped) else change
 
     def split(self, weights: Array, z: Array) -> tuple[Mask, Array]:
-        """Return which rows are active, between their bounds, and lam with the others at the bounds."""
+        """Return the mask of active rows, between their bounds, and lam with the others at the bounds."""
         lam, saturated = weights[: self.count], np.zeros(self.count, dtype=bool)
         saturated[self.capped] = weights[self.count :] < z[self.count :]
         active = (lam > z[: self.count]) & ~saturated
@@ -238,7 +236,7 @@ def predictor_corrector(
     """Return the step from weights l > 0 and slacks z > 0 with mu = l'z / count.
 
     ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target. The
-    step length is 0 where the products l z have vanished: no step makes them smaller.
+    step length is 0 if the products l z have vanished: no step makes them smaller.
     """
     other, dw = newton(-weights * z)
     if mu < tol.TINY:
@@ -268,7 +266,7 @@ def _step_to_boundary(weights: Array, dw: Array, z: Array, dz: Array) -> float:
 
 
 def _thin_factor(A: Array, unconstrained: Array | None) -> _Thin | None:
-    """Return A by a thin factor of itself or of diag(unconstrained) - A; None if neither is known to have a low rank.
+    """Return A by a thin factor of A or of diag(unconstrained) - A; None if neither is known to have a low rank.
 
     The eigenvalues of A, relative to diag(unconstrained), are near 0 and 1: they add up to its rank.
     """
@@ -341,10 +339,10 @@ class _Thin:
 
 @dataclass(frozen=True, eq=False)
 class BorderedQp:
-    """The small QP with the bordering unknowns kept: free ends without cost, marginal modes.
+    """The small QP with the bordering unknowns as unknowns: free ends without cost, marginal modes.
 
-    Eliminating an unknown of curvature h leaves S with entries 1/h, and entries below 1e-16 of those are lost. Here
-    they are kept, with a proximal term: find the step p of (theta, y), weights l and slacks z with
+    Elimination of an unknown of curvature h adds entries 1/h to S, and entries below 1e-16 of these are lost. Here
+    the unknowns stay, with a proximal term: find the step p of (theta, y), weights l and slacks z with
 
         K p + C (l - l_0) = r,   z - y = s_0 - C'p + S_W (l - l_0),   l >= 0,  z >= 0,  l'z = 0,
 
@@ -363,9 +361,9 @@ class BorderedQp:
     upper: Array
 
     def solve(self, stop: Callable[[], str | None] = lambda: None) -> tuple[Array, Array, bool]:
-        """Return the step p, the weights l, and whether they are accurate; the best iterate when asked to stop.
+        """Return the step p, the weights l, and whether they are accurate; the best iterate if ``stop`` ends it.
 
-        First without upper bounds, which are often far above the weights: they cost digits.
+        The first attempt has no upper bounds: these are often far above the weights, and cost digits.
         """
         if np.isfinite(self.upper).any():
             step, weights, accurate = replace(self, upper=np.full(len(self.upper), np.inf)).solve(stop)
@@ -388,16 +386,16 @@ class BorderedQp:
             upper=self.upper / rows / size,
         )
         p, weights, z, accurate = _bordered_interior_point(scaled, stop)
-        active, held = Caps(scaled.upper).split(weights, z)
-        polished = None if stop() else _bordered_polish(scaled, active, held)
-        weights, z = weights[: len(held)], z[: len(held)]
+        active, at_bounds = Caps(scaled.upper).split(weights, z)
+        polished = None if stop() else _bordered_polish(scaled, active, at_bounds)
+        weights, z = weights[: len(at_bounds)], z[: len(at_bounds)]
         if polished is None:
             idle = tol.IDLE_WEIGHT * np.maximum(z, float(weights.max(initial=0.0)))
             weights = np.where(weights < idle, 0.0, weights)
         else:
             p, weights = polished
-        found = np.where(weights >= scaled.upper, self.upper, weights * rows * size)
-        return p * border * size, found, accurate
+        weights = np.where(weights >= scaled.upper, self.upper, weights * rows * size)
+        return p * border * size, weights, accurate
 
 
 def _bordered_interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Array, Array, Array, bool]:
@@ -437,22 +435,22 @@ def _bordered_interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> 
     return p, weights, z, error < tol.BORDERED_ACCURATE
 
 
-def _bordered_polish(qp: BorderedQp, active: Mask, held: Array) -> tuple[Array, Array] | None:
+def _bordered_polish(qp: BorderedQp, active: Mask, at_bounds: Array) -> tuple[Array, Array] | None:
     """Return the step and weights with the active rows as equations; None if signs or slacks are wrong.
 
-    The others keep their weights in ``held``, (count,): 0 or their upper bounds.
+    The weights of the others are ``at_bounds``, (count,): 0 or their upper bounds.
     """
     for _ in range(DROPPINGS):
         rows = np.flatnonzero(active)
         matrix = np.block([[qp.K, qp.C[:, rows]], [qp.C[:, rows].T, -qp.S[np.ix_(rows, rows)]]])
-        idle = np.where(active, 0.0, qp.weights - held)
+        idle = np.where(active, 0.0, qp.weights - at_bounds)
         right = np.concatenate([qp.r + qp.C @ idle, (qp.slack - qp.S @ idle)[rows]])
         factor, pivots, failed = dgetrf(matrix)
         if failed:
             return None
         step = dgetrs(factor, pivots, right)[0]
         step += dgetrs(factor, pivots, right - matrix @ step)[0]
-        p, exact = step[: len(qp.r)], np.where(active, 0.0, held)
+        p, exact = step[: len(qp.r)], np.where(active, 0.0, at_bounds)
         exact[rows] = qp.weights[rows] + step[len(qp.r) :]
         if not np.isfinite(step).all():
             return None
@@ -462,5 +460,5 @@ def _bordered_polish(qp: BorderedQp, active: Mask, held: Array) -> tuple[Array, 
             slack = qp.slack - qp.C.T @ p + qp.S @ (exact - qp.weights)
             wrong = np.where(exact >= qp.upper, slack > tol.POLISHED_SLACK, slack < -tol.POLISHED_SLACK)
             return None if wrong.any() else (p, np.clip(exact, 0.0, qp.upper))
-        active, held = active & ~(below | above), np.where(above, qp.upper, held * ~active)
+        active, at_bounds = active & ~(below | above), np.where(above, qp.upper, at_bounds * ~active)
     return None

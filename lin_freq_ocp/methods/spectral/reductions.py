@@ -1,8 +1,8 @@
-"""Reductions of constraints to those that the Fourier-domain method takes.
+"""Reductions of constraints to those of the Fourier-domain method.
 
-Soft stop bands are removed like hard ones, and their multipliers are compared with their prices (SoftBins). Polyhedral
-sets become joint rows (RowForm). Soft sets whose rows bound single components become bounds with prices (SoftBounds),
-which the model of the method holds beside the hard ones. docs/spectral.md, 12, derives soft bounds and soft bands.
+Soft stop bands become hard ones, if their multipliers do not exceed their prices (SoftBins). Polyhedral sets become
+joint rows (RowForm). Soft sets whose rows bound single components become bounds with prices (SoftBounds), which the
+model of the method contains in addition to hard bounds. docs/spectral.md, 12, derives soft bounds and soft bands.
 """
 
 from __future__ import annotations
@@ -57,19 +57,19 @@ class RowForm(Inverse):
 def row_form(problem: OptimalControlProblem) -> RowForm | None:
     """Return the problem with its polyhedral sets as joint rows.
 
-    None if it has none, or other sets too, or if all are soft sets that bounds can say.
+    None if it has no such sets, or other sets too, or if all are soft sets that bounds can express.
     """
     sets = [term for term in problem.terms if term.kind != TermKind.STAGE_ROWS]
     if not sets:
         return None
-    found = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
+    polyhedra = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
     recursion = problem.dynamics.response(problem.horizon) is None
-    others = len(found) < len(sets) or priced_bounds(problem) is not None
-    if others or not recursion or problem.linear.time_varying:
+    unsuited = len(polyhedra) < len(sets) or priced_bounds(problem) is not None
+    if unsuited or not recursion or problem.linear.time_varying:
         return None
     try:
         joint = list[StageRows]()
-        for rows, term in found:
+        for rows, term in polyhedra:
             joint += _stage_rows(problem, rows, None if term.hard else float(np.max(term.penalty.weights)))
         changed = replace(
             problem,
@@ -81,7 +81,7 @@ def row_form(problem: OptimalControlProblem) -> RowForm | None:
         )
     except ProblemError:  # a row on x_T that no control and no state before it can change
         return None
-    return RowForm(problem, changed, tuple(rows for rows, _ in found))
+    return RowForm(problem, changed, tuple(rows for rows, _ in polyhedra))
 
 
 def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None:
@@ -95,19 +95,19 @@ def _polyhedron(problem: OptimalControlProblem, term: Term) -> LinearRows | None
     return rows if len(set(rows.times)) == len(rows.times) else None
 
 
-def _stage_rows(problem: OptimalControlProblem, given: LinearRows, price: float | None) -> list[StageRows]:
+def _stage_rows(problem: OptimalControlProblem, polyhedron: LinearRows, price: float | None) -> list[StageRows]:
     """Return the joint rows of a polyhedral set, with the price of a unit of violation; None for a hard set."""
     T, n, dynamics = problem.horizon, problem.state_dim, problem.linear
-    before, rows = given.times < T, list[StageRows]()
-    C, D = given.C[0, :, :n], given.C[0, :, n:]
+    before, rows, name = polyhedron.times < T, list[StageRows](), polyhedron.name
+    C, D = polyhedron.C[0, :, :n], polyhedron.C[0, :, n:]
     if before.any():
-        e = np.full((T, given.e.shape[1]), np.inf)
-        e[given.times[before]] = given.e[before]
-        rows.append(StageRows(C, D, e, given.name, price))
+        e = np.full((T, polyhedron.e.shape[1]), np.inf)
+        e[polyhedron.times[before]] = polyhedron.e[before]
+        rows.append(StageRows(C, D, e, name, price))
     if not before.all():
-        e = np.full((T, given.e.shape[1]), np.inf)
-        e[-1] = given.e[~before][0] - C @ dynamics.at(T - 1)[2]
-        rows.append(StageRows(C @ dynamics.A, C @ dynamics.B, e, given.name + AT_THE_END, price))
+        e = np.full((T, polyhedron.e.shape[1]), np.inf)
+        e[-1] = polyhedron.e[~before][0] - C @ dynamics.at(T - 1)[2]
+        rows.append(StageRows(C @ dynamics.A, C @ dynamics.B, e, name + AT_THE_END, price))
     return rows
 
 
@@ -115,9 +115,9 @@ def _stage_rows(problem: OptimalControlProblem, given: LinearRows, price: float 
 class SoftSet:
     """The rows of a soft set as bounds sign y_f <= limit of the components f of (x, u), in the user's units.
 
-    A row c y_f + d <= e with a price is a bound (e - d)/|c| on y_f with the price times |c|, upper where c > 0. It
-    takes the place of the hard bound of that component, side and time, which must be absent. Where an end fixes the
-    component, the violation is a constant, and its subgradient is the price or zero.
+    A row c y_f + d <= e with a price is a bound (e - d)/|c| on y_f with the price times |c|, an upper one if c > 0. The
+    hard bound of that component, side and time must be absent. If an end fixes the component, the violation is a
+    constant, and its subgradient is the price or zero.
     """
 
     name: str
@@ -131,15 +131,15 @@ class SoftSet:
     violation: Array  # (groups, dim), of constant rows
 
     def multipliers(self, forces: Array, eta_C: float) -> Array:
-        """Return the multipliers of the rows from the forces on all components, (T+1, n+m), and subtract theirs there.
+        """Return the multipliers of the rows from the forces on all components, (T+1, n+m); subtract these forces.
 
-        Where no end fixes the component, a force is that of this set alone.
+        If no end fixes the component, all of its force is due to this set.
         """
-        own = np.maximum(self.sign * forces[self.times[:, None], self.f], 0.0)
+        on_bounds = np.maximum(self.sign * forces[self.times[:, None], self.f], 0.0)
         paid = np.where(self.violation > 0, eta_C * self.price, 0.0)
-        found = np.where(self.constant, paid, np.where(np.isfinite(self.limit), own, 0.0))
-        np.subtract.at(forces, (self.times[:, None], self.f[None]), self.sign * found)
-        return sealed(found / self.size)
+        weights = np.where(self.constant, paid, np.where(np.isfinite(self.limit), on_bounds, 0.0))
+        np.subtract.at(forces, (self.times[:, None], self.f[None]), self.sign * weights)
+        return sealed(weights / self.size)
 
 
 def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
@@ -159,15 +159,15 @@ def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
     violation = np.zeros(fixed.shape)
     if term.kind == TermKind.STATE_SET:
         for t, end in zip((0, problem.horizon), problem.ends, strict=True):
-            here = times == t
-            fixed[here] = end.fixed[f]
-            violation[here] = sign * np.where(end.fixed, end.lower, 0.0)[f] - limit[here]
+            groups = times == t
+            fixed[groups] = end.fixed[f]
+            violation[groups] = sign * np.where(end.fixed, end.lower, 0.0)[f] - limit[groups]
     return SoftSet(term.name, times, f, sign, size, limit, weights * size, fixed, violation)
 
 
 @dataclass(frozen=True, eq=False)
 class PricedBounds:
-    """All sets as soft ones; all bounds lower, upper and their prices, (T+1, n+m), in the user's units; none on u_T."""
+    """All soft sets; all bounds and their prices, (T+1, n+m), in the user's units; u_T has no bounds."""
 
     sets: tuple[SoftSet, ...]
     lower: Array
@@ -179,15 +179,16 @@ class PricedBounds:
 def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
     """Return all bounds, hard and soft.
 
-    None if some set is no soft set of bounds, if two would need one place, or a soft one is not within the other.
+    None if some set is not a soft set of bounds, if two bounds share a component, side and time, or if a soft bound is
+    outside the opposite one.
     """
     sets = list[SoftSet]()
     for term in problem.terms:
         if term.kind not in (TermKind.STAGE_ROWS, TermKind.LINKED_ENDS):
-            one = soft_set(problem, term)
-            if one is None:
+            bounds = soft_set(problem, term)
+            if bounds is None:
                 return None
-            sets.append(one)
+            sets.append(bounds)
     tubes, m = (problem.state_tube, problem.control_tube), problem.control_dim
     sides = [
         np.hstack([states, np.vstack([controls, np.full((1, m), absent)])])
@@ -197,16 +198,16 @@ def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
         )
     ]
     prices = [np.full(side.shape, np.inf) for side in sides]
-    for one in sets:
-        group, row = np.nonzero(np.isfinite(one.limit) & ~one.constant)
-        t, f, limit = one.times[group], one.f[row], one.limit[group, row]
+    for bounds in sets:
+        group, row = np.nonzero(np.isfinite(bounds.limit) & ~bounds.constant)
+        t, f, limit = bounds.times[group], bounds.f[row], bounds.limit[group, row]
         for above, sign in ((False, -1.0), (True, 1.0)):
-            mine = one.sign[row] == sign
-            at, side = (t[mine], f[mine]), sides[above]
-            places = at[0] * side.shape[1] + at[1]
-            if np.isfinite(side[at]).any() or len(np.unique(places)) < len(places):
+            on_side = bounds.sign[row] == sign
+            at, side = (t[on_side], f[on_side]), sides[above]
+            keys = at[0] * side.shape[1] + at[1]
+            if np.isfinite(side[at]).any() or len(np.unique(keys)) < len(keys):
                 return None
-            side[at], prices[above][at] = sign * limit[mine], one.price[group[mine], row[mine]]
+            side[at], prices[above][at] = sign * limit[on_side], bounds.price[group[on_side], row[on_side]]
     soft = np.isfinite(prices[0]) | np.isfinite(prices[1])
     return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(tuple(sets), *sides, *prices)
 
@@ -215,8 +216,8 @@ def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
 class SoftBounds(Inverse):
     """The problem with soft sets as bounds at their limits, whose multipliers must not exceed the prices.
 
-    The model of the Fourier-domain method counts the prices, too. A method that does not is right where they are high
-    enough; where they are not, the judge refuses its multipliers.
+    The model of the Fourier-domain method contains the prices, too. A method without prices is right if they are high
+    enough; else the judge refuses its multipliers.
     """
 
     sets: tuple[SoftSet, ...]
@@ -224,13 +225,13 @@ class SoftBounds(Inverse):
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers of soft bounds as those of their sets."""
         forces = np.hstack([reduced.mu, with_rows(reduced.nu, np.zeros((1, self.given.control_dim)))])
-        on_sets = {one.name: one.multipliers(forces, reduced.eta_C) for one in self.sets}
+        on_sets = {bounds.name: bounds.multipliers(forces, reduced.eta_C) for bounds in self.sets}
         n = self.given.state_dim
         return replace(reduced, mu=forces[:, :n], nu=forces[:-1, n:], stage={**reduced.stage, **on_sets})
 
 
 def soft_bounds(problem: OptimalControlProblem) -> SoftBounds | None:
-    """Return the problem with all bounds, hard and soft, as hard ones; None unless bounds can say all its sets."""
+    """Return the problem with all bounds, hard and soft, as hard ones; None unless bounds can express all its sets."""
     bounds, n = priced_bounds(problem), problem.state_dim
     if bounds is None or not bounds.sets:
         return None
@@ -248,17 +249,17 @@ def soft_bounds(problem: OptimalControlProblem) -> SoftBounds | None:
 class SoftBins(Inverse):
     """The problem with its soft bins removed from the spectra, and the terms of these bins.
 
-    The penalty is exact: where the price of a bin exceeds its multiplier, the bin is zero. A bound of zero with a price
-    w costs w |uhat_k|, whose subgradients at uhat_k = 0 are all lambda with |lambda| <= w. With these bins removed,
-    rho_k is such a subgradient if |rho_k| <= w: then nothing is gained by opening them.
+    The penalty is exact: if the price of a bin exceeds its multiplier, the bin is zero. A bound of zero with a price w
+    costs w |uhat_k|, whose subgradients at uhat_k = 0 are all lambda with |lambda| <= w. With these bins removed, rho_k
+    is such a subgradient if |rho_k| <= w: passing them would not lower the cost.
     """
 
     terms: tuple[Term, ...]
 
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
-        """Return multipliers of the given problem; UnsupportedError if one exceeds its price, which counts eta_C times.
+        """Return multipliers of the given problem; UnsupportedError if one exceeds eta_C times its price.
 
-        Bins that are removed by a band of the given problem, too, keep theirs there.
+        The multipliers of bins that a hard band of the given problem removes, too, stay with that band.
         """
         through_u = self.given.equations.pull_back(reduced.eta)[1]
         rho = {
@@ -268,16 +269,16 @@ class SoftBins(Inverse):
         stage = dict(reduced.stage)
         for term in self.terms:
             bins, component, (forces, stopped, others) = term.map.nearest_bins, term.map.component, rho[term.kind]
-            own = np.where(stopped[bins, component], 0.0, forces[bins, component])
+            on_bins = np.where(stopped[bins, component], 0.0, forces[bins, component])
             price = reduced.eta_C * np.broadcast_to(term.penalty.weights, (len(bins), 1))[:, 0]
             rounding = 0.0 if reduced.eta_C else np.abs(others[:, component]).max()
-            if (np.abs(own) > price + PRICE_ROUNDING * (price + rounding)).any():
+            if (np.abs(on_bins) > price + PRICE_ROUNDING * (price + rounding)).any():
                 raise UnsupportedError(
                     f"method 'spectral': {term.name}: a soft bin is not zero at its price; the Fourier-domain method "
                     "takes soft bins whose price keeps them zero. Use method 'structured'."
                 )
-            forces[bins, component] -= own
-            paid = np.asarray(own if reduced.eta_C else np.zeros_like(own), dtype=np.complex128)
+            forces[bins, component] -= on_bins
+            paid = np.asarray(on_bins if reduced.eta_C else np.zeros_like(on_bins), dtype=np.complex128)
             stage[term.name] = sealed(np.stack([paid.real, paid.imag], axis=1))
         rho_u, rho_x = (sealed(forces) for forces, *_ in rho.values())
         return replace(reduced, rho_u=rho_u, rho_x=rho_x, stage=stage)
@@ -288,12 +289,12 @@ def soft_bins(problem: OptimalControlProblem) -> SoftBins | None:
     terms = tuple(term for term in problem.terms if _is_soft_band(problem, term))
     changes: dict[str, object] = {}
     for kind, field in FIELDS.items():
-        mine = [term for term in terms if term.kind == kind]
-        if mine:
-            replaced = {term.source[1] for term in mine if term.source is not None}
-            kept = [one for i, one in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
-            bands = [stop_band(bins=term.map.nearest_bins, component=term.map.component) for term in mine]
-            changes[field] = [*kept, *bands]
+        soft = [term for term in terms if term.kind == kind]
+        if soft:
+            replaced = {term.source[1] for term in soft if term.source is not None}
+            hard = [entry for i, entry in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
+            bands = [stop_band(bins=term.map.nearest_bins, component=term.map.component) for term in soft]
+            changes[field] = [*hard, *bands]
     return SoftBins(problem, replace(problem, **changes), terms) if terms else None
 
 
@@ -309,4 +310,4 @@ def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
 
 
 REDUCTIONS = Reduction(soft_bins), Reduction(row_form), ABSORBED_COST
-"""Of a problem, before the Fourier-domain method takes it; soft sets become priced bounds in its model."""
+"""Applied to a problem before the Fourier-domain method; soft sets become priced bounds in its model."""

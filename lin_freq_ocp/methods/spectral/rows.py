@@ -1,9 +1,9 @@
-"""Pointwise rows: which a point violates, which hold with equality, and how they act on each other.
+"""Pointwise rows: their violations, the working set, and their responses to each other's multipliers.
 
-docs/spectral.md, 5 and 7. Row f at time t is F_f y_t. A round measures all rows by FFTs (Violations) and keeps the few
-that hold with equality for now (WorkingSet). Two classes save FFTs between rounds: on long horizons, kernels give the
-values of rows near the working rows (Neighbourhood); on short ones, the responses of all bounded values are tabulated
-(WholeHorizon).
+docs/spectral.md, 5 and 7. Row f at time t is F_f y_t. A round measures all rows by FFTs (Violations); the few rows that
+are presumed active form the working set (WorkingSet). Two classes save FFTs between rounds: on long horizons, kernels
+give the values of rows near the working rows (Neighbourhood); on short ones, the coupling of all bounded values is
+computed once (WholeHorizon).
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from lin_freq_ocp.methods.spectral.model import Lti
 STATE_PEAKS = 40  # violated local maxima of states that enter in one round: samples of a long arc are nearly dependent
 NEARLY_ACTIVE = 0.05  # relative distance inside a control's bound up to which samples enter: arcs grow faster
 SMALL_VIOLATION = 0.3  # largest relative violation with which nearly active samples are significant
-LARGEST_SCALE = 1e3  # largest size, in units of what they bound, that violations are relative to
+LARGEST_SCALE = 1e3  # largest bound that violations are relative to; larger bounds count as this one
 ABSENT = -1.0  # violation of a row that cannot be violated
 LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
 COPIES = 6  # dense matrices of the size of the working set that a small QP has at the same time
-NEIGHBOURHOOD_HORIZON = 10_000  # from which kernels cost less than FFTs
+NEIGHBOURHOOD_HORIZON = 10_000  # horizon from which kernels cost less than FFTs
 NEIGHBOURHOOD_WINDOW = 24  # samples on each side of a working row
 MOST_NEIGHBOURS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
 MOST_VALUES = 10_000  # bounded values up to which the effect of bordering unknowns on all of them is computed at once
@@ -52,20 +52,20 @@ class Rows(NamedTuple):
 
 
 def bounded_rows(rows: Rows, lti: Lti) -> Rows:
-    """Return the rows that have a bound and are no equation."""
+    """Return the rows that have a bound and are not fixed by an equation."""
     t, f, sign, _ = rows
     i = f % lti.state_dim
     fixed = (t == 0) & (f < lti.state_dim) & ~np.isnan(lti.start[i]) | (t == lti.horizon) & ~np.isnan(lti.end[i])
-    kept = np.isfinite(lti.bounds.at(t, f, sign)) & (lti.bounds.at(t, f, -1.0) < lti.bounds.at(t, f, 1.0)) & ~fixed
-    return rows.take(kept)
+    bounded = np.isfinite(lti.bounds.at(t, f, sign)) & (lti.bounds.at(t, f, -1.0) < lti.bounds.at(t, f, 1.0))
+    return rows.take(bounded & ~fixed)
 
 
 class Violations:
     """Violation of the bounds, relative to them, of every bounded row of F at every time; negative inside.
 
-    ``rows`` are the rows of F with a bound at some time, ``violation`` (bounded, T) is theirs at t < T, ``last`` (n,)
-    that of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations fix. Neither these nor
-    saturated rows, whose prices are paid, count as violated.
+    ``rows`` are the rows of F with a bound at some time. ``violation`` (bounded, T) is their violation at t < T,
+    ``last`` (n,) the violation of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations
+    fix. These rows, and saturated rows, whose price is paid, do not count as violated.
     """
 
     def __init__(self, lti: Lti):
@@ -79,7 +79,6 @@ class Violations:
         ends = np.where(self.free_end, [bounds.last_lower, bounds.last_upper], 0.0)
         largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
         self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
-        self._row_scale = self.scale[self.rows, None]
         t, f = lti.fixed_points
         f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
         t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
@@ -93,7 +92,7 @@ class Violations:
         self.set_saturated(none, none)
 
     def set_saturated(self, t: Indices, f: Indices) -> None:
-        """Take the rows f of F at times t, at T of components of x_T, as saturated, and no others."""
+        """Set the saturated rows: f of F at times t; at t = T, f is a component of x_T."""
         inner = t < self.lti.horizon
         self._saturated = self._index[f[inner]], t[inner]
         self._saturated_last = f[~inner]
@@ -103,19 +102,21 @@ class Violations:
         return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
 
     def measure_values(self, values: Array, last: Array) -> float:
-        """Measure what ``values`` returned, and last = x_T; return the worst violation."""
+        """Measure values (bounded, T) of the bounded rows, and last = x_T; return the worst violation."""
         bounds, n = self.lti.bounds, self.lti.state_dim
         below = self.lower - values
         self.violation = np.subtract(values, self.upper, out=self.violation if self.violation.size else None)
         self.above = self.violation >= below
         np.maximum(self.violation, below, out=self.violation)
-        self.violation /= self._row_scale
+        self.violation /= self.scale[self.rows, None]
         self.violation[self.fixed] = ABSENT
         self.violation[self._saturated] = ABSENT
-        over = np.maximum(last - bounds.last_upper, bounds.last_lower - last) / self.scale[:n]
-        over[self._saturated_last] = ABSENT
-        self.last, self.last_above = np.where(self.free_end, over, ABSENT), last > bounds.last_upper
-        self.worst = max(float(self.violation.max(initial=ABSENT)), float(self.last.max()))
+        self.worst = float(self.violation.max(initial=ABSENT))
+        if self.free_end.any():
+            at_end = np.maximum(last - bounds.last_upper, bounds.last_lower - last) / self.scale[:n]
+            at_end[self._saturated_last] = ABSENT
+            self.last, self.last_above = np.where(self.free_end, at_end, ABSENT), last > bounds.last_upper
+            self.worst = max(self.worst, float(self.last.max()))
         return self.worst
 
     def entering(self, tolerance: float) -> tuple[Indices, Indices, Array]:
@@ -127,30 +128,24 @@ class Violations:
 
     def entering_values(self, tolerance: float) -> tuple[Indices, Array]:
         """Return the same rows as flat indices over (bounded, T) and the components of x_T, and signs."""
-        i, t = self._entering_samples(tolerance)
+        threshold = np.where(self.state_rows, tolerance / 2, entering_violation(self.worst, tolerance))
+        i, t = np.nonzero(self.violation > threshold[:, None])
+        of_states = self.state_rows[i]
+        if len(self._saturated[0]):  # of a state with saturated samples, all samples enter
+            of_states &= ~np.isin(i, self._saturated[0])
+        if of_states.any():
+            violation, last = self.violation[i, t], self.lti.horizon - 1
+            before, after = self.violation[i, np.maximum(t - 1, 0)], self.violation[i, np.minimum(t + 1, last)]
+            peaks = of_states & (violation >= np.maximum(before, after))
+            if np.count_nonzero(peaks) > STATE_PEAKS:
+                peaks &= violation >= np.partition(violation[peaks], -STATE_PEAKS)[-STATE_PEAKS]
+            i, t = i[peaks | ~of_states], t[peaks | ~of_states]
         index, above = i * self.lti.horizon + t, self.above[i, t]
         if self.free_end.any():
             ends = np.flatnonzero(self.last > tolerance / 2)
             index = np.concatenate([index, self.violation.size + ends])
             above = np.concatenate([above, self.last_above[ends]])
         return index, np.where(above, 1.0, -1.0)
-
-    def _entering_samples(self, tolerance: float) -> tuple[Indices, Indices]:
-        """Return (i, t) of the entries of ``violation`` that enter; states with saturated samples: not only peaks."""
-        threshold = np.where(self.state_rows, tolerance / 2, entering_violation(self.worst, tolerance))
-        i, t = np.nonzero(self.violation > threshold[:, None])
-        states = self.state_rows[i]
-        if len(self._saturated[0]):
-            states &= ~np.isin(i, self._saturated[0])
-        if not states.any():
-            return i, t
-        here, last = self.violation[i, t], self.lti.horizon - 1
-        neighbour = np.maximum(self.violation[i, np.maximum(t - 1, 0)], self.violation[i, np.minimum(t + 1, last)])
-        peaks = states & (here >= neighbour)
-        if np.count_nonzero(peaks) > STATE_PEAKS:
-            peaks &= here >= np.partition(here[peaks], -STATE_PEAKS)[-STATE_PEAKS]
-        kept = peaks | ~states
-        return i[kept], t[kept]
 
 
 def entering_violation(worst: float, tolerance: float) -> float:
@@ -159,7 +154,7 @@ def entering_violation(worst: float, tolerance: float) -> float:
 
 
 def _select_bounds(bounds: Array, rows: Indices) -> Array:
-    """Return some rows of bounds (rows, T), without memory where they do not depend on time."""
+    """Return some rows of bounds (rows, T); bounds that do not depend on time take no memory."""
     if bounds.strides[1] == 0:
         return np.broadcast_to(bounds[rows, :1], (len(rows), bounds.shape[1]))
     return bounds[rows]
@@ -177,7 +172,8 @@ class WorkingSet:
 
     Multipliers of soft rows are at most their ``prices``; a saturated row, whose multiplier is its price, is violated.
 
-    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count).
+    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count). ``present`` (2, rows of F, T+1) is the mask of
+    the rows, lower bounds first.
     """
 
     def __init__(self, kkt: BorderedSystem):
@@ -187,8 +183,8 @@ class WorkingSet:
         self.sign: Array = np.zeros(0)
         self.weights: Array = np.zeros(0)
         self.coupling: Array = np.zeros((len(kkt.matrix), 0))
-        self._known_gram: Array | None = None
-        self._present = np.zeros((2, len(kkt.lti.F), kkt.lti.horizon + 1), dtype=bool)
+        self._cached_gram: Array | None = None
+        self.present = np.zeros((2, len(kkt.lti.F), kkt.lti.horizon + 1), dtype=bool)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -204,13 +200,13 @@ class WorkingSet:
 
     def weighted(self, weights: Array) -> WorkingSet:
         """Return the same rows with other multipliers."""
-        other = copy(self)
-        other.weights = weights
-        return other
+        working = copy(self)
+        working.weights = weights
+        return working
 
     def add(self, t: Indices, f: Indices, sign: Array) -> int:
         """Add the rows that are new, with weight 0; return how many."""
-        new = ~self._present[(sign > 0).astype(np.intp), f, t]
+        new = ~self.present[(sign > 0).astype(np.intp), f, t]
         t, f, sign = t[new], f[new], sign[new]
         if not len(t):
             return 0
@@ -225,34 +221,34 @@ class WorkingSet:
         self.replace(rows, np.hstack([self.coupling, columns * sign]))
         return len(t)
 
-    def keep(self, kept: Mask) -> None:
-        """Drop all rows but these."""
-        if not kept.all():
-            gram = None if self._known_gram is None else self._known_gram[np.ix_(kept, kept)]
-            self.replace(self.rows().take(kept), self.coupling[:, kept])
-            self._known_gram = gram
+    def keep(self, chosen: Mask) -> None:
+        """Drop all rows that are not chosen."""
+        if not chosen.all():
+            gram = None if self._cached_gram is None else self._cached_gram[np.ix_(chosen, chosen)]
+            self.replace(self.rows().take(chosen), self.coupling[:, chosen])
+            self._cached_gram = gram
 
     def replace(self, rows: Rows, coupling: Array) -> None:
-        """Take other rows, with their coupling."""
-        self._present[(self.sign > 0).astype(np.intp), self.f, self.t] = False
+        """Replace all rows and their coupling."""
+        self.present[(self.sign > 0).astype(np.intp), self.f, self.t] = False
         self.t, self.f, self.sign = rows.t, rows.f, rows.sign
         self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
-        self._present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
-        self.coupling, self._known_gram = coupling, None
+        self.present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
+        self.coupling, self._cached_gram = coupling, None
 
     @property
     def gram(self) -> Array:
         """S_W without the part of the bordering unknowns, (count, count)."""
-        if self._known_gram is None:
+        if self._cached_gram is None:
             require_memory(
                 f"method 'spectral' with {len(self)} working rows (samples at a bound)",
                 8.0 * COPIES * len(self) ** 2,
                 "Choose a coarser grid or a shorter horizon.",
             )
-            self._known_gram = self._kkt.kernels.gram_of_rows(self.t, self.f)
-            self._known_gram *= self.sign[:, None]
-            self._known_gram *= self.sign
-        return self._known_gram
+            self._cached_gram = self._kkt.kernels.gram_of_rows(self.t, self.f)
+            self._cached_gram *= self.sign[:, None]
+            self._cached_gram *= self.sign
+        return self._cached_gram
 
     def eliminated(self, inverse: Array) -> tuple[Array, Array]:
         """Return K_b^{-1} C and S for an inverse of K_b; S is exactly symmetric: else the QP stalls at rounding."""
@@ -271,7 +267,7 @@ class WorkingSet:
         return None if lti.prices is None else lti.prices.at(self.t, self.f, self.sign)
 
     def saturated(self, lti: Lti) -> Mask:
-        """Return which rows have their price as multiplier, (count,)."""
+        """Return the rows whose multiplier is their price, (count,)."""
         prices = self.prices(lti)
         return np.zeros(len(self), dtype=bool) if prices is None else self.weights >= prices
 
@@ -283,12 +279,12 @@ class WorkingSet:
         return self.limits(lti) - self.sign * values
 
     def free_response(self) -> Array:
-        """Return how far a unit force moves each row without equations, (count,)."""
+        """Return the response of each row to a unit force on it, without equations, (count,)."""
         return self._kkt.kernels.free_response(self.t, self.f)
 
 
 def neighbourhood_of(kkt: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
-    """Return the samples around the working rows; None if there are none, many or soft, or the horizon is short."""
+    """Return the samples around the working rows; None if these are absent, many or soft, or the horizon is short."""
     T, inner = violations.lti.horizon, working.inner
     if T < NEIGHBOURHOOD_HORIZON or violations.lti.prices is not None:
         return None
@@ -314,7 +310,7 @@ class Neighbourhood:
     def entering(
         self, y: Array, working: WorkingSet, step: Array, weights: Array, tolerance: float
     ) -> tuple[Indices, Indices, Array]:
-        """Return (t, f, sign) of the rows to add: those that a bordering step with new weights violates."""
+        """Return (t, f, sign) of the rows to add: a bordering step with new weights violates these."""
         kkt, inner = self._kkt, working.inner
         values = kkt.lti.row_values(y, self.t, self.f) + self._coupling @ step
         change = working.sign * (weights - working.weights)
@@ -345,7 +341,7 @@ class ActiveSetDuals(NamedTuple):
 
 
 class WholeHorizon:
-    """The bounded ``rows`` of F at all t < T in turn, then the components of x_T (t = T): one flat index.
+    """All bounded values under one flat index: the bounded ``rows`` of F at all t < T, then the components of x_T.
 
     ``coupling`` (size + equations, values) is as in WorkingSet, ``through`` is K_b^{-1} times that.
     """
@@ -370,14 +366,14 @@ class WholeHorizon:
         return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
 
     def duals(self, rows: Rows) -> ActiveSetDuals:
-        """Return the same rows by flat indices."""
+        """Return the rows by flat indices."""
         indices, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
         weights = np.zeros(len(indices)) if rows.weights is None else rows.weights[once]
         return ActiveSetDuals(indices, rows.sign[once], weights)
 
     @cached_property
     def table(self) -> Array:
-        """S of all values, (values, values): for many solves, if they are few enough."""
+        """S of all values, (values, values), cached for many solves."""
         T, S = self.kernels.lti.horizon, self.coupling.T @ self.through
         lags = np.arange(T)[:, None] - np.arange(T)
         for i, f in enumerate(self.rows):  # by blocks: twice as fast as to look up all values at once
@@ -397,7 +393,7 @@ class WholeHorizon:
         return Rows(self.t[duals.indices], self.f[duals.indices], duals.sign, duals.weights)
 
     def response(self, index: Indices, mu: Array) -> Array:
-        """Return S mu of all values, for multipliers of some."""
+        """Return S mu of all values, for multipliers mu of the values ``index``."""
         if self.tabulated:
             acting = mu.nonzero()[0]
             return mu[acting] @ self.table[index[acting]]

@@ -1,4 +1,4 @@
-"""SpectralSolver: set up once, solve for many ends, references and bounds (docs/spectral.md)."""
+"""SpectralSolver: set up once, then solved for many ends, references and bounds (docs/spectral.md)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, known_entries, positive_number
+from lin_freq_ocp.base.arrays import brief, known_entries, positive_number
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.interrupts import interrupts_noted
@@ -18,24 +18,9 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, contradiction_at_ends, require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.exchange import (
-    Exchange,
-    ExchangeOutcome,
-    Stop,
-    batch_working_sets,
-    deadline,
-    first_working_set,
-)
+from lin_freq_ocp.methods.spectral.exchange import Exchange, ExchangeOutcome, Stop, deadline, first_working_set
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
-from lin_freq_ocp.methods.spectral.recovery import (
-    Recovered,
-    Together,
-    in_units,
-    recover,
-    recover_batch,
-    residuals,
-    trajectory,
-)
+from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units, recover, residuals, trajectory
 from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_of, ends_model
@@ -47,7 +32,7 @@ from lin_freq_ocp.program.program import Residuals
 
 @dataclass(frozen=True, eq=False)
 class SpectralSolution(Candidate):
-    """A claimed solution, with what the next solve can start from.
+    """A claimed solution, with its active rows for a warm start.
 
     Attributes
     ----------
@@ -72,30 +57,30 @@ class SpectralSolution(Candidate):
 
 
 class MeasuredOutcome(NamedTuple):
-    """How an exchange ended, with the multipliers and residuals of its point, or of its ray without residuals."""
+    """The outcome of an exchange with multipliers and residuals; those of a ray have no residuals."""
 
     outcome: ExchangeOutcome
-    found: Recovered
-    measured: Residuals | None
+    multipliers: LtiMultipliers
+    residuals: Residuals | None
 
     @property
     def accurate(self) -> bool:
         """Whether the point is a solution by its residuals."""
-        return self.measured is not None and self.measured.worst <= SOLVED_TOLERANCE
+        return self.residuals is not None and self.residuals.worst <= SOLVED_TOLERANCE
 
 
 class SpectralSolver:
     """The Fourier-domain method for one problem, set up once.
 
-    Everything that does not depend on ends, references, linear costs, offsets and bounds is computed here, and kept.
-    All linear algebra runs on one BLAS thread: its matrices are small, and threads made T = 1000 take 12 s, not 0.3 s.
-    Threads may share one solver, whose solves then follow one another: what is kept is changed by each of them.
+    The set-up computes and caches all that is independent of ends, references, linear costs, offsets and bounds.
+    All linear algebra runs on one BLAS thread: its matrices are small, and with more threads T = 1000 took 12 s instead
+    of 0.3 s. Threads may share one solver; their solves run one after the other, as each changes the cache.
 
     Parameters
     ----------
     problem : OptimalControlProblem
-        Linear time-invariant, with a constant convex quadratic stage cost. Polyhedral sets become joint rows: then
-        ``problem`` of the solver and of its solutions is the problem in rows.
+        Linear time-invariant, with a constant convex quadratic stage cost. Polyhedral sets become joint rows;
+        ``problem`` of the solver and of its solutions is then the problem with these rows.
 
     Raises
     ------
@@ -104,8 +89,8 @@ class SpectralSolver:
 
     References
     ----------
-    docs/spectral.md derives the method. Nocedal and Wright, "Numerical Optimization", 2006: active sets, and Mehrotra's
-    interior-point method, of which parts are used.
+    docs/spectral.md derives the method. Nocedal and Wright, "Numerical Optimization", 2006: active sets, and parts of
+    Mehrotra's interior-point method.
 
     Examples
     --------
@@ -122,16 +107,16 @@ class SpectralSolver:
         if reason is not None:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")
         self.problem = problem
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._set_up(natural_units(problem))
 
     def __getstate__(self) -> dict[str, object]:
-        """Return what another process needs; not the lock."""
-        return {name: value for name, value in self.__dict__.items() if name != "_turn"}
+        """Return the state without the lock, for another process."""
+        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         """Restore the state, with a new lock."""
-        self.__dict__.update(state, _turn=threading.Lock())
+        self.__dict__.update(state, _lock=threading.Lock())
 
     def _set_up(self, units: LtiUnits) -> None:
         """Compute everything that does not depend on data, in the given units."""
@@ -147,7 +132,6 @@ class SpectralSolver:
         self._coarser: dict[int, Structure] = {}
         self._solves = 0
         self._ends_model: EndsModel | None = None
-        self._last_rows: Rows | None = None
         self.setup_seconds = now() - started
 
     @classmethod
@@ -168,12 +152,12 @@ class SpectralSolver:
         tolerance: float | None = None,
         time_limit: float | None = None,
     ) -> SpectralSolution:
-        """Solve, with other ends, references or bounds than the problem's own where given.
+        """Solve, with other ends, references or bounds if given.
 
         Parameters
         ----------
         initial_state, terminal_state : (n,) or set, optional
-            Fixed and free components must stay what they are in the problem.
+            Components that are fixed in the problem must be fixed, free ones free.
         references : mapping, optional
             "x_ref" and "u_ref", as in QuadraticCost.
         bounds : mapping, optional
@@ -195,23 +179,23 @@ class SpectralSolver:
         for field, value in (("tolerance", tolerance), ("time_limit", time_limit)):
             if value is not None:
                 positive_number(field, value)
-        with self._turn:
+        with self._lock:
             started = now()
             problem, lti = self.changed_problem(initial_state, terminal_state, references, bounds)
             ray = contradiction_at_ends(problem)
             if ray is not None:
-                message, both = ("an end lies outside the state set", {"setup": 0.0, "solve": now() - started})
-                return SpectralSolution(Status.INFEASIBLE, ray=ray, message=message, seconds=both, problem=problem)
+                message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
+                return SpectralSolution(Status.INFEASIBLE, ray=ray, message=message, seconds=seconds, problem=problem)
             first, allowed = None, tolerance or tol.VIOLATION_TOLERANCE
             if warm_start is not None:
-                self._require_own(warm_start)
+                self._require_same_shape(warm_start)
                 first = warm_start.active
             with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
                 stop = deadline(time_limit, interrupt.is_set)
                 answer = self._exchange(lti, first, allowed, stop)
                 y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
                 units = revised_units(self._units, y) if optimal else None
-                if units is not None:  # the first turned out to be wrong
+                if units is not None:  # the first units were wrong
                     better = SpectralSolver._in_units(self.problem, units)
                     second = better._exchange(lti_problem(problem, units), None, allowed, stop)
                     if second.outcome.status == "optimal":
@@ -226,27 +210,27 @@ class SpectralSolver:
         references: Mapping[str, ArrayLike] | None,
         bounds: Mapping[str, object] | None,
     ) -> tuple[OptimalControlProblem, Lti]:
-        """Return the problem with new data, whose structure must be the same, and its form in ``units``."""
+        """Return the problem with new data and its form in ``units``; ProblemError if its structure is another one."""
         changes = known_entries("bounds", bounds, ("state_set", "control_set"))
         problem = replace(self.problem, **changes) if changes else self.problem
         if references is not None:
             problem = problem.with_references(references)
-        moved = initial_state is not None or terminal_state is not None
-        if moved:
+        if initial_state is not None or terminal_state is not None:
             problem = problem.with_ends(initial_state, terminal_state)
         if problem is self.problem:
             return self.problem, self._lti
         ends = ((initial_state, problem.initial_state), (terminal_state, problem.terminal_state))
-        new_sets = [one for given in (bounds or {}).values() for one in entries_of(given)]
-        for one in (*new_sets, *(end for given, end in ends if given is not None)):
-            if one is not None and not all(member.soft for member in one.members):
-                raise UnsupportedError(f"method 'spectral': {type(one).__name__}: only boxes. Use method 'convex'.")
-        other = changes or references or (terminal_state is not None and self._lti.prices is not None)
-        lti = None if other else self._lti.between(problem.ends, self._units.x)
+        new_sets = [entry for sets in (bounds or {}).values() for entry in entries_of(sets)]
+        for entry in (*new_sets, *(end for given, end in ends if given is not None)):
+            if entry is not None and not all(member.soft for member in entry.members):
+                raise UnsupportedError(f"method 'spectral': {type(entry).__name__}: only boxes. Use method 'convex'.")
+        ends_only = not (changes or references or (terminal_state is not None and self._lti.prices is not None))
+        lti = self._lti.with_ends(problem.ends, self._units.x) if ends_only else None
         lti = lti or lti_problem(problem, self._units)
         if lti.periodic != self._lti.periodic:
-            given = brief(terminal_state)
-            raise ProblemError("terminal_state", given, "None: the ends are periodic", "Make a new SpectralSolver.")
+            raise ProblemError(
+                "terminal_state", brief(terminal_state), "None: the ends are periodic", "Make a new SpectralSolver."
+            )
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),
             ("terminal_state", self._lti.end, lti.end),
@@ -262,12 +246,12 @@ class SpectralSolver:
             )
         return problem, lti
 
-    def _require_own(self, warm_start: SpectralSolution) -> None:
+    def _require_same_shape(self, warm_start: SpectralSolution) -> None:
         if not isinstance(warm_start, SpectralSolution):
-            raise ProblemError("warm_start", type(warm_start).__name__, "a SpectralSolution", "What solve() returned.")
+            raise ProblemError("warm_start", type(warm_start).__name__, "a SpectralSolution, which solve() returns")
         got, shape = (
-            given and (given.horizon, given.state_dim, given.control_dim, sum(rows.rows for rows in given.stage_rows))
-            for given in (warm_start.problem, self.problem)
+            p and (p.horizon, p.state_dim, p.control_dim, sum(rows.rows for rows in p.stage_rows))
+            for p in (warm_start.problem, self.problem)
         )
         if got != shape:
             raise ProblemError(
@@ -275,48 +259,47 @@ class SpectralSolver:
             )
 
     def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> MeasuredOutcome:
-        """Exchange from the first working rows, or a kept ray; with a stricter slope where residuals are too large."""
+        """Exchange from the first working rows, or test cached rays; with a stricter slope if residuals are too large.
+
+        From the second solve on, a problem that differs in its ends only has a model of data between other ends.
+        """
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
-        model = self._model_between(lti)
-        if model is None:
+        self._solves += 1
+        known, model = self._lti, None
+        if self._solves > 1 and lti.bounds.lower is known.bounds.lower and lti.linear is known.linear:
+            if self._solves == 2:
+                self._ends_model = ends_model(self._structure, known)
+            model = self._ends_model
+        if model is None or not model.has_end_bounds_of(lti):
             exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
             answer = self._measured_answer(exchange, exchange.run())
         else:
-            data, point = model.at(lti)
+            data, point = model.data_between(lti)
             exchange = Exchange(self._structure, data, first, tolerance, stop, model.violations, point)
-            ray = model.known_ray(data, point)
+            ray = model.cached_ray(data, point)
             answer = self._measured_answer(exchange, exchange.run() if ray is None else exchange.infeasible_by(ray))
             if ray is None and answer.outcome.ray is not None:
-                model.keep_ray(answer.outcome.ray)
+                model.cache_ray(answer.outcome.ray)
         if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
             exchange.slope_tolerance = tol.STRICT_SLOPE
             second = self._measured_answer(exchange, exchange.run())
             answer = second if second.accurate else answer
         return answer
 
-    def _model_between(self, lti: Lti) -> EndsModel | None:
-        """Return the model of other ends, from the second solve on, if the problem differs in nothing else."""
-        self._solves += 1
-        if self._solves == 1 or lti.bounds.lower is not self._lti.bounds.lower or lti.linear is not self._lti.linear:
-            return None
-        if self._solves == 2:
-            self._ends_model = ends_model(self._structure, self._lti)
-        model = self._ends_model
-        return model if model is not None and model.bounds_ends_of(lti) else None
-
     def _measured_answer(self, exchange: Exchange, outcome: ExchangeOutcome) -> MeasuredOutcome:
-        """Recover the multipliers, and measure the point with them."""
-        found = recover(self._structure, exchange.data, outcome, exchange.spectrum)
-        del exchange.spectrum  # large; further rounds make another
-        return MeasuredOutcome(outcome, found, None if outcome.ray else residuals(exchange.data.lti, outcome, found))
+        """Recover the multipliers, and measure the residuals of the point."""
+        multipliers = recover(self._structure, exchange.data, outcome, exchange.spectrum)
+        del exchange.spectrum  # large; further rounds compute it again
+        at_point = None if outcome.ray else residuals(exchange.data.lti, outcome, multipliers)
+        return MeasuredOutcome(outcome, multipliers, at_point)
 
     def _solution(self, problem: OptimalControlProblem, answer: MeasuredOutcome, started: float) -> SpectralSolution:
-        """Return the solution in the user's units; not optimal with large residuals or numbers that are not finite."""
-        outcome, measured = answer.outcome, answer.measured
+        """Return the solution in the user's units; large residuals or infinite numbers are a numerical error."""
+        outcome, scaled, measured = answer
         status, message = Status(outcome.status), outcome.message
-        finite = all(np.isfinite(part).all() for part in (answer.found.eta, answer.found.band, answer.found.rho_x))
-        multipliers = in_units(problem, self._lti, self._units, answer.found) if finite else None
+        finite = all(np.isfinite(part).all() for part in (scaled.eta, scaled.band, scaled.rho_x))
+        multipliers = in_units(problem, self._lti, self._units, scaled) if finite else None
         if multipliers is None:
             status, message = Status.NUMERICAL_ERROR, f"{message}, with numbers that are not finite"
         infeasible = status == Status.INFEASIBLE
@@ -344,39 +327,3 @@ class SpectralSolver:
     def lti(self) -> Lti:
         """Return the problem in these units."""
         return self._lti
-
-    def solve_together(self, initial_states: Array) -> Together | None:
-        """Solve from many initial states, each from the working rows of the one before, and all signals at once.
-
-        Parameters
-        ----------
-        initial_states : (N, n)
-
-        Returns
-        -------
-        Together or None
-            Claims without residuals, for a judge. None where joint rows, state bands, or more than 2500 bounded values
-            prevent it.
-        """
-        lti = self._lti
-        if len(lti.F) > len(lti.M) or lti.prices is not None or len(self._structure.kkt.bands):
-            return None
-        if np.isnan(lti.start).any():
-            return None
-        if self._last_rows is None:
-            self._last_rows = self.solve(initial_state=initial_states[0]).active  # which may revise the units
-        with self._turn, one_blas_thread(), np.errstate(all="ignore"), interrupts_noted() as interrupt:
-            self._ends_model = self._ends_model or ends_model(self._structure, self._lti)
-            if self._ends_model is None:
-                return None
-            stop, rows, tolerance = deadline(None, interrupt.is_set), self._last_rows, tol.VIOLATION_TOLERANCE
-            model, starts = self._ends_model, initial_states / self._units.x
-
-            def solve_alone(i: int) -> None:  # if infeasible, the model keeps its ray, which may prove others so
-                self._exchange(self._lti.at_points(starts[i], self._lti.end), rows, tolerance, stop)
-
-            p = model.parameters(starts)
-            batch = self._structure, model, p @ model.values, rows, tolerance, stop, solve_alone
-            weights, found, self._last_rows = batch_working_sets(*batch)
-            batched = recover_batch(self._structure, self._units, model, p, weights, found, self._last_rows)
-            return replace(batched, interrupted=interrupt.is_set())

@@ -1,12 +1,13 @@
-"""All y_k = (x_k, u_k) that the dynamics and the stop bands allow at each bin (docs/spectral.md, 2, 3 and 5).
+"""All y_k = (x_k, u_k) that satisfy the dynamics and the stop bands at each bin (docs/spectral.md, 2, 3 and 5).
 
-    F_k y_k = z w + d_k,  F_k = [zI - A, -B_allowed]   <=>   y_k = N_k v_k + (particular response to z w + d_k) + border
+    F_k y_k = z w + d_k,  F_k = [zI - A, -B_passed]
+    <=>   y_k = N_k v_k + (particular response to z w + d_k) + (bordering directions)
 
 N_k spans the regular part of the null space of F_k, with N_k^* M N_k = I. The particular response P_k is M-orthogonal
-to it. Far from eigenvalues of A, N = [(zI - A)^{-1} B; I]; near them both come from a singular value decomposition
-of F_k, and directions of small cost or of small singular values become bordering directions, one complex unknown each.
-The inverse transform of F_f N N^* F_g' is a circulant kernel: how a unit force on row g moves row f, by their distance
-in time.
+to it. Far from eigenvalues of A, N = [(zI - A)^{-1} B; I]. Near them, N and P follow from a singular value
+decomposition of F_k; directions of small cost or of small singular values become bordering directions, one complex
+unknown each. The inverse transform of F_f N N^* F_g' is a circulant kernel: the response of row f to a unit force on
+row g, by their distance in time.
 """
 
 from __future__ import annotations
@@ -25,8 +26,14 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
 
-MOST_BORDER = 128  # directions of small cost beyond which only the smallest become bordering unknowns: they are dense
+MOST_BORDERING = 128  # directions of small cost; of more, only the smallest become bordering unknowns, which are dense
 SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
+
+
+FLAT_COST = (
+    "method 'spectral': some direction that the bands allow costs nothing (R singular); "
+    "give every control a cost, or use method 'convex'."
+)
 
 
 class Resolvent:
@@ -58,22 +65,23 @@ class Resolvent:
         return times_columns(self.unitary, Y)
 
     def size(self, z: ComplexArray) -> Array:
-        """Return the sum of the absolute values of the entries of (z_k I - A)^{-1}, shape (bins,)."""
+        """Return the sums of the absolute values of the entries of (z_k I - A)^{-1}, (bins,)."""
         n = len(self.triangle)
         identity = np.broadcast_to(np.eye(n, dtype=np.complex128)[:, :, None], (n, n, len(z)))
         return np.abs(self.apply(z, identity)).sum((0, 1))
 
 
 def times_columns(matrix: Array | ComplexArray, X: ComplexArray) -> ComplexArray:
-    """Return the matrix times all vectors along the first axis of X, whose other axes stay."""
+    """Return the matrix times all vectors along the first axis of X."""
     return (matrix @ X.reshape(len(X), -1)).reshape(len(matrix), *X.shape[1:])
 
 
 class NearBins:
     """F_k = L diag(sigma) V^* at the near bins k (count,): left (count, n, n), sigma (count, n), right (count, n+m, n).
 
-    ``good`` (count, n) are the singular values that are divided by. ``null`` (count, n+m, m) are the null vectors of
-    F_k that diagonalise M, and ``cost`` (count, m) their costs: zero, and inf, for stopped controls.
+    ``good`` (count, n) marks the singular values that the particular response divides by. ``null`` (count, n+m, m) are
+    the null vectors of F_k that diagonalise M, and ``cost`` (count, m) their costs; both are padded for stopped
+    controls, by zeros and inf.
     """
 
     def __init__(self, lti: Lti, k: Indices, z: ComplexArray, distance: Array):
@@ -89,20 +97,20 @@ class NearBins:
         groups = defaultdict[bytes, list[int]](list)
         for i, mask in enumerate(np.vstack([lti.passed[:, k], real]).T):
             groups[mask.tobytes()].append(i)
-        for which in map(np.array, groups.values()):
-            at = z[k[which]].real if real[which[0]] else z[k[which]]
-            allowed = np.append(np.ones(n, dtype=bool), lti.passed[:, k[which[0]]])
-            F = at[:, None, None] * np.eye(n, n + m) - np.hstack([lti.A, lti.B])
-            self.left[which], self.sigma[which], right = np.linalg.svd(F[:, :, allowed])
-            V = np.zeros((len(at), n + m, right.shape[1]), dtype=at.dtype)
-            V[:, allowed] = right.conj().swapaxes(1, 2)
-            self.right[which], null = V[:, :, :n], V[:, :, n:]
+        for members in map(np.array, groups.values()):
+            z_k = z[k[members]].real if real[members[0]] else z[k[members]]
+            passed = np.append(np.ones(n, dtype=bool), lti.passed[:, k[members[0]]])
+            F = z_k[:, None, None] * np.eye(n, n + m) - np.hstack([lti.A, lti.B])
+            self.left[members], self.sigma[members], right = np.linalg.svd(F[:, :, passed])
+            V = np.zeros((len(z_k), n + m, right.shape[1]), dtype=z_k.dtype)
+            V[:, passed] = right.conj().swapaxes(1, 2)
+            self.right[members], null = V[:, :, :n], V[:, :, n:]
             columns, cost = null.shape[2], null.conj().swapaxes(1, 2) @ lti.M @ null
             if columns == 1:
-                self.null[which, :, :1], self.cost[which, :1] = null, cost.real[:, 0]
+                self.null[members, :, :1], self.cost[members, :1] = null, cost.real[:, 0]
             else:
                 h, vectors = np.linalg.eigh(cost)
-                self.null[which, :, :columns], self.cost[which, :columns] = null @ vectors, h
+                self.null[members, :, :columns], self.cost[members, :columns] = null @ vectors, h
         largest = np.maximum(1.0, self.sigma[:, :1])
         self.sigma[self.sigma < tol.ZERO_SINGULAR_VALUE * largest] = 0.0
         resolved = lti.horizon * distance[k, None] > tol.RESOLVED_PHASE
@@ -121,8 +129,8 @@ class NearBins:
 
 
 @dataclass(frozen=True, eq=False)
-class Singular:
-    """A compatibility equation sigma xi = L^*(z w + d_k), xi the coefficient of bordering direction ``direction``."""
+class CompatibilityEquation:
+    """At bin k: sigma xi = L^*(z w + d_k), sigma small, xi the coefficient of bordering direction ``direction``."""
 
     k: int
     left: ComplexArray
@@ -133,8 +141,8 @@ class Singular:
 class BinSpaces:
     """The null spaces N (n+m, m, bins) and particular responses of all bins 0 .. T/2; spectra are (component, bin).
 
-    z = exp(2 pi i k / T); ``weight`` says how often a bin counts in sums over the full circle (1 or 2). The border
-    directions border_vector (n+m, directions) at border_bin (directions,) are M-orthogonal to N.
+    z = exp(2 pi i k / T); ``weight`` is the number of times that a bin counts in sums over the full circle (1 or 2).
+    The bordering directions bordering_vector (n+m, directions) at bordering_bin (directions,) are M-orthogonal to N.
     """
 
     def __init__(self, lti: Lti):
@@ -151,11 +159,11 @@ class BinSpaces:
             size = self.resolvent.size(self.z[close])
         self.near = NearBins(lti, close[~(size < tol.NEAR_RESOLVENT)], self.z, distance)
         self.N = self._far_null_spaces()
-        self.singular: list[Singular] = []
+        self.compatibility: list[CompatibilityEquation] = []
         self._choose_bordering_directions()
 
     def _far_null_spaces(self) -> ComplexArray:
-        """Return N normalised at far bins, zero at near ones."""
+        """Return N L^{-*} with N^*MN = L L^* at far bins, zero at near ones; stopped controls have unit cost."""
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
         passed = np.array(lti.passed)
         passed[:, self.near.k] = False
@@ -165,50 +173,46 @@ class BinSpaces:
             N[:n] = self.resolvent.apply(self.z, np.broadcast_to(B, (n, m, len(self.z))))
         N[:n, ~passed] = 0
         N[n + np.arange(m), np.arange(m)] = passed
-        return self._unit_null_spaces(N, passed)
-
-    def _unit_null_spaces(self, N: ComplexArray, passed: Mask) -> ComplexArray:
-        """Return N L^{-*} with N^*MN = L L^* per bin; stopped controls have unit cost."""
-        lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
-        seen = slice(0 if lti.state_cost else n, None)
-        V, M = N[seen], lti.M[seen, seen]
+        weighted = slice(0 if lti.state_cost else n, None)  # the components that M weighs
+        V, M = N[weighted], lti.M[weighted, weighted]
         H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), times_columns(M, V)), dtype=np.complex128)
         if m == 1:  # several are checked below
-            unseen = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
-            if (H[:, 0, 0].real <= unseen)[passed[0]].any():
-                raise _flat_cost()
+            rounding = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
+            if (H[:, 0, 0].real <= rounding)[passed[0]].any():
+                raise UnsupportedError(FLAT_COST)
         H[:, np.arange(m), np.arange(m)] += ~passed.T
         sizes = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
         if not (sizes > 0).all():
-            raise _flat_cost()
+            raise UnsupportedError(FLAT_COST)
         if m == 1:
             N /= sizes.T
             return N
         try:
             factor = np.linalg.cholesky(H / (sizes[:, :, None] * sizes[:, None]))
         except np.linalg.LinAlgError:
-            raise _flat_cost() from None
+            raise UnsupportedError(FLAT_COST) from None
         if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
-            raise _flat_cost()
+            raise UnsupportedError(FLAT_COST)
         return np.einsum("iak,kba->ibk", N, (np.linalg.inv(factor) / sizes[:, None]).conj())
 
     def _choose_bordering_directions(self) -> None:
         """Choose the bordering directions among those of the near bins, and complete N by the others."""
         near, unit = self.near, self.lti.curvature_unit
         costs = near.cost[np.isfinite(near.cost)]
-        smallest = np.sort(costs)[MOST_BORDER] if len(costs) > MOST_BORDER else np.inf
+        smallest = np.sort(costs)[MOST_BORDERING] if len(costs) > MOST_BORDERING else np.inf
         regular = near.cost > unit * max(tol.LEAST_HESSIAN, min(tol.SMALL_HESSIAN, smallest / unit))
         scaled = near.null / np.sqrt(np.where(regular, near.cost, np.inf))[:, None, :]
         self.N[:, :, near.k] = scaled.transpose(1, 2, 0)
         small, column = np.nonzero(~regular)
         bad, which = np.nonzero(~near.good)
         for direction, (i, j) in enumerate(zip(bad, which, strict=True), start=len(small)):
-            self.singular.append(Singular(int(near.k[i]), near.left[i, :, j], float(near.sigma[i, j]), direction))
-        self.border_bin = near.k[np.concatenate([small, bad])]
-        border = np.vstack([near.null[small, :, column], near.right[bad, :, which]]).T
-        at = self.N[:, :, self.border_bin]
-        seen = np.einsum("iak,ik->ak", at.conj(), self.lti.M @ border)
-        self.border_vector: ComplexArray = border - np.einsum("iak,ak->ik", at, seen)
+            equation = CompatibilityEquation(int(near.k[i]), near.left[i, :, j], float(near.sigma[i, j]), direction)
+            self.compatibility.append(equation)
+        self.bordering_bin = near.k[np.concatenate([small, bad])]
+        vectors = np.vstack([near.null[small, :, column], near.right[bad, :, which]]).T
+        N = self.N[:, :, self.bordering_bin]
+        along = np.einsum("iak,ik->ak", N.conj(), self.lti.M @ vectors)
+        self.bordering_vector: ComplexArray = vectors - np.einsum("iak,ak->ik", N, along)
 
     def particular(self, rhs: ComplexArray) -> ComplexArray:
         """Return (I - N N^* M) P rhs, shape (n+m, columns, bins), for rhs (n, columns, bins)."""
@@ -220,7 +224,7 @@ class BinSpaces:
         response[:, :, k] = self.near.particular(rhs[:, :, k])
         if lti.state_cost:
             response -= self.project(times_columns(lti.M, response))
-        else:  # but at near bins the response has u = 0, and M sees u only
+        else:  # at far bins the response has u = 0, and M weighs u only
             response[:, :, k] -= self.project(times_columns(lti.M, response[:, :, k]), k)
         return response
 
@@ -238,13 +242,6 @@ class BinSpaces:
                 row -= response * v
 
 
-def _flat_cost() -> UnsupportedError:
-    return UnsupportedError(
-        "method 'spectral': the cost does not see some direction that the bands allow (R singular); "
-        "give every control a cost, or use method 'convex'."
-    )
-
-
 def bin_weights(horizon: int) -> Array:
     """Return how often each bin of the DFT counts in sums over the full circle, 1 or 2, (T//2 + 1,)."""
     bins = np.arange(horizon // 2 + 1)
@@ -252,9 +249,9 @@ def bin_weights(horizon: int) -> Array:
 
 
 class CirculantKernels:
-    """K_fg(t) = irfft of F_f N N^* F_g': what F_f y_t loses by a unit force on F_g y_0.
+    """K_fg(t) = irfft of F_f N N^* F_g': a unit force on F_g y_0 lowers F_f y_t by K_fg(t).
 
-    ``table`` is (rows, rows, T). Where it is not ``complete``, pairs f <= g are computed on demand: the others are
+    ``table`` is (rows, rows, T). If it is not ``complete``, pairs f <= g are computed on demand; the others are
     undefined, and use no memory.
     """
 
@@ -272,7 +269,7 @@ class CirculantKernels:
     def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
         """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
         if not self.complete:
-            self._require(product(np.unique(f), np.unique(g)))
+            self._compute(product(np.unique(f), np.unique(g)))
         f, lag = f[:, None], t[:, None] - s  # a negative index counts from the end of the circle
         if self.complete:
             return self.table[f, g, lag]
@@ -288,13 +285,16 @@ class CirculantKernels:
         return gram
 
     def free_response(self, t: Indices, f: Indices) -> Array:
-        """Return how far a unit force moves each row without equations, K_ff(0), (count,); x_T moves by itself."""
+        """Return the response of each row to a unit force on it, without equations, K_ff(0), (count,).
+
+        Components of x_T are unknowns of their own.
+        """
         inner = t < self.lti.horizon
         if not self.complete:
-            self._require((a, a) for a in np.unique(f[inner]))
+            self._compute((a, a) for a in np.unique(f[inner]))
         return np.where(inner, self.table[f, f, 0], 1 / self.lti.curvature_unit)
 
-    def _require(self, pairs: Iterable[tuple[int, int]]) -> None:
+    def _compute(self, pairs: Iterable[tuple[int, int]]) -> None:
         for f, g in map(sorted, pairs):
             if not self.known[f, g]:
                 row, column = self.of_rows(np.array([f, g]))

@@ -1,7 +1,7 @@
-"""What a solve needs: of the problem (Structure), and of its ends, linear terms, offsets and bounds (Data).
+"""The matrices of a problem (Structure), and its ends, linear terms, offsets and bounds (Data).
 
-From both follow the optimal point for given bordering unknowns and forces, its defect in the equations, rays that prove
-data infeasible, and the same data between other ends (docs/spectral.md, 1 to 5 and 10).
+Together they determine the optimal point for given bordering unknowns and forces, its residual in the equations, Farkas
+rays of infeasible data, and the data between other ends (docs/spectral.md, 1 to 5 and 10).
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
 
 TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
 MOST_TABULATED = 2500  # bounded values of which all responses are tabulated: 50 MB, in 0.1 s
-KEPT_RAYS = 8  # of infeasible problems between other ends
+CACHED_RAYS = 8  # of infeasible problems between other ends
 
 
 class Structure:
     """Null spaces, kernels and bordered KKT system of a problem.
 
-    They depend on A, B, M, F, the bands, and on which components of the ends are free.
+    They depend on A, B, M, F, the bands, and the choice of free components at the ends.
 
     ``unconstrained`` (rows of F,) is 1/R for control rows and 0 for others if diag(1/R) - S >= 0 (R diagonal, S = 0).
     """
@@ -75,7 +75,7 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """What depends on ends, linear terms, offsets and bounds."""
+    """The quantities that depend on ends, linear terms, offsets and bounds."""
 
     lti: Lti
     base: ComplexArray  # spectrum of y without forces and bordering unknowns, (n+m, bins)
@@ -128,7 +128,7 @@ def signals(
 
 
 def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
-    """Return the spectrum of G'l + E'y, and which components are not zero."""
+    """Return the spectrum of G'l + E'y, and the mask of its nonzero components."""
     kkt, dimension = structure.kkt, len(lti.M)
     pulses = np.zeros((len(lti.F), lti.horizon))
     inner = working.inner
@@ -144,8 +144,8 @@ def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingS
     if len(kkt.bands):
         on_bands = multipliers[-len(kkt.bands) :]
         for i in kkt.band_components:
-            mine = kkt.band_component == i
-            spectrum[i] += on_bands[mine] @ kkt.band_hat[mine]
+            of_component = kkt.band_component == i
+            spectrum[i] += on_bands[of_component] @ kkt.band_hat[of_component]
             used[i] = True
     return spectrum, used
 
@@ -157,8 +157,8 @@ def equation_residual(structure: Structure, data: Data, theta: Array, at: Signal
     residual[:points] = data.e[:points] - at.y[kkt.point_f, kkt.point_t]
     residual[kkt.free_start] += theta[kkt.at_start]
     if len(kkt.bands):
-        inside = np.einsum("dt,dt->d", kkt.bands[:, :-1], at.y[kkt.band_component])
-        residual[-len(kkt.bands) :] = -inside - kkt.bands[:, -1] * at.last[kkt.band_component]
+        before_end = np.einsum("dt,dt->d", kkt.bands[:, :-1], at.y[kkt.band_component])
+        residual[-len(kkt.bands) :] = -before_end - kkt.bands[:, -1] * at.last[kkt.band_component]
     return residual
 
 
@@ -189,28 +189,32 @@ def unconstrained_point(
 class Ray:
     """A Farkas ray, verified within this method: weights l of the working rows, and multipliers y of the equations.
 
-    A ray (l >= 0, y), with l = 0 on soft rows, proves infeasibility if forces G'l + E'y move nothing (N^* ghat = 0, and
-    no slope in theta) and the constraints, weighted by it, ask for the impossible: l'(limit - F c) + y'(e - E c) < 0 at
-    any point c that satisfies the dynamics.
+    A ray (l >= 0, y), with l = 0 on soft rows, proves infeasibility if the forces G'l + E'y move nothing (N^* ghat = 0,
+    and no slope in theta) and the weighted sum of the constraints cannot hold: l'(limit - F c) + y'(e - E c) < 0 at any
+    point c that satisfies the dynamics.
     """
 
     working: WorkingSet
     multipliers: Array
 
 
-def verified_ray(structure: Structure, data: Data, working: WorkingSet, y: Array) -> Ray | None:
-    """Return the ray if it proves that these data are infeasible."""
+def verified_ray(
+    structure: Structure, data: Data, working: WorkingSet, y: Array, tolerance: float = tol.RAY_TOLERANCE
+) -> Ray | None:
+    """Return the ray if it is stationary to a tolerance and proves that these data are infeasible, else None."""
     kkt, lti = structure.kkt, data.lti
     force, _ = forces(structure, lti, y, working)
     size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
-    moved = sum(np.conj(structure.spaces.N[i]) * force[i] for i in range(len(lti.M)))
-    stationarity = float(np.abs(moved).max()) / (max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size)
+    response = sum(np.conj(structure.spaces.N[i]) * force[i] for i in range(len(lti.M)))
+    stationarity = float(np.abs(response).max()) / (
+        max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size
+    )
     slope = np.abs(kkt.E.T @ y + working.coupling[: kkt.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
     c, residual = _point_without_forces(structure, data)
     value = float(working.weights @ working.slacks(lti, c.y, c.last) + y @ residual)
     terms = float(working.weights @ np.abs(working.limits(lti)) + np.abs(y) @ np.abs(data.e)) + 1e-300
-    proven = stationarity < tol.RAY_TOLERANCE * min(1.0, -tol.RAY_VALUE * value / terms)
+    proven = stationarity < tolerance * min(1.0, -tol.RAY_VALUE * value / terms)
     return Ray(working, y) if proven else None
 
 
@@ -229,10 +233,11 @@ def row_ray(
     S: Array,
     d: Array,
     Z: Array,
-    ask: bool,
-    stop: Callable[[], str | None] = lambda: None,
+    combine: bool,
+    tolerance: float,
+    stop: Callable[[], str | None],
 ) -> Ray | None:
-    """Return a ray of working rows: a row that the equations decide, or (``ask``) a combination of many.
+    """Return a ray of working rows: a row that the equations decide, or (``combine``) a combination of many.
 
     The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is bounded; tau = 1 + rho d'l vanishes where rows conflict.
     """
@@ -245,7 +250,7 @@ def row_ray(
     weights = np.zeros(len(d))
     if decided.any():
         weights[np.argmin(np.where(decided, d, np.inf))] = 1.0
-    elif ask and hard.any():
+    elif combine and hard.any():
         S, b = S[np.ix_(hard, hard)], d[hard]
         size = np.abs(b) / np.sqrt(np.maximum(np.diagonal(S), tol.TINY_SQUARED))
         rho = max(float(size.max()), tol.TINY_SQUARED) ** -2
@@ -255,11 +260,12 @@ def row_ray(
     else:
         return None
     weights /= weights.max()
-    return verified_ray(structure, data, working.weighted(weights), -(Z @ weights)[structure.kkt.size :])
+    y = -(Z @ weights)[structure.kkt.size :]
+    return verified_ray(structure, data, working.weighted(weights), y, tolerance)
 
 
 def regularised_ray(
-    structure: Structure, data: Data, working: WorkingSet, stop: Callable[[], str | None] = lambda: None
+    structure: Structure, data: Data, working: WorkingSet, tolerance: float, stop: Callable[[], str | None]
 ) -> Ray | None:
     """Return a ray of working rows from a unit Hessian of the bordering unknowns.
 
@@ -269,11 +275,11 @@ def regularised_ray(
     step = kkt.regularised @ np.concatenate([np.zeros(kkt.size), residual])
     Z, S = working.eliminated(kkt.regularised)
     d = working.slacks(data.lti, c.y, c.last) - working.coupling.T @ step
-    return row_ray(structure, data, working, S, d, Z, ask=True, stop=stop)
+    return row_ray(structure, data, working, S, d, Z, True, tolerance, stop)
 
 
 def ends_model(structure: Structure, lti: Lti) -> EndsModel | None:
-    """Return the model, or None where x_0 has free components, or values are many."""
+    """Return the model, or None if x_0 has free components, or values are many."""
     violations = Violations(lti)
     if np.isnan(lti.start).any() or len(violations.rows) * lti.horizon > MOST_TABULATED:
         return None
@@ -282,73 +288,58 @@ def ends_model(structure: Structure, lti: Lti) -> EndsModel | None:
 
 
 class EndsModel:
-    """Data and unconstrained points for any fixed ends of ``lti``; its bounds are measured by ``violations``.
+    """Data and unconstrained points for any fixed ends of ``lti``; ``violations`` measures its bounds.
 
-    With p = (x_0, x_T) where they are fixed, the spectrum without forces, the right-hand sides of the bordered system,
+    With p the fixed components of (x_0, x_T), the spectrum without forces, the right-hand sides of the bordered system,
     and all bounded values without multipliers are affine in p: (value at p = 0) + (one response per component) p. No
     bin is solved again.
     """
 
     def __init__(self, structure: Structure, lti: Lti, violations: Violations, whole: WholeHorizon):
-        self.lti, self.violations, self.whole, self._structure = lti, violations, whole, structure
-        self._rays = deque[Ray](maxlen=KEPT_RAYS)
+        self.violations, self._lti, self._whole, self._structure = violations, lti, whole, structure
+        self._rays = deque[Ray](maxlen=CACHED_RAYS)
         whole.tabulated = True
         self._fixed = ~np.isnan(np.concatenate([lti.start, lti.end]))
         count, n = int(self._fixed.sum()), lti.state_dim
-        data, values = list[Data](), list[UnconstrainedPoint]()
+        data, points = list[Data](), list[UnconstrainedPoint]()
         for p in np.vstack([np.zeros(count), np.eye(count)]):
             ends = np.full(2 * n, np.nan)
             ends[self._fixed] = p
-            data.append(data_of(structure, lti.at_points(*np.split(ends, [n]))))
-            values.append(unconstrained_point(structure, data[-1], violations, whole))
-        self.linear = data[0].linear
-        self._base = _affine([one.base.view(np.float64) for one in data])
-        self._h, self._e = _affine([one.h for one in data]), _affine([one.e for one in data])
-        self.step, self.values = _affine([one.step for one in values]), _affine([one.values for one in values])
+            data.append(data_of(structure, lti.with_end_values(*np.split(ends, [n]))))
+            points.append(unconstrained_point(structure, data[-1], violations, whole))
+        self._linear = data[0].linear
+        self._base = _affine([at_p.base.view(np.float64) for at_p in data])
+        self._h, self._e = _affine([at_p.h for at_p in data]), _affine([at_p.e for at_p in data])
+        self._step, self._values = _affine([at_p.step for at_p in points]), _affine([at_p.values for at_p in points])
 
-    def bounds_ends_of(self, lti: Lti) -> bool:
+    def has_end_bounds_of(self, lti: Lti) -> bool:
         """Whether the free components of x_T have the same bounds in ``lti``."""
-        mine, other, free = self.lti.bounds, lti.bounds, np.isnan(lti.end)
-        sides = (mine.last_lower, other.last_lower), (mine.last_upper, other.last_upper)
-        return all(np.array_equal(one[free], another[free]) for one, another in sides)
+        known, bounds, free = self._lti.bounds, lti.bounds, np.isnan(lti.end)
+        sides = (known.last_lower, bounds.last_lower), (known.last_upper, bounds.last_upper)
+        return all(np.array_equal(side[free], changed[free]) for side, changed in sides)
 
-    def at(self, lti: Lti) -> tuple[Data, UnconstrainedPoint]:
-        """Return the data between other ends, and the unconstrained point."""
+    def data_between(self, lti: Lti) -> tuple[Data, UnconstrainedPoint]:
+        """Return the data between the ends of ``lti``, and the unconstrained point."""
         p = np.append(1.0, np.concatenate([lti.start, lti.end])[self._fixed])
-        h, e, step, values = (p @ part for part in (self._h, self._e, self.step, self.values))
-        return Data(lti, self.spectra(p), self.linear, h, e), UnconstrainedPoint(step, values)
+        h, e, step, values = (p @ part for part in (self._h, self._e, self._step, self._values))
+        spectrum = np.tensordot(p, self._base, 1).view(np.complex128)
+        return Data(lti, spectrum, self._linear, h, e), UnconstrainedPoint(step, values)
 
-    def parameters(self, starts: Array) -> Array:
-        """Return (1, p) of initial states (N, n) with the end of ``lti``, (N, 1 + count)."""
-        end = self.lti.end[~np.isnan(self.lti.end)]
-        return np.hstack([np.ones((len(starts), 1)), starts, np.tile(end, (len(starts), 1))])
-
-    def spectra(self, p: Array) -> ComplexArray:
-        """Return the spectrum of y without forces and bordering unknowns, (..., n+m, bins), for (1, p)."""
-        return np.tensordot(p, self._base, 1).view(np.complex128)
-
-    def keep_ray(self, ray: Ray) -> None:
-        """Keep a ray of working rows: whether it proves that a problem is infeasible depends on its ends alone."""
+    def cache_ray(self, ray: Ray) -> None:
+        """Cache a ray of working rows: it may prove that problems between other ends are infeasible."""
         if len(ray.working):
             self._rays.appendleft(ray)
 
-    def known_ray(self, data: Data, known: UnconstrainedPoint) -> Ray | None:
-        """Return a kept ray that proves that a problem is infeasible, with the rows' values without multipliers."""
+    def cached_ray(self, data: Data, point: UnconstrainedPoint) -> Ray | None:
+        """Return a cached ray that proves that a problem with this unconstrained point is infeasible, or None."""
         for ray in self._rays:
-            if self._points_at(ray, known.values):
-                found = verified_ray(self._structure, data, ray.working, ray.multipliers)
-                if found is not None:
-                    return found
+            rows = ray.working
+            at_rows = rows.sign * point.values[self._whole.flat_indices(rows.t, rows.f)]
+            if float(rows.weights @ (rows.limits(self._lti) - at_rows)) < 0:  # probably a proof; the other rays are not
+                verified = verified_ray(self._structure, data, rows, ray.multipliers)
+                if verified is not None:
+                    return verified
         return None
-
-    def may_have_known_ray(self, values: Array) -> bool:
-        """Whether a kept ray probably proves that a problem with these values without multipliers is infeasible."""
-        return any(self._points_at(ray, values) for ray in self._rays)
-
-    def _points_at(self, ray: Ray, values: Array) -> bool:
-        rows = ray.working
-        index = self.whole.flat_indices(rows.t, rows.f)
-        return float(rows.weights @ (rows.limits(self.lti) - rows.sign * values[index])) < 0
 
 
 def _affine(values: Sequence[Array]) -> Array:

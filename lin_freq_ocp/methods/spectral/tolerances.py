@@ -71,6 +71,7 @@ SHORT_TOLERANCE, HOLD_TOLERANCE = 1e-6, 1e-4  # violations at which the cheaper 
 
 # Rays (structure.py)
 RAY_TOLERANCE = 1e-6  # stationarity of a ray, relative to its multipliers
+ACCEPTED_RAY = 1e-5  # ... that is accepted if the exchange no longer improves
 RAY_VALUE = 100.0  # times that, its least value: less may be rounding
 DECIDED_RESPONSE = 1e-11  # part of a row's own response left by the equations below which they alone decide the row
 DECIDED_VIOLATION = 1e-8  # violation, relative to the bound, of a row that the equations decide

@@ -76,12 +76,12 @@ def test_oscillators_are_proven_on_longer_horizons(damping: float) -> None:
 @pytest.mark.parametrize("horizon", [1000, 20_000])
 def test_no_bin_that_controls_reach_is_a_border_direction(make: object, horizon: int) -> None:
     assert callable(make)
-    assert len(spaces_of(make(horizon)).border_bin) == 0
+    assert len(spaces_of(make(horizon)).bordering_bin) == 0
 
 
 @pytest.mark.parametrize("damping", [*DAMPING, 1e-5])
 def test_the_number_of_border_directions_does_not_grow_with_the_horizon(damping: float) -> None:
-    counts = [len(spaces_of(oscillator(horizon, damping)).border_bin) for horizon in (1000, 10_000, 100_000)]
+    counts = [len(spaces_of(oscillator(horizon, damping)).bordering_bin) for horizon in (1000, 10_000, 100_000)]
     assert max(counts) <= 4
 
 
@@ -102,4 +102,4 @@ def test_an_undamped_oscillator_beyond_its_band_has_few_border_directions() -> N
         initial_state=(1, 0),
         control_spectrum=lfo.low_pass(2 * np.pi * 5 * 0.01),
     )
-    assert 1 <= len(spaces_of(problem).border_bin) <= 6
+    assert 1 <= len(spaces_of(problem).bordering_bin) <= 6

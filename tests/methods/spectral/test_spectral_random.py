@@ -22,6 +22,9 @@ BOUNDED = 4
 HARD = 474, 595, 600, 696, 765, 847, 898
 """Soft borders: optima far away, flat directions, and infeasible problems whose forces must not depend on the cost."""
 
+STALLED = 3017
+"""An infeasible problem with inaccurate small QPs: rows leave the working set and return at once."""
+
 TINY_REFERENCE = 338
 """A problem whose references of controls are a ten-thousandth of their bounds; no reference solver solves it."""
 
@@ -30,6 +33,12 @@ TINY_REFERENCE = 338
 def test_a_random_problem_is_solved_like_by_the_reference_or_proven_infeasible(seed):
     outcome = spectral.check(seed)
     assert outcome.passed, str(outcome)
+
+
+def test_an_exchange_whose_rows_return_at_once_ends_with_a_ray():
+    solution = lfo.SpectralSolver(with_witness(STALLED)[0]).solve()
+    assert solution.status == "infeasible"
+    assert solution.rounds < 20
 
 
 def test_a_tiny_reference_is_no_measure_of_a_control():

@@ -105,7 +105,7 @@ def at_bins(spaces: BinSpaces) -> Iterator[tuple[int, np.ndarray, np.ndarray, np
     for k, z in enumerate(spaces.z):
         F = np.hstack([z * np.eye(n) - lti.A, -lti.B])
         N = spaces.N[:, :, k]
-        yield k, F, N[:, np.abs(N).max(0) > 0], spaces.border_vector[:, spaces.border_bin == k]
+        yield k, F, N[:, np.abs(N).max(0) > 0], spaces.bordering_vector[:, spaces.bordering_bin == k]
 
 
 def largest(array: np.ndarray) -> float:
@@ -132,12 +132,12 @@ def test_null_vectors_are_orthonormal_in_the_cost(all_spaces):
 def test_no_direction_is_lost_and_none_counted_twice(all_spaces):
     for spaces in all_spaces:
         for k, F, N, border in at_bins(spaces):
-            singular = [one for one in spaces.singular if one.k == k]
+            singular = [one for one in spaces.compatibility if one.k == k]
             assert N.shape[1] + border.shape[1] == spaces.lti.passed[:, k].sum() + len(singular)
             directions = np.hstack([N, border])
             directions = directions / np.linalg.norm(directions, axis=0)
             assert np.linalg.matrix_rank(directions, tol=1e-6) == directions.shape[1]
-            places = {int(np.flatnonzero(spaces.border_bin == k)[j]): j for j in range(border.shape[1])}
+            places = {int(np.flatnonzero(spaces.bordering_bin == k)[j]): j for j in range(border.shape[1])}
             for one in singular:
                 j = places.pop(one.direction)
                 np.testing.assert_allclose(F @ border[:, j], one.sigma * one.left, atol=1e-13 * largest(F))
@@ -153,7 +153,7 @@ def test_particular_responses_solve_all_but_the_singular_equations(all_spaces):
         response = spaces.particular(rhs)
         for k, F, N, _ in at_bins(spaces):
             expected, y = rhs[:, :, k].copy(), response[:, :, k]
-            for one in spaces.singular:
+            for one in spaces.compatibility:
                 if one.k == k:
                     expected -= np.outer(one.left, one.left.conj() @ rhs[:, :, k])
             np.testing.assert_allclose(F @ y, expected, atol=1e-10 * max(1.0, largest(y)))
@@ -167,7 +167,7 @@ def test_signals_of_real_bins_are_real(all_spaces):
         assert len(real) == 2 - spaces.lti.horizon % 2
         rhs = np.ones((spaces.lti.state_dim, 1, len(spaces.z)), dtype=complex)
         at_real = [spaces.N[:, :, real], spaces.particular(rhs)[:, :, real]]
-        at_real.append(spaces.border_vector[:, np.isin(spaces.border_bin, real)])
+        at_real.append(spaces.bordering_vector[:, np.isin(spaces.bordering_bin, real)])
         for part in at_real:
             assert largest(part.imag) <= 1e-14 * max(1.0, largest(part.real))
 
@@ -179,23 +179,23 @@ def test_signals_of_real_bins_are_real(all_spaces):
 def test_a_singular_value_of_rounding_is_an_exact_zero(kind, k, count):
     """As a number it would decide the answer: sigma xi = rhs with sigma = 1e-17 has a solution, 0 xi = rhs has none."""
     spaces = BinSpaces(lti_of(plants(24)[kind], 24, STOPS["critical bins"]))
-    assert [one.sigma for one in spaces.singular if one.k == k] == [0.0] * count
+    assert [one.sigma for one in spaces.compatibility if one.k == k] == [0.0] * count
     passed = BinSpaces(lti_of(plants(24)[kind], 24))
-    assert not any(one.k == k for one in passed.singular)
+    assert not any(one.k == k for one in passed.compatibility)
 
 
 def test_a_mode_that_no_control_reaches_is_singular_at_its_bin_though_nothing_is_stopped():
     A = block_diag(1.0, 0.5)
     lti = replace(lti_of(A, 24), B=np.array([[0.0, 0.0], [1.0, 1.0]]))
-    assert [(one.k, one.sigma) for one in BinSpaces(lti).singular] == [(0, 0.0)]
+    assert [(one.k, one.sigma) for one in BinSpaces(lti).compatibility] == [(0, 0.0)]
 
 
 def test_directions_without_cost_are_border_directions():
     free = BinSpaces(lti_of(np.diag([1.0, 0.5]), 24))
     weighted = BinSpaces(lti_of(np.diag([1.0, 0.5]), 24, Q=1.0))
-    assert list(free.border_bin) == [0]
-    np.testing.assert_allclose(np.abs(free.border_vector[:, 0]), [1, 0, 0, 0], atol=1e-12)
-    assert len(weighted.border_bin) == 0
+    assert list(free.bordering_bin) == [0]
+    np.testing.assert_allclose(np.abs(free.bordering_vector[:, 0]), [1, 0, 0, 0], atol=1e-12)
+    assert len(weighted.bordering_bin) == 0
 
 
 def test_a_cost_that_does_not_see_an_allowed_direction_is_refused():
@@ -248,7 +248,7 @@ def test_kernels_are_a_dense_projection(monkeypatch, kind, stops, cost, T, toget
         monkeypatch.setattr(spaces_module, "SMALL_TABLE", 0)
     lti = lti_of(plants(T)[kind], T, STOPS[stops], *COSTS[cost], stage_rows=ROWS)
     spaces = BinSpaces(lti)
-    assert len(spaces.border_bin) == 0
+    assert len(spaces.bordering_bin) == 0
     rows = len(lti.F)
     t, f = (index.ravel() for index in np.divmod(np.arange(T * rows), rows))
     table = CirculantKernels(lti, spaces)
