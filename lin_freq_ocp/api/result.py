@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, final
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.atomic import replacing
+from lin_freq_ocp.base.atomic import open_replacement
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.phrases import html_table
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound
@@ -190,7 +190,7 @@ class Result(Outcome):
         """
         known = "_proven" in self.__dict__ or self.problem.dynamics.mode_names
         proof = self._proven[0] if known or self.problem.horizon <= LONGEST_CHECK else self._unchecked_proof()
-        with replacing(path) as stream:
+        with open_replacement(path) as stream:
             stream.writelines(text.encode() for text in proof.lines())
 
     def _unchecked_proof(self) -> Proof:

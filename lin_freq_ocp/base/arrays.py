@@ -50,7 +50,7 @@ def complex_array(field: str, value: object) -> ComplexArray:
     return np.asarray(real_array(field, value, kinds="iufc", dtype=complex), dtype=np.complex128)
 
 
-def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None = None) -> Array:
+def array_of_shape(field: str, value: object, shape: tuple[int, ...], times: int | None = None) -> Array:
     """Convert and require ``shape``, or ``(times, *shape)`` where one value per time is allowed."""
     array = real_array(field, value)
     if array.shape == shape or (times is not None and array.shape == (times, *shape)):
@@ -78,7 +78,7 @@ def upper_limits(field: str, value: object) -> Array:
     if (limits == -np.inf).any():
         entry = "".join(f"[{i}]" for i in np.argwhere(limits == -np.inf)[0])
         raise ProblemError(f"{field}{entry}", "-inf", "a number, or inf for no bound")
-    return frozen(np.where(limits >= NO_BOUND, np.inf, limits))
+    return as_read_only(np.where(limits >= NO_BOUND, np.inf, limits))
 
 
 def require_rows_hold(field: str, broken: Mask, limits: Array) -> None:
@@ -115,7 +115,7 @@ def known_entries(field: str, given: object, keys: Sequence[str]) -> dict[str, o
     return dict(given or {})
 
 
-def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
+def component_names(field: str, given: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
     """Require ``count`` different names; without any, ``x_0 ...``."""
     if given is None:
         return tuple(f"{letter}_{i}" for i in range(count))
@@ -163,7 +163,7 @@ def with_fields(instance: Instance, **fields: object) -> Instance:
     return other
 
 
-def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
+def as_read_only(array: NDArray[Entry]) -> NDArray[Entry]:
     """Return the array itself if it is read-only, else a read-only copy."""
     if array.flags.writeable:
         array = array.copy()
@@ -171,13 +171,13 @@ def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
     return array
 
 
-def sealed(array: NDArray[Entry]) -> NDArray[Entry]:
+def make_read_only(array: NDArray[Entry]) -> NDArray[Entry]:
     """Return a new array, now read-only: whoever takes it need not copy it."""
     array.flags.writeable = False
     return array
 
 
-def extended(given: ArrayLike) -> NDArray[Any]:
+def to_long_double(given: ArrayLike) -> NDArray[Any]:
     """Return a copy in the longest float or complex of the machine, where differences of large terms are formed."""
     array = np.asarray(given)
     return array.astype(np.clongdouble if array.dtype.kind == "c" else np.longdouble)
@@ -196,10 +196,10 @@ def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
 
     values (..., k), each matrix (..., k, n) and vector (n,); infinite values stay.
     """
-    total = extended(values)
+    total = to_long_double(values)
     for matrix, vector in products:
-        total = total + extended(matrix) @ extended(vector)
-    return frozen(total.astype(np.float64))
+        total = total + to_long_double(matrix) @ to_long_double(vector)
+    return as_read_only(total.astype(np.float64))
 
 
 def with_columns(array: Array, columns: int) -> Array:

@@ -17,7 +17,7 @@ from lin_freq_ocp.base.errors import ProblemError
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Generator[BinaryIO]:
+def open_replacement(path: str | os.PathLike[str]) -> Generator[BinaryIO]:
     """Yield a stream; what is written to it takes the place of the file when all of it is on the disk.
 
     If anything fails before, the file stays as it was, or absent. A link keeps pointing to the file that is replaced.
@@ -29,7 +29,7 @@ def replacing(path: str | os.PathLike[str]) -> Generator[BinaryIO]:
         If it cannot be written there; the field is the path.
     """
     path = Path(path)
-    with writing(path):
+    with report_write_errors(path):
         try:
             target = Path(os.path.realpath(path))
         except ValueError as error:  # a character that no file name can have
@@ -53,13 +53,13 @@ def replacing(path: str | os.PathLike[str]) -> Generator[BinaryIO]:
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Replace a file by these bytes; see ``replacing``."""
-    with replacing(path) as stream:
+    """Replace a file by these bytes; see ``open_replacement``."""
+    with open_replacement(path) as stream:
         stream.write(content)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Replace a file by this text, in UTF-8 with its line ends as they are; see ``replacing``."""
+    """Replace a file by this text, in UTF-8 with its line ends as they are; see ``open_replacement``."""
     write_bytes(path, text.encode())
 
 
@@ -79,7 +79,7 @@ def write_each(contents: Mapping[Path, bytes]) -> None:
 
 
 @contextmanager
-def locked(stream: BinaryIO | TextIO, wait: bool = True) -> Generator[bool]:
+def lock_file(stream: BinaryIO | TextIO, wait: bool = True) -> Generator[bool]:
     """Lock an open file; yield whether it is locked, False if another process has it and we do not wait.
 
     The system unlocks it when this process ends, however it ends. Where files cannot be locked (Windows, some network
@@ -102,7 +102,7 @@ def locked(stream: BinaryIO | TextIO, wait: bool = True) -> Generator[bool]:
 
 
 @contextmanager
-def writing(path: Path) -> Generator[None]:
+def report_write_errors(path: Path) -> Generator[None]:
     """Turn failures to write into a ProblemError with the path as its field."""
     try:
         yield

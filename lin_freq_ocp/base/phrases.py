@@ -47,14 +47,14 @@ def short_name(name: str) -> str:
     return split_unit(name)[0]
 
 
-def listed(parts: Sequence[str]) -> str:
+def join_words(parts: Sequence[str]) -> str:
     """Return "a", "a and b", or "a, b and c"."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def first_few(parts: Sequence[str], most: int = MOST_ENTRIES) -> str:
     """Return the first of them as a list, and how many more there are."""
-    return listed(parts) if len(parts) <= most else f"{', '.join(parts[:most])} and {len(parts) - most} more"
+    return join_words(parts) if len(parts) <= most else f"{', '.join(parts[:most])} and {len(parts) - most} more"
 
 
 def plural(count: int, noun: str) -> str:

@@ -169,7 +169,7 @@ def irredundant(cell: Cell, thickness: float) -> Indices:
     return np.array(kept, dtype=int)
 
 
-def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
+def uncovered_point(domain: Cell, cells: Sequence[Cell]) -> Array | None:
     """Return a point of the domain that none of the cells holds; None if they cover it.
 
     What is left uncovered in the interior ends at facets of cells. So each facet must have other cells on its far side:
@@ -187,13 +187,13 @@ def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
             facet = (domain & cell.take(~cell.same_as(normal, limit))).restricted(foot, along)
             point = None
             if facet is not None:
-                point = _uncovered_point(facet, _FarSide(cells, i, normal, limit, foot, along), frozenset())
+                point = _point_of_facet(facet, _FarSide(cells, i, normal, limit, foot, along), frozenset())
             if point is not None:
                 return _point_in_gap(foot + along @ point, normal, domain, cells)
     return None
 
 
-def _uncovered_point(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
+def _point_of_facet(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
     """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None if there is none.
 
     The piece is cut along the rows of the cell around the centre of its largest ball, and so on with what remains.
@@ -206,11 +206,11 @@ def _uncovered_point(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array 
     if k is None:
         return point
     if cell is None:
-        return _uncovered_point(piece, far, used | {k})
+        return _point_of_facet(piece, far, used | {k})
     for row in range(len(cell.limits)):
         if piece.implies(cell, row):
             continue
-        outside = _uncovered_point(piece & cell.beyond(row), far, used | {k})
+        outside = _point_of_facet(piece & cell.beyond(row), far, used | {k})
         if outside is not None:
             return outside
         piece = piece & cell.take(slice(row, row + 1))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, to_long_double
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature, unit_rounding
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -64,7 +64,7 @@ def verdicts(problem: OptimalControlProblem, starts: Array, given: Extremals) ->
             minimum = np.minimum(*box_minimum(np.stack([slope - error, slope + error]), curvature, low, high))
             certain += (ARITHMETIC_ROUNDING * np.abs(slope * values) - minimum).sum((1, 2))
             summed += (size * (np.abs(values) + reference)).sum((1, 2))
-        x, u, dynamics = extended(given.x), extended(given.u), problem.linear
+        x, u, dynamics = to_long_double(given.x), to_long_double(given.u), problem.linear
         residual = (x[:, 1:] - x[:, :-1] @ dynamics.A.T - u @ dynamics.B.T - dynamics.offset).astype(np.float64)
         products = [(given.eta * residual).sum((1, 2)), (signal * given.u).sum((1, 2))]
         costs, scale = _costs(problem, given)
@@ -84,8 +84,8 @@ def verdicts(problem: OptimalControlProblem, starts: Array, given: Extremals) ->
 def _slopes(problem: OptimalControlProblem, given: Extremals) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:
     """Return the slopes of l_t in x and u, the sums of the absolute values of their terms, and rho_u over time."""
     cost, dynamics, (count, T, m) = problem.quadratic, problem.linear, given.u.shape
-    x, u, eta = extended(given.x), extended(given.u), extended(given.eta)
-    spectra = extended(given.rho_u).swapaxes(0, 1).reshape(-1, count * m)
+    x, u, eta = to_long_double(given.x), to_long_double(given.u), to_long_double(given.eta)
+    spectra = to_long_double(given.rho_u).swapaxes(0, 1).reshape(-1, count * m)
     signal = time_signal(spectra, T).reshape(T, count, m).swapaxes(0, 1)
     a, b = x - cost.x_ref, u - cost.u_ref
     in_x = np.concatenate([a[:, :-1] @ cost.Q + b @ cost.S.T + cost.q, (a[:, -1] @ cost.P + cost.p)[:, None]], axis=1)

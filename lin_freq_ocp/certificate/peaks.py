@@ -45,7 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, to_long_double
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.semi_infinite import (
     Continuum,
@@ -221,7 +221,7 @@ def certified_peak(samples: Array, limits: Limits, kind: Callable[[ComplexArray,
     if not np.isfinite(size):
         return Peak(np.inf, np.inf, float(limits.low[0]))
     least = float(min(limits.at_low.min(), limits.at_high.min())) / size
-    return largest(_on_intervals(kind(*_series(extended(samples) / size, least)), limits, size))
+    return largest(_on_intervals(kind(*_series(to_long_double(samples) / size, least)), limits, size))
 
 
 def _series(values: Array, least: float) -> tuple[ComplexArray, float]:
@@ -297,7 +297,7 @@ def certified_vibration(samples: Array, box: PlantBox) -> Peak:
     if size == 0 or not np.isfinite(size):
         ratio = 0.0 if size == 0 else np.inf
         return Peak(ratio, ratio, float(box.low[0]), float(box.low[1]))
-    values, limit = extended(samples) / size, box.limit / size
+    values, limit = to_long_double(samples) / size, box.limit / size
     parts = [_cells(values, box, limit, k, edge) for k, edge in enumerate(box.edges)]
     peak = largest(joined(parts))
     k, share = divmod(peak.frequency, 2.0)

@@ -18,7 +18,7 @@ import numpy as np
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, solve, with_explanation
-from lin_freq_ocp.base.atomic import replacing
+from lin_freq_ocp.base.atomic import open_replacement
 from lin_freq_ocp.base.errors import ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.cli import console
@@ -73,7 +73,7 @@ def output_writes(outputs: Mapping[str, Path], result: Result) -> list[Callable[
 
     def draw_figure(file: Path) -> None:
         figure = result.plot()
-        with replacing(file) as stream:
+        with open_replacement(file) as stream:
             figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
 
     writers = {"save": result.save, "csv": result.to_csv, "plot": draw_figure, "dump": result.dump}

@@ -16,8 +16,8 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_intege
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.codec import Kinds, TableRecord, Tables, Value, checked_value, nonzero
 from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
-from lin_freq_ocp.formulas.nodes import Formula, in_order
-from lin_freq_ocp.formulas.text import defined, formula_from_text, require_formula, with_definitions
+from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
+from lin_freq_ocp.formulas.text import formula_from_text, read_definitions, require_formula, with_definitions
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
@@ -87,7 +87,7 @@ def _parse_modes(
     """Return modes, by their location, with their texts parsed, n, and m; their class refuses other values."""
     f = next(iter(modes.values())).f
     n, m = max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
-    known, parsed = defined("dynamics.let", {} if let is None else let, (n, m)), list[SmoothMode]()
+    known, parsed = read_definitions("dynamics.let", {} if let is None else let, (n, m)), list[SmoothMode]()
     for location, mode in modes.items():
         formulas: FileTable = {}
         for key in FORMULA_KEYS:
@@ -144,7 +144,7 @@ def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     for i, mode in enumerate(dynamics.modes):
         for key in FORMULA_KEYS:
             for j, formula in enumerate(getattr(mode, key)):
-                for node in in_order([formula]):
+                for node in nodes_in_order([formula]):
                     require_formula(node, f"dynamics.modes[{i}].{key}[{j}]")
                 formulas.append(formula)
     texts, definitions = with_definitions(formulas)

@@ -269,7 +269,7 @@ def extreme(kind: str, arguments: Sequence[Formula | float], given: Sequence[str
     return replace(like.node(kind, listed), names=tuple(given or ()))
 
 
-def in_order(formulas: Sequence[Formula]) -> tuple[Formula, ...]:
+def nodes_in_order(formulas: Sequence[Formula]) -> tuple[Formula, ...]:
     """Return all nodes, each once, arguments before what is made of them."""
     return _in_order(tuple(formulas))
 
@@ -294,18 +294,18 @@ def post_order(roots: Sequence[Value], parts: Callable[[Value], Sequence[Value]]
     return found
 
 
-def evaluated(formulas: Sequence[Formula], rule: Callable[[Formula, list[Value]], Value]) -> list[Value]:
+def evaluate(formulas: Sequence[Formula], rule: Callable[[Formula, list[Value]], Value]) -> list[Value]:
     """Return what a rule gives for formulas, from each node and the values of its arguments."""
     found: dict[Formula, Value] = {}
-    for node in in_order(formulas):
+    for node in nodes_in_order(formulas):
         found[node] = rule(node, [found[argument] for argument in node.arguments])
     return [found[formula] for formula in formulas]
 
 
-def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> list[Formula]:
+def rebuild(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> list[Formula]:
     """Return the formulas with some nodes replaced, as operators make them; what has none stays the same object."""
     made: dict[Formula, Formula] = {}
-    for one in in_order(formulas):
+    for one in nodes_in_order(formulas):
         if one in changed:
             made[one] = made.get(changed[one], changed[one])
             continue
@@ -326,15 +326,17 @@ def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> 
     return [made[one] for one in formulas]
 
 
-def translated(formulas: Sequence[Formula], origin: Array) -> list[Formula]:
+def translate_formulas(formulas: Sequence[Formula], origin: Array) -> list[Formula]:
     """Return the formulas as functions of x - origin, origin (n,), and u."""
-    variables = [one for one in in_order(formulas) if one.kind == operations.VARIABLE and one.data[0] < len(origin)]
-    return rebuilt(formulas, {one: one + float(origin[int(one.data[0])]) for one in variables})
+    variables = [
+        one for one in nodes_in_order(formulas) if one.kind == operations.VARIABLE and one.data[0] < len(origin)
+    ]
+    return rebuild(formulas, {one: one + float(origin[int(one.data[0])]) for one in variables})
 
 
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:
     """Yield the nodes of some kinds, those within others first."""
-    return (one for one in in_order(formulas) if one.kind in kinds)
+    return (one for one in nodes_in_order(formulas) if one.kind in kinds)
 
 
 def text_of(
@@ -354,7 +356,7 @@ def text_of(
         parts = ["..." if i in cut else part for i, part in enumerate(parts)]
         return "..." if len(parts) > longest / 2 else operations.OPERATIONS[node.kind].text(node, parts, notation, cut)
 
-    return evaluated([formula], text)[0]
+    return evaluate([formula], text)[0]
 
 
 def _sum(like: Formula, factors: Mapping[Formula, float], constant: float) -> Formula:

@@ -96,7 +96,7 @@ def formula_from_text(
             formula = nodes.as_formula(zero, "formula", _Reader(text, known).read(tree.body))
     except ProblemError as error:
         raise ProblemError(field, error.got, error.expected, error.advice) from None
-    if not all(np.isfinite(one.data).all() for one in nodes.in_order([formula])):
+    if not all(np.isfinite(one.data).all() for one in nodes.nodes_in_order([formula])):
         raise ProblemError(field, brief(text), "coefficients that are finite numbers")
     return formula
 
@@ -184,7 +184,7 @@ class _Reader:
         raise self._other()
 
 
-def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
+def read_definitions(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
     """Return signals and named formulas, each of which may use those before it; errors call the table ``field``."""
     if not isinstance(given, Mapping):
         raise ProblemError(field, brief(given), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
@@ -222,7 +222,7 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
 
     Formulas are those of ``signals``, without other functions.
     """
-    order = nodes.in_order(formulas)
+    order = nodes.nodes_in_order(formulas)
     uses = Counter(argument for one in order for argument in one.arguments) + Counter(formulas)
 
     def length(one: Formula, arguments: list[int]) -> int:
@@ -230,7 +230,7 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
         numbers = 0 if one.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in one.data)
         return 4 + numbers + sum(arguments) + 2 * len(arguments)
 
-    long = max(nodes.evaluated(formulas, length), default=0) > LONGEST_TEXT
+    long = max(nodes.evaluate(formulas, length), default=0) > LONGEST_TEXT
     shared = {one for one, count in uses.items() if count > 1} if long else set()
     writer = _Writer(shared)
     for one in order:

@@ -7,7 +7,7 @@ from itertools import groupby
 from operator import itemgetter
 from textwrap import shorten
 
-from lin_freq_ocp.base.phrases import interval, intervals, listed, number, plural, runs_in_words, short_name
+from lin_freq_ocp.base.phrases import interval, intervals, join_words, number, plural, runs_in_words, short_name
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of
@@ -50,7 +50,9 @@ def _cost(problem: ProblemData) -> list[Fact]:
         ]
         return [("minimise", "the costs of the control set" if paid else "nothing: any feasible point will do")]
     data = quadratic.describe_data()
-    where = [("where", listed(data[at : at + 3])) for at in range(0, len(data), 3)]  # each up to some sixty characters
+    where = [
+        ("where", join_words(data[at : at + 3])) for at in range(0, len(data), 3)
+    ]  # each up to some sixty characters
     facts = [("minimise", parts[0]), *(("plus", part) for part in parts[1:])]
     return [facts[0], *where, *facts[1:]] if quadratic.describe() else facts
 

@@ -6,7 +6,7 @@ that gives way by an amount: bounds, joint rows, stop bands, sets, frequency con
 that a user may choose, each with key, unit and the direction in which the problem gets easier.
 
 The classes that own the numbers move them: ``Box`` its bounds, ``StageRows`` its limits, a ``ConvexSet`` what
-``widened`` says, a ``FrequencyConstraint`` its ``levels`` and its other ``numbers``. A class of a user's own takes part
+``relaxed_by`` says, a ``FrequencyConstraint`` its ``levels`` and its other ``numbers``. A class of your own takes part
 by these methods.
 """
 
@@ -372,7 +372,7 @@ class SetLimit(TermLimit):
         def relax(given: ConvexSet) -> ConvexSet:
             if np.isinf(amount):
                 return intersection(box_of(given), [member for member in given.members if member.soft])
-            return intersection(box_of(given), [member.widened(amount, dimension) for member in given.members])
+            return intersection(box_of(given), [member.relaxed_by(amount, dimension) for member in given.members])
 
         return replace(problem, **{self.field: map_sets(getattr(problem, self.field), relax)})
 
@@ -397,7 +397,7 @@ class EntryLimit(TermLimit):
         entries = list(entries_of(getattr(problem, self.field)))
         entry = entries.pop(self.index)
         if np.isfinite(amount):
-            entries.insert(self.index, entry.with_constraints([one.widened(amount) for one in entry.constraints]))
+            entries.insert(self.index, entry.with_constraints([one.relaxed_by(amount) for one in entry.constraints]))
         return replace(problem, **{self.field: entries or None})
 
     def numbers(self) -> Iterator[Number]:

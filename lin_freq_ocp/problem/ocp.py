@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, in_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.levels import with_levels
-from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, changed, terms_of
+from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, replace_fields, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets, end_set
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
@@ -146,7 +146,7 @@ class OptimalControlProblem(ProblemData):
         """
         given = {"initial_state": initial_state, "terminal_state": terminal_state}
         ends = {field: end_set(field, end, self.state_dim) for field, end in given.items() if end is not None}
-        problem = changed(self, **ends)
+        problem = replace_fields(self, **ends)
         boxes = not problem.initial_state.members and not problem.terminal_state.members
         outside = any(beyond.any() for _, beyond in problem.met_ends)
         of_ends = TermKind.STATE_SET, TermKind.LINKED_ENDS
@@ -173,7 +173,7 @@ class OptimalControlProblem(ProblemData):
             raise ProblemError("references", f"some for {brief(self.cost)}", "a problem with a quadratic cost")
         quadratic = replace(self.quadratic, **given)
         cost = CostSum([quadratic, *self.cost.norms]) if self.cost.norms else quadratic
-        return changed(self, cost=cost.at_dimensions(self.state_dim, self.control_dim, self.horizon))
+        return replace_fields(self, cost=cost.at_dimensions(self.state_dim, self.control_dim, self.horizon))
 
     @cached_property
     def linear(self) -> LinearDynamics:
@@ -200,7 +200,7 @@ class OptimalControlProblem(ProblemData):
         """
         if self.dynamics.affine:
             return self
-        problem = changed(self, dynamics=self.dynamics.affine_at(trajectory.x, trajectory.u, selections))
+        problem = replace_fields(self, dynamics=self.dynamics.affine_at(trajectory.x, trajectory.u, selections))
         problem.__dict__.update(borders=(), gap=None)  # smooth pieces meet continuously, and cover the sets
         return problem
 

@@ -13,12 +13,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, sealed, with_fields
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, make_read_only, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
-from lin_freq_ocp.problem.sets.box import END_TOLERANCE, Box, SetOrSets, box_of, end_within, stacked
+from lin_freq_ocp.problem.sets.box import END_TOLERANCE, Box, SetOrSets, bounds_over_time, box_of, end_within
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stopped_bins, time_signal
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, named_entries
@@ -114,7 +114,7 @@ class ProblemData:
     @cached_property
     def state_boxes(self) -> Box:
         """The bounds of the state set of each time, (T+1, n), without the initial and the terminal set."""
-        return stacked("state_set", self.state_set, self.state_dim, self.horizon + 1)
+        return bounds_over_time("state_set", self.state_set, self.state_dim, self.horizon + 1)
 
     @property
     def ends(self) -> tuple[Box, Box]:
@@ -141,7 +141,7 @@ class ProblemData:
     @cached_property
     def control_tube(self) -> Box:
         """U_0 .. U_{T-1}, bounds of shape (T, m)."""
-        return stacked("control_set", self.control_set, self.control_dim, self.horizon)
+        return bounds_over_time("control_set", self.control_set, self.control_dim, self.horizon)
 
     @cached_property
     def control_stop(self) -> Mask:
@@ -178,7 +178,7 @@ DEPENDENT = {
 }
 
 
-def changed(problem: Data, **fields: object) -> Data:
+def replace_fields(problem: Data, **fields: object) -> Data:
     """Return a problem with other fields, which fit: nothing is checked again, and what depends on them not kept."""
     other = with_fields(problem, **fields)
     for name in (name for field in fields for name in DEPENDENT.get(field, ())):
@@ -301,4 +301,4 @@ def bounded_bins(terms: Sequence[Term], kind: TermKind, shape: tuple[int, int]) 
     for term in terms:
         if term.kind == kind:
             bounded[term.map.nearest_bins, term.map.component] = True
-    return sealed(bounded)
+    return make_read_only(bounded)

@@ -22,7 +22,7 @@ from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.problem_data import changed
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
@@ -88,7 +88,7 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
     dynamics, cost = problem.dynamics.translated(origin), problem.cost.translated(origin)
     if dynamics is None or cost is None:
         return none
-    moved = changed(
+    moved = replace_fields(
         problem,
         dynamics=dynamics,
         cost=cost.at_dimensions(problem.state_dim, problem.control_dim, problem.horizon),
@@ -188,7 +188,7 @@ class AddedStates:
     names: Sequence[str]
 
 
-def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
+def add_states(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
     """Return the problem in the states (x, w); its own constraints and cost are as they were."""
     dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
     return augment_states(problem, dynamics, added.initial, added.lower, problem.quadratic)
@@ -216,15 +216,15 @@ def augment_states(
     return replace(
         problem,
         dynamics=dynamics,
-        cost=CostSum([_augmented_cost(quadratic, k, weight), *(one.extended(n, k) for one in problem.cost.norms)]),
+        cost=CostSum([_augmented_cost(quadratic, k, weight), *(one.augmented(n, k) for one in problem.cost.norms)]),
         state_set=augmented_set,
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, Box(-free, free)),
-        state_spectrum=[more for one in entries_of(problem.state_spectrum) for more in one.extended(n, k)] or None,
+        state_spectrum=[more for one in entries_of(problem.state_spectrum) for more in one.augmented(n, k)] or None,
         stage_rows=[
             StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
         ],
-        output_spectrum=[one.extended(n, k) for one in entries_of(problem.output_spectrum)] or None,
+        output_spectrum=[one.augmented(n, k) for one in entries_of(problem.output_spectrum)] or None,
     )
 
 
@@ -249,7 +249,7 @@ def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
     box = Box(np.hstack([bounds.lower, added.lower]), np.hstack([bounds.upper, added.upper]))
     n, k = bounds.lower.shape[-1], added.lower.shape[-1]
     members = () if given is None else given.members
-    return Intersection([box, *(one.extended(n, k) for one in members)]) if members else box
+    return Intersection([box, *(one.augmented(n, k) for one in members)]) if members else box
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,7 +342,7 @@ def rate_limit(problem: OptimalControlProblem, limit: Bound, previous: ArrayLike
     labels = [split_unit(problem.control_names[j]) for j in limited]
     names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
     added = AddedStates(np.zeros((k, k)), chosen, Box(*before), np.full(k, -np.inf), names)
-    remembering = extended(problem, added)
+    remembering = add_states(problem, added)
     of_x = np.zeros((k, problem.state_dim))
     rows = StageRows(
         np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),

@@ -59,17 +59,17 @@ class Drift(FrequencyConstraint):
         stages = StageMap(np.arange(signal.length), weights, None, np.zeros(2))
         yield Term("drift", signal.kind, self.values((stages,), np.array([0.1, -0.3])), self.penalty, source)
 
-    def extended(self, n, k):
+    def augmented(self, n, k):
         return [Drift(self.penalty, self.values, n)]
 
 
 class ForgottenDrift(Drift):
-    def extended(self, n, k):
+    def augmented(self, n, k):
         return []
 
 
 class OtherDrift(Drift):
-    def extended(self, n, k):
+    def augmented(self, n, k):
         return [Drift(self.penalty, self.values, n + k)]
 
 
@@ -145,7 +145,7 @@ def test_each_fault_is_found(words):
 
 
 def test_a_frequency_constraint_must_say_what_it_is_on_longer_signals():
-    """One without ``extended`` would vanish in ``rate_limited``."""
+    """One without ``augmented`` would vanish in ``rate_limited``."""
 
     class Incomplete(FrequencyConstraint):
         def describe(self, names):

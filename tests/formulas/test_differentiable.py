@@ -18,7 +18,7 @@ from lin_freq_ocp.batch.grid import fingerprint
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.dynamics import SmoothMode
 from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
 from lin_freq_ocp.formulas.text import formula_from_text
 
 X, U = lfo.signals(2, 1)
@@ -115,7 +115,7 @@ def test_functions_of_formulas_have_the_derivatives_of_the_whole_formula(seed):
     outer = random_formula(rng, 4, [*X, *U])
     inner = [random_formula(rng, 3, [*X, *U]) for _ in range(3)]
     made = {variable: part for variable, part in zip((*X, *U), inner, strict=True)}
-    for node in in_order([outer]):
+    for node in nodes_in_order([outer]):
         parts = tuple(made[argument] for argument in node.arguments)
         made.setdefault(node, replace(node, arguments=parts))
     y = rng.uniform(-1, 1, (4, 3))
@@ -337,7 +337,7 @@ def test_functions_of_casadi_become_formulas_where_these_have_its_operations(cas
 
     made = lfo.from_casadi(f, 2, 1)
     formulas = list(made(X, U))
-    assert {one.kind for one in in_order(formulas)} >= {"norm", "tanh", "arctan", "sqrt"}
+    assert {one.kind for one in nodes_in_order(formulas)} >= {"norm", "tanh", "arctan", "sqrt"}
     y = np.random.default_rng(0).uniform(0.5, 2, (6, 3))
     np.testing.assert_allclose(values_of(formulas, y), [made(row[:2], row[2:]) for row in y], rtol=1e-14)
     again = [formula_from_text("f", exact_text(one), (2, 1)) for one in formulas]

@@ -83,7 +83,7 @@ class RateConstraint(FrequencyConstraint):
         rates = SumMap((stages,), constant.ravel())
         yield Term(RATE_LIMIT, signal.kind, rates, HalfSpaces(np.full(len(both), self.limit), HARD), source)
 
-    def extended(self, n, k):
+    def augmented(self, n, k):
         return [self]
 
 

@@ -38,7 +38,7 @@ class SteadyGain(FrequencyConstraint):
         sum_of = SumMap((StageMap(np.arange(signal.length), *parts, np.zeros(1)),), np.zeros(1))
         yield Term(f"steady gain of {signal.names[0]}", signal.kind, sum_of, ball, source)
 
-    def extended(self, n, k):
+    def augmented(self, n, k):
         return [self]
 
     @property

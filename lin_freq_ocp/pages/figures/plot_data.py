@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.base.phrases import listed
+from lin_freq_ocp.base.phrases import join_words
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, ProblemSignal, controls_of, outputs_of, states_of
 from lin_freq_ocp.pages.figures.look import AXIS_MARGIN, Note, Style
 from lin_freq_ocp.pages.units import Scale, frequency_scale, quantity, rough, time_scale
@@ -143,8 +143,8 @@ def _end_text(trace: Trace, signals: Sequence[ProblemSignal]) -> str:
     end = trace.measured.end
     bounded = [] if end is None else [one for one in signals if end.bounded[one.index]]
     if end is not None and bounded:
-        return f"ends {listed([quantity(float(end.values[one.index]), one.name) for one in bounded])} away"
-    return f"goes as far as {listed([quantity(trace.measured.largest(one), one.name) for one in signals])}"
+        return f"ends {join_words([quantity(float(end.values[one.index]), one.name) for one in bounded])} away"
+    return f"goes as far as {join_words([quantity(trace.measured.largest(one), one.name) for one in signals])}"
 
 
 def view(mains: Sequence[Array], overlays: Sequence[Array], bounds: Array, references: Sequence[Array] = ()) -> View:

@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from lin_freq_ocp.base.phrases import NOTHING, listed, number, plural, short_name, split_unit
+from lin_freq_ocp.base.phrases import NOTHING, join_words, number, plural, short_name, split_unit
 from lin_freq_ocp.batch.sweep import SweepOutcome
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -263,7 +263,7 @@ def moves_sentence(moves: Moves) -> str:
         own = f"{ours.samples} samples are enough" + (
             f", and {ours.samples - 1} are proven not to be" if moves.proof and ours.samples > 1 else ""
         )
-    found = listed(known + unknown)
+    found = join_words(known + unknown)
     return f"with the profiles tried, input shapers of the same robustness need {found} samples; {own}"
 
 
@@ -281,4 +281,6 @@ def moves_caption(moves: Moves) -> str:
 def moves_title(moves: Moves) -> str:
     """Return the title of the figure, which is also its description where it cannot be seen."""
     within = [move.name for move in moves.all if move.keeps_everything]
-    return f"Residual vibration over the natural frequency: {listed(within)} stay below the limit over the whole box"
+    return (
+        f"Residual vibration over the natural frequency: {join_words(within)} stay below the limit over the whole box"
+    )

@@ -8,9 +8,9 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, real_array, shaped, with_columns
+from lin_freq_ocp.base.arrays import Array, Mask, array_of_shape, assign, brief, real_array, with_columns
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import datum, listed, span, vector
+from lin_freq_ocp.base.phrases import datum, join_words, span, vector
 from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
@@ -57,10 +57,10 @@ class _NormCost(NonsmoothCost):
         used = {"x_ref": self.x.any() or self.terminal.any(), "u_ref": self.u.any()}
         given = {"x_ref": self.x_ref, "u_ref": self.u_ref}
         references = [datum(name, values, 1) for name, values in given.items() if used[name] and values.any()]
-        deviations = f" of deviations from {listed(references)}" if references else ""
-        return f"{self.kind}{deviations} at each time: {listed(parts)}"
+        deviations = f" of deviations from {join_words(references)}" if references else ""
+        return f"{self.kind}{deviations} at each time: {join_words(parts)}"
 
-    def extended(self, n: int, k: int) -> Self:
+    def augmented(self, n: int, k: int) -> Self:
         x, terminal, x_ref = (
             with_columns(np.full(n, values) if values.ndim == 0 else values, k)
             for values in (self.x, self.terminal, self.x_ref)
@@ -82,7 +82,7 @@ class _NormCost(NonsmoothCost):
         for entry, (size, times) in shapes.items():
             value: Array = getattr(self, entry)
             complete = np.full(size, value) if value.ndim == 0 else value
-            arrays[entry] = shaped(f"{field}.{entry}", complete, (size,), times)
+            arrays[entry] = array_of_shape(f"{field}.{entry}", complete, (size,), times)
         x, u, terminal, x_ref, u_ref = arrays.values()
         x_ref, u_ref = np.broadcast_to(x_ref, (T + 1, n)), np.broadcast_to(u_ref, (T, m))
         norm, stages = NormBall(self.order, np.zeros(()), np.ones(())), np.arange(T)

@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import (
     Array,
     Mask,
+    array_of_shape,
     assign,
     brief,
+    make_read_only,
     one_component,
     real_array,
-    sealed,
-    shaped,
     times_vectors,
 )
 from lin_freq_ocp.base.errors import ProblemError
@@ -106,7 +106,7 @@ class NonsmoothCost(Cost):
         """Return a text of the summands and their weights; empty if all are zero."""
 
     @abstractmethod
-    def extended(self, n: int, k: int) -> NonsmoothCost:
+    def augmented(self, n: int, k: int) -> NonsmoothCost:
         """Return the cost of (x, w), w in R^k without cost."""
 
     def translated(self, origin: Array) -> NonsmoothCost | None:
@@ -236,7 +236,7 @@ class QuadraticCost(Cost):
                 value = np.zeros(shape)
             elif reference:
                 value = one_component(value, shape[0])
-            complete[field] = value = shaped(f"cost.{field}", value, shape, times)
+            complete[field] = value = array_of_shape(f"cost.{field}", value, shape, times)
             asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max() if square else 0.0
             if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():
                 got = f"a matrix that differs from its transpose by {asymmetry:g}"
@@ -325,7 +325,7 @@ class QuadraticCost(Cost):
         hessian = np.empty((times, n + m, n + m))
         hessian[:, :n, :n], hessian[:, n:, n:] = Q, R
         hessian[:, :n, n:], hessian[:, n:, :n] = S, np.swapaxes(S, 1, 2)
-        return sealed(hessian)
+        return make_read_only(hessian)
 
     @cached_property
     def rises(self) -> tuple[Array, float]:

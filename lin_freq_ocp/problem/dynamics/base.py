@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, names, positive_number, printable
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, component_names, positive_number, printable
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.kinds import register_all
 from lin_freq_ocp.base.phrases import first_few, plural
@@ -279,8 +279,8 @@ def signal_labels(
         "state_dim": n,
         "control_dim": m,
         "sampling_time": None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time),
-        "state_names": names("dynamics.state_names", state_names, n, "x"),
-        "control_names": names("dynamics.control_names", control_names, m, "u"),
+        "state_names": component_names("dynamics.state_names", state_names, n, "x"),
+        "control_names": component_names("dynamics.control_names", control_names, m, "u"),
     }
 
 

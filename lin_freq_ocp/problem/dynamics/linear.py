@@ -13,10 +13,10 @@ from scipy.linalg import expm
 from lin_freq_ocp.base.arrays import (
     Array,
     assign,
-    extended,
     positive_number,
     real_array,
     times_vectors,
+    to_long_double,
     with_columns,
     with_fields,
     with_products,
@@ -285,7 +285,7 @@ class LinearDynamics(StateEquations):
 
     def translated(self, origin: Array) -> LinearDynamics:
         """Return the dynamics of x - origin, whose offset is d + (A - I) origin."""
-        growth = extended(self.A) - np.eye(self.state_dim)
+        growth = to_long_double(self.A) - np.eye(self.state_dim)
         return replace(self, offset=with_products(self.offset, (growth, origin)))
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> LinearDynamics:

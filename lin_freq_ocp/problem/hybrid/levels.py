@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, frozen, real_array
+from lin_freq_ocp.base.arrays import Array, Indices, as_read_only, assign, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural, short_name, vector
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
@@ -184,7 +184,7 @@ class FiniteSet(ConvexSet):
     def bounds(self) -> Bounds:
         ends = np.array([[one.values[0], one.values[-1]] for one in self.given]).T
         lower, upper = ends[:, 0] if self.single else ends
-        return frozen(np.asarray(lower)), frozen(np.asarray(upper))
+        return as_read_only(np.asarray(lower)), as_read_only(np.asarray(upper))
 
     @property
     def hull(self) -> FiniteSet:
@@ -222,7 +222,7 @@ class FiniteSet(ConvexSet):
         limits, prices = (np.concatenate([hinges[k] for _, hinges in rows]) for k in (1, 2))
         return (Part(F, np.zeros(len(F)), HalfSpaces(limits, prices)),)
 
-    def widened(self, amount: float, dimension: int) -> FiniteSet:
+    def relaxed_by(self, amount: float, dimension: int) -> FiniteSet:
         return self
 
     def describe(self, names: Sequence[str], signal: str) -> str:
@@ -266,7 +266,7 @@ def _levels(name: str, values: Array, costs: Array | None) -> Levels:
     if (price < 0).any():
         advice = "The same amount added to all of them changes no solution."
         raise ProblemError(f"FiniteSet.costs{name}", f"{price.min():g}", "costs of zero or above", advice)
-    return Levels(frozen(rising), frozen(price[order]))
+    return Levels(as_read_only(rising), as_read_only(price[order]))
 
 
 @dataclass(frozen=True, eq=False, init=False)

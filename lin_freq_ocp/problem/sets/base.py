@@ -18,7 +18,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, frozen, with_columns, with_products
+from lin_freq_ocp.base.arrays import Array, Mask, as_read_only, assign, brief, with_columns, with_products
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT
 from lin_freq_ocp.problem.terms.penalty import Penalty
@@ -99,14 +99,14 @@ class ConvexSet(ABC):
         """Return the parts with a price per unit of excess."""
         return tuple(replace(part, penalty=part.penalty.softened(weight)) for part in self.parts(dimension))
 
-    def extended(self, n: int, k: int) -> ConvexSet:
+    def augmented(self, n: int, k: int) -> ConvexSet:
         """Return the set of (x, w), w in R^k, with x in R^n in this set, bounds left out."""
         parts = tuple(Part(with_columns(part.F, k), part.c, part.penalty) for part in self.parts(n))
         return PartSet(parts, n + k, self.describe([f"x[{i}]" for i in range(n)], "x"))
 
-    def widened(self, amount: float, dimension: int) -> ConvexSet:
+    def relaxed_by(self, amount: float, dimension: int) -> ConvexSet:
         """Return the set with limits, bounds apart, that are higher by an amount; a soft set stays as it is."""
-        parts = tuple(Part(part.F, *part.penalty.widened(part.c, amount)) for part in self.parts(dimension))
+        parts = tuple(Part(part.F, *part.penalty.relaxed_by(part.c, amount)) for part in self.parts(dimension))
         return PartSet(parts, dimension, f"wider by {amount:g}")
 
     @property
@@ -216,7 +216,7 @@ class Intersection(ConvexSet):
             if apart.any():
                 got = f"bounds {common[0][apart].flat[0]:g} <= v <= {common[1][apart].flat[0]:g} on a component"
                 raise ProblemError("Intersection", got, "a point within the bounds of all sets")
-            lower, upper = frozen(common[0]), frozen(common[1])
+            lower, upper = as_read_only(common[0]), as_read_only(common[1])
         return lower, upper
 
     @property

@@ -9,7 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, frozen, one_component, real_array
+from lin_freq_ocp.base.arrays import (
+    NO_BOUND,
+    Array,
+    Bound,
+    Mask,
+    as_read_only,
+    assign,
+    brief,
+    one_component,
+    real_array,
+)
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT, intervals, plural, short_name
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
@@ -81,7 +91,7 @@ class Box(ConvexSet):
                     expected = f"a number below {NO_BOUND:g} in absolute value"
                     advice = "That is beyond what stands for no bound at all; choose other units."
                     raise ProblemError(f"Box.{side}", f"{bound[impossible][0]:g}", expected, advice)
-        assign(self, lower=frozen(low), upper=frozen(high))
+        assign(self, lower=as_read_only(low), upper=as_read_only(high))
 
     @property
     def dimension(self) -> int | None:
@@ -103,7 +113,7 @@ class Box(ConvexSet):
         limits = np.concatenate([box.upper, -box.lower], axis=-1)
         return (Part(np.vstack([identity, -identity]), np.zeros(2 * dimension), HalfSpaces(limits, weight)),)
 
-    def extended(self, n: int, k: int) -> Box:
+    def augmented(self, n: int, k: int) -> Box:
         box, free = self.at_dimension(n, "Box"), np.full(k, np.inf)
         return Box(np.append(box.lower, -free), np.append(box.upper, free))
 
@@ -179,7 +189,7 @@ class Point(Box):
         point = one_component(real_array("Point", value), 1)
         if point.ndim != 1:
             raise ProblemError("Point", f"shape {point.shape}", "one number per component")
-        assign(self, lower=frozen(point), upper=frozen(point))
+        assign(self, lower=as_read_only(point), upper=as_read_only(point))
 
     @property
     def value(self) -> Array:
@@ -200,7 +210,7 @@ class Everything(Box):
         super().__init__(None, None)
 
 
-def stacked(field: str, given: SetOrSets, dimension: int, times: int) -> Box:
+def bounds_over_time(field: str, given: SetOrSets, dimension: int, times: int) -> Box:
     """Return the bounds of each time, (times, dimension), of one set, a sequence of sets, or None."""
     if isinstance(given, Sequence) and not isinstance(given, str):
         expected = f"one set, or a sequence of {times} sets, one per time"
@@ -253,10 +263,10 @@ def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
         lower, upper = np.where(excess > 0, end.lower, lower), np.where(excess > 0, end.upper, upper)
     else:
         beyond = np.zeros(lower.shape, dtype=bool)
-    return _box_of_checked(frozen(lower), frozen(upper)), beyond
+    return _box_of_checked(as_read_only(lower), as_read_only(upper)), beyond
 
 
-def held(given: SetOrSets, values: Array | None) -> SetOrSets:
+def fix_values(given: SetOrSets, values: Array | None) -> SetOrSets:
     """Return a set, for all times, with the values (times, n) as its bounds; the set itself without values."""
     if values is None:
         return given

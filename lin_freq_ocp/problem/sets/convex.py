@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import (
     Array,
+    array_of_shape,
     assign,
     brief,
     positive_number,
     real_array,
     require_rows_hold,
     row_matrix,
-    shaped,
     upper_limits,
     with_columns,
 )
@@ -72,7 +72,7 @@ class Polyhedron(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(self.F, np.zeros(len(self.F)), HalfSpaces(self.g, HARD)),)
 
-    def extended(self, n: int, k: int) -> Polyhedron:
+    def augmented(self, n: int, k: int) -> Polyhedron:
         return Polyhedron(with_columns(self.F, k), self.g)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
@@ -118,7 +118,7 @@ class Ellipsoid(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(self.W, -self.W @ np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
-    def extended(self, n: int, k: int) -> Ellipsoid:
+    def augmented(self, n: int, k: int) -> Ellipsoid:
         return Ellipsoid(with_columns(self.W, k), self.radius, with_columns(np.broadcast_to(self.centre, n), k))
 
     def describe(self, names: Sequence[str], signal: str) -> str:
@@ -161,8 +161,8 @@ class Ball(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(np.eye(dimension), -np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
-    def extended(self, n: int, k: int) -> Ellipsoid:
-        return Ellipsoid(np.eye(n), self.radius, self.centre).extended(n, k)
+    def augmented(self, n: int, k: int) -> Ellipsoid:
+        return Ellipsoid(np.eye(n), self.radius, self.centre).augmented(n, k)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         centre = vector(self.centre) if self.centre.any() else "the origin"
@@ -199,7 +199,7 @@ class SecondOrderCone(ConvexSet):
     def __init__(self, F: ArrayLike, g: ArrayLike, h: ArrayLike, d: float = 0.0):
         matrix = row_matrix("SecondOrderCone.F", F)
         inner, slope = (
-            shaped(f"SecondOrderCone.{name}", value, (size,))
+            array_of_shape(f"SecondOrderCone.{name}", value, (size,))
             for name, value, size in zip("gh", (g, h), matrix.shape, strict=True)
         )
         constant = real_array("SecondOrderCone.d", d)
@@ -214,7 +214,7 @@ class SecondOrderCone(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(np.vstack([self.h, self.F]), np.append(self.d, self.g), StandardCone()),)
 
-    def extended(self, n: int, k: int) -> SecondOrderCone:
+    def augmented(self, n: int, k: int) -> SecondOrderCone:
         return SecondOrderCone(with_columns(self.F, k), self.g, with_columns(self.h, k), self.d)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
@@ -267,10 +267,10 @@ class Soft(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return self.soft_set.soft_parts(dimension, np.asarray(self.penalty))
 
-    def extended(self, n: int, k: int) -> Soft:
-        return Soft(self.soft_set.extended(n, k), self.penalty)
+    def augmented(self, n: int, k: int) -> Soft:
+        return Soft(self.soft_set.augmented(n, k), self.penalty)
 
-    def widened(self, amount: float, dimension: int) -> Soft:
+    def relaxed_by(self, amount: float, dimension: int) -> Soft:
         return self
 
     def translated(self, origin: Array) -> Soft:

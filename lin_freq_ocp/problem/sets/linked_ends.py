@@ -10,7 +10,15 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, require_rows_hold, row_matrix, shaped, with_columns, with_products
+from lin_freq_ocp.base.arrays import (
+    Array,
+    array_of_shape,
+    assign,
+    require_rows_hold,
+    row_matrix,
+    with_columns,
+    with_products,
+)
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
@@ -60,8 +68,8 @@ class LinkedEnds(ConvexSet):
 
     def __init__(self, E_0: ArrayLike, E_T: ArrayLike, e: ArrayLike | None = None):
         first = row_matrix("LinkedEnds.E_0", E_0)
-        last = shaped("LinkedEnds.E_T", E_T, first.shape)
-        right = shaped("LinkedEnds.e", np.zeros(len(first)) if e is None else e, first.shape[:1])
+        last = array_of_shape("LinkedEnds.E_T", E_T, first.shape)
+        right = array_of_shape("LinkedEnds.e", np.zeros(len(first)) if e is None else e, first.shape[:1])
         require_rows_hold("LinkedEnds.e", ~(first.any(axis=1) | last.any(axis=1)) & (right != 0), right)
         assign(self, E_0=first, E_T=last, e=right, reach=0.0, repeats=False)
 
@@ -81,11 +89,11 @@ class LinkedEnds(ConvexSet):
         ends = StageMap(np.array([0, horizon]), np.stack([E_0, E_T]), None, np.zeros(len(e)))
         return (Link(self.name, SumMap((ends,), -e), Within(self.reach), self.periodic, self.repeats),)
 
-    def extended(self, n: int, k: int) -> ConvexSet:
+    def augmented(self, n: int, k: int) -> ConvexSet:
         E_0, E_T, e = self.matrices(n)
         return self._restate(with_columns(E_0, k), with_columns(E_T, k), e)
 
-    def widened(self, amount: float, dimension: int) -> ConvexSet:
+    def relaxed_by(self, amount: float, dimension: int) -> ConvexSet:
         return self._restate(*self.matrices(dimension), amount)
 
     def translated(self, origin: Array) -> ConvexSet:

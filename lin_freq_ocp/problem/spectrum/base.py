@@ -1,7 +1,7 @@
 """The protocol of frequency constraints on signals: states, controls, or linear outputs of both.
 
 A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe``, ``terms``
-and ``extended``. To be written to problem files it is listed in ``files/problem_tables.py``.
+and ``augmented``. To be written to problem files it is listed in ``files/problem_tables.py``.
 ``lin_freq_ocp.testing.check_terms`` checks it. ``OutputSpectrum`` puts such constraints on linear outputs.
 """
 
@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, names, real_array, with_columns, with_fields
+from lin_freq_ocp.base.arrays import Array, assign, brief, component_names, real_array, with_columns, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name
 from lin_freq_ocp.problem.numbers import Axis, Number
@@ -45,7 +45,7 @@ class FrequencyConstraint(ABC):
         """Yield its terms; errors name ``field``, and ``source`` is the entry of the problem's field."""
 
     @abstractmethod
-    def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
+    def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         """Return the same constraints on x in R^n of the signal (x, w), w in R^k."""
 
     def on_components(self, n: int) -> list[Self]:
@@ -81,7 +81,7 @@ class FrequencyConstraint(ABC):
             low, high, step = LEVELS
             yield Number("level.{}", "level", "dB", 0.0, low, high, 1, _scale_levels, step)
 
-    def widened(self, amount: float) -> Self:
+    def relaxed_by(self, amount: float) -> Self:
         """Return it with limits that are higher by an amount, if it has some."""
         return self if self.levels is None else self.at_levels(self.levels + amount)
 
@@ -204,7 +204,7 @@ class OutputSpectrum:
         if wrong or not entries:
             got = brief(wrong[0]) if wrong else "nothing"
             raise ProblemError("output_spectrum.constraints", got, "bands, MagnitudeBound or EnergyBound")
-        checked_names = names("output_spectrum.output_names", output_names, len(given[0]), "y")
+        checked_names = component_names("output_spectrum.output_names", output_names, len(given[0]), "y")
         assign(self, C=matrices[0], D=matrices[1], constraints=entries, output_names=checked_names)
 
     def describe(self, signals: Sequence[str]) -> str:
@@ -216,7 +216,7 @@ class OutputSpectrum:
         text = ", ".join(parts)
         return text if len(text) <= MOST_TEXT else f"{plural(len(parts), 'linear combination')} of states and controls"
 
-    def extended(self, n: int, k: int) -> OutputSpectrum:
+    def augmented(self, n: int, k: int) -> OutputSpectrum:
         """Return the constraints on the same outputs of (x, w), w in R^k."""
         C = None if self.C is None else with_columns(self.C, k)
         return OutputSpectrum(C, self.D, self.constraints, self.output_names)

@@ -131,7 +131,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
         weight = weight_of(self.penalty) / (self.factor if self.together else 1.0)  # of the root of an energy as given
         return Term(f"{self.label} on {name}", kind, values, NormBall(2, limits, weight), source, self.factor)
 
-    def extended(self, n: int, k: int) -> Sequence[SpectrumBound]:
+    def augmented(self, n: int, k: int) -> Sequence[SpectrumBound]:
         return self.on_components(n)
 
     def softened(self, penalty: float) -> Self:

@@ -82,7 +82,7 @@ class ResidualVibration(FrequencyConstraint):
         boxes = (PlantBox(values, low, high, self.limit, h) for values in maps)
         yield from self.semi_infinite_terms("residual vibration of", signal, boxes, source)
 
-    def extended(self, n: int, k: int) -> Sequence[ResidualVibration]:
+    def augmented(self, n: int, k: int) -> Sequence[ResidualVibration]:
         return self.on_components(n)
 
     @property

@@ -119,7 +119,7 @@ class Spectrogram(FrequencyConstraint):
         of = f"every window of {self.length} samples, a new one every {self.hop}" if self.length else "all samples"
         return f"{self.bound.describe(names)}; on {of}{behind}"
 
-    def extended(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
+    def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         past = None if self.past is None else with_columns(self.past, k)
         return [self.changed(bound=one, component=one.component, past=past) for one in self.bound.on_components(n)]
 

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, to_long_double
 from lin_freq_ocp.problem.terms.penalty import HARD, Block, ConicForm, Penalty, block_rows, selected_rows
 
 DUAL_ORDER = {1: np.inf, 2: 2, np.inf: 1}  # of a norm, the order of its dual norm
@@ -89,11 +89,11 @@ class HalfSpaces(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
-        return np.zeros_like(c), replace(self, limit=(extended(self.limit) - c).astype(np.float64))
+        return np.zeros_like(c), replace(self, limit=(to_long_double(self.limit) - c).astype(np.float64))
 
     def stacked(self, others: list[Any]) -> Penalty:
         weights = np.array([np.asarray(one.weight, dtype=float) for one in others])
@@ -134,7 +134,7 @@ class Within(Penalty):
     def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
         return np.full(shape, -self.reach), np.full(shape, self.reach)
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, reach=self.reach + amount)
 
     def conic(self, groups: int, dim: int) -> ConicForm:
@@ -220,7 +220,7 @@ class NormBall(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, radius=self.radius + amount)
 
     def stacked(self, others: list[Any]) -> Penalty:
@@ -268,7 +268,7 @@ class StandardCone(Penalty):
     def misfit(self, v: Array, multipliers: Array) -> Array:
         return across(v[:, 1:], multipliers[:, 1:])[:, None]
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c + amount * (np.arange(len(c)) == 0), self
 
     def conic(self, groups: int, dim: int) -> ConicForm:
@@ -359,7 +359,7 @@ class LargestExcess(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def widened(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
     @property

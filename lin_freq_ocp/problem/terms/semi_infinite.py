@@ -19,7 +19,7 @@ from typing import ClassVar
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.terms.maps import Shapes
 from lin_freq_ocp.problem.terms.penalties import LargestExcess, NormBall
@@ -228,7 +228,7 @@ class HeldMap(ScaledMap):
 
     @property
     def gain(self) -> ComplexArray:
-        return extended(sinc(extended(self.at)) + 0j)
+        return to_long_double(sinc(to_long_double(self.at)) + 0j)
 
     @property
     def additions(self) -> float:
@@ -281,12 +281,12 @@ class VibrationMap(ScaledMap):
     @property
     def _angles(self) -> ComplexArray:
         """Return s h, (groups,)."""
-        w, damping = (2 * np.pi * self.sampling_time) * extended(self.at[:, 0]), self._damping_ratio
+        w, damping = (2 * np.pi * self.sampling_time) * to_long_double(self.at[:, 0]), self._damping_ratio
         return w * (-damping + 1j * np.sqrt(1 - damping**2))
 
     @property
     def _damping_ratio(self) -> Array:
-        return extended(self.at[:, 1])
+        return to_long_double(self.at[:, 1])
 
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
