@@ -160,17 +160,17 @@ def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) 
 
 
 def irredundant(cell: Cell, thickness: float) -> Indices:
-    """Return the rows that the others do not imply: beyond each, a ball fits that they all allow."""
-    kept = list(range(len(cell.limits)))
+    """Return the rows that the others do not imply: outside of each, a ball fits into all others."""
+    needed = list(range(len(cell.limits)))
     for row in range(len(cell.limits)):
-        others = cell.take(np.array([k for k in kept if k != row], dtype=int))
+        others = cell.take(np.array([k for k in needed if k != row], dtype=int))
         if (others & cell.beyond(row)).inner_point(thickness) is None:
-            kept.remove(row)
-    return np.array(kept, dtype=int)
+            needed.remove(row)
+    return np.array(needed, dtype=int)
 
 
 def uncovered_point(domain: Cell, cells: Sequence[Cell]) -> Array | None:
-    """Return a point of the domain that none of the cells holds; None if they cover it.
+    """Return a point of the domain outside all cells; None if they cover it.
 
     What is left uncovered in the interior ends at facets of cells. So each facet must have other cells on its far side:
     those that hold on it and have not the same facet. They are looked for in the plane of the facet, by cutting it.
@@ -196,7 +196,7 @@ def uncovered_point(domain: Cell, cells: Sequence[Cell]) -> Array | None:
 def _point_of_facet(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
     """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None if there is none.
 
-    The piece is cut along the rows of the cell around the centre of its largest ball, and so on with what remains.
+    The piece is cut along the rows of the cell around the centre of its largest ball; each part is searched in turn.
     """
     point = piece.inner_point(THICKNESS)
     if point is None:
@@ -223,7 +223,7 @@ class _FarSide:
     def __init__(self, cells: Sequence[Cell], own: int, normal: Array, limit: float, foot: Array, along: Array):
         self.cells, self.foot, self.along = cells, foot, along
         d = len(normal)
-        lengths = [len(cell.limits) + 1 for cell in cells]  # and a row that says nothing, for cells without any
+        lengths = [len(cell.limits) + 1 for cell in cells]  # and an infinite row, as a cell may have none
         self.starts = np.append(0, np.cumsum(lengths)[:-1])
         self.normals = np.vstack([part for cell in cells for part in (cell.normals, np.zeros((1, d)))])
         self.limits = np.concatenate([part for cell in cells for part in (cell.limits, [np.inf])])
@@ -269,7 +269,7 @@ def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float
     coefficients = np.abs(matrix)
     bounded = np.isfinite(half_widths) & (half_widths > 0)
     sizes = np.where(bounded, half_widths, 0.0)
-    for _ in sizes:  # what one component says may give another its size
+    for _ in sizes:  # the size of one component may determine that of another
         reach = _reach(coefficients, np.abs(limits), sizes)
         grown = np.where(bounded | (sizes > 0), sizes, reach)
         if (grown == sizes).all():

@@ -1,4 +1,4 @@
-"""Functions of CasADi: as formulas where all their operations are, else with CasADi's derivatives."""
+"""Functions of CasADi, as formulas if these have all operations; with CasADi's derivatives otherwise."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, POWER, SUM
 if TYPE_CHECKING:
     from casadi import Function
 
-# Operations of CasADi whose derivatives say nothing of their kinks or jumps.
+# Operations of CasADi with kinks or jumps, which their derivatives do not show.
 KINKED = ("FABS", "FMAX", "FMIN", "MMAX", "MMIN", "SIGN", "COPYSIGN", "FLOOR", "CEIL", "FMOD", "REMAINDER",
           "IF_ELSE_ZERO", "NORM1", "NORMINF")  # fmt: skip
 # Operations of CasADi that formulas have; constants among them are folded by CasADi.
@@ -61,9 +61,9 @@ def from_casadi(
 ) -> DifferentiableFunction:
     """Return a function of CasADi as one that makes formulas, with exact derivatives.
 
-    Where formulas have all operations of the function it becomes formulas: maxima, minima and absolute values then
-    make modes in ``PiecewiseSmoothDynamics.from_formulas``, and global bounds and problem files are possible. Any other
-    one is differentiated by CasADi, twice.
+    If formulas have all its operations, the function becomes formulas: maxima, minima and absolute values then make
+    modes in ``PiecewiseSmoothDynamics.from_formulas``, and global bounds and problem files are possible. CasADi
+    differentiates any other function twice.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def from_casadi(
     name : str
         As errors and reports show it; default: that of the function.
     smooth : bool
-        Says that the function is twice differentiable in spite of its maxima, absolute values or branches, as
-        fabs(x)**3. Functions that it calls, as interpolants, are taken to be so without a word.
+        Whether the function is twice differentiable in spite of its maxima, absolute values or branches, as fabs(x)**3.
+        Functions that it calls, such as interpolants, are assumed to be.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def from_casadi(
     MissingExtraError
         If casadi is not installed.
     ProblemError
-        If it is no such function, or has kinks that would not be seen.
+        If it is no such function, or has kinks that its derivatives do not show.
 
     Examples
     --------
@@ -142,7 +142,7 @@ def _translate(casadi: ModuleType, made: Function, found: DifferentiableFunction
             return
     if kinked and not smooth:
         advice = "Write a mode for each side of a kink, or say smooth=True if there is none."
-        got = f"{', '.join(kinked).lower()}, beside operations that formulas do not have"
+        got = f"{', '.join(kinked).lower()}, with operations that formulas do not have"
         raise ProblemError(f"from_casadi: {found.title}", got, "a smooth function", advice)
 
 
@@ -176,7 +176,7 @@ def _compile_function(casadi: ModuleType, function: Callable[..., object], n: in
 def _serialize_function(made: Function) -> str:
     try:
         return str(made.serialize())
-    except RuntimeError:  # it calls what has no text
+    except RuntimeError:  # it calls a function that has no text
         return str(made)
 
 

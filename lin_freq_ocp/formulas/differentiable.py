@@ -1,6 +1,6 @@
 """Functions of (x, u) that are no formulas, with their derivatives: loops, branches, tables, foreign code.
 
-Given derivatives are checked against central differences before they are used.
+``check_derivatives`` compares given derivatives with central differences.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DIFFERENCE_STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
 
 @dataclass(frozen=True, eq=False, init=False)
 class DifferentiableFunction:
-    """A smooth function of (x, u) by what computes it and its derivatives, for pieces that cannot be formulas.
+    """A smooth function of (x, u) given by Python functions of values and derivatives, where no formula is possible.
 
     Called with signals, or formulas in their place, it returns one formula for each output, which can be mixed with
     others: ``SmoothMode(f=function)``, ``region=lambda x, u: [table(x[:1], u)[0] - x[1]]``. Called with numbers, it
@@ -37,38 +37,38 @@ class DifferentiableFunction:
     call : function
         Of x (n,) and u (m,), float arrays; returns (outputs,), or one number if there is one output, and always the
         same for the same arguments. Not a number (nan), or an ArithmeticError, as from 1/0: it is not defined there,
-        and a mode with it does not hold.
+        and no mode with it applies.
     jacobian : function
-        Of the same; returns the derivatives by (x, u), (outputs, n + m).
+        Of the same arguments; returns the derivatives by (x, u), (outputs, n + m).
     hessian : function, optional
-        Of the same; returns the second derivatives, (outputs, n + m, n + m). Without it central differences of the
-        Jacobian are taken, right to 1e-9 or so of its size: Newton's method then converges superlinearly, no longer
-        quadratically, to the same point. Where none are defined 0 is taken: second derivatives steer the search, and
-        no condition of the certificate has any.
+        Of the same arguments; returns the second derivatives, (outputs, n + m, n + m). The default is central
+        differences of the Jacobian, with an error near 1e-9 of its size: Newton's method then converges superlinearly,
+        no longer quadratically, to the same point. Undefined differences count as 0: second derivatives steer the
+        search, and no condition of the certificate has any.
     outputs : int
-        Of the function.
+        Number of outputs.
     name : str
         As errors and reports show it; default: that of ``call``.
     vectorized : bool
         Whether the functions take many points at once, x (points, n) and u (points, m), and return
         (points, outputs) and so on; a search evaluates some 10^5.
     sizes : float or (n + m,)
-        By how much arguments that are near zero are usually changed: steps of differences are relative to this, or
-        to the argument where that is larger.
+        Typical changes of arguments near zero: steps of differences are relative to the larger of this and the
+        argument.
     check_at : sequence of (x, u), optional
         Points at which to compare the derivatives with differences, see ``check_derivatives``.
 
     Attributes
     ----------
     dimensions : (n, m) or None
-        The only ones that it can be called with, if that is known.
+        The numbers of states and controls that it takes, if they are known.
     translation : function or None
-        What makes formulas of formulas, where ``from_casadi`` found one.
+        The function of formulas that ``from_casadi`` found.
 
     Raises
     ------
     ProblemError
-        Saying which field, what was got and what was expected; on use, also for what the functions return or raise.
+        Naming the field, its value and the expected value; on use, also if a function raises or returns a wrong value.
 
     Examples
     --------
@@ -86,7 +86,7 @@ class DifferentiableFunction:
     sizes: Array
     dimensions: tuple[int, int] | None = field(repr=False)
     translation: Callable[[Sequence[Formula], int], list[Formula]] | None = field(repr=False, compare=False)
-    # What the function was at the points of the last call: several modes, f and regions, ask at the same points.
+    # The values at the points of the last call: several modes, f and regions evaluate it at the same points
     _recent: dict[str, tuple[Array, Array, tuple[Array, ...]]] = field(repr=False, compare=False)
 
     def __init__(
@@ -138,12 +138,12 @@ class DifferentiableFunction:
         Parameters
         ----------
         x, u : sequences, or one formula or number
-            What stands for its n states and its m controls, in the function's own count, not the problem's.
+            Its n states and its m controls, by its own numbers n and m, not those of the problem.
 
         Raises
         ------
         ProblemError
-            If these are neither formulas nor numbers, or what the function returns has another shape.
+            If these are neither formulas nor numbers, or its values have another shape.
         """
         given = [_outputs_of(f"{self.title}.{letter}", one) for letter, one in (("x", x), ("u", u))]
         arguments, states = [*given[0], *given[1]], len(given[0])
@@ -176,7 +176,7 @@ class DifferentiableFunction:
         Raises
         ------
         ProblemError
-            Naming the derivative, the point, what was given and what differences say.
+            Naming the derivative, the point, the given value and the difference.
         """
         if not isinstance(at, (Sequence, np.ndarray)) or not len(at):
             raise ProblemError("check_at", brief(at), "a list of points (x, u)")
@@ -190,7 +190,7 @@ class DifferentiableFunction:
                 self._require_derivative("jacobian", "hessian", x, u)
 
     def _require_derivative(self, of: str, what: str, x: Array, u: Array) -> None:
-        """Raise ProblemError unless central differences of ``of`` agree with the derivative ``what`` at (x, u).
+        """Raise ProblemError if the derivative ``what`` at (x, u) differs from central differences of ``of``.
 
         ``scipy.differentiate`` fails where a function is undefined within its first step, and loses digits on noisy or
         rapidly changing functions unless their scale is known. Here steps of all sizes are compared.
@@ -225,7 +225,7 @@ class DifferentiableFunction:
             raise ProblemError(self.title, f"x ({states},) and u ({controls},)", expected)
 
     def values_at(self, x: Array, u: Array) -> Array:
-        """Return the values at points, (points, outputs); not a number where it is not defined.
+        """Return the values at points, (points, outputs); nan at points outside its domain.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class DifferentiableFunction:
         return np.broadcast_to(self.sizes, arguments)
 
     def _evaluate(self, what: str, x: Array, u: Array) -> Array:
-        """Return what one of the functions makes of points, (points, outputs, ...)."""
+        """Return the values of one of the functions at points, (points, outputs, ...)."""
         count = x.shape[1] + u.shape[1]
         shape = (self.outputs, *(count,) * ("call", "jacobian", "hessian").index(what))
         made = np.full((len(x), *shape), _UNDEFINED)
@@ -310,7 +310,7 @@ class DifferentiableFunction:
             raise ProblemError(f"{self.title}.{what}", got, "numbers", advice) from error
 
     def _check_output(self, what: str, given: ArrayLike, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
-        """Return what a function returned as numbers of the right shape; of one output, also without its axis."""
+        """Return the values of a function in the right shape; the axis of a single output may be missing."""
         if isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == shape:
             return given
         try:

@@ -2,7 +2,7 @@
 
 ``signals(n, m)`` makes the components of x and u. Sums, products, quotients, whole powers, ``abs``, ``maximum``,
 ``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin``, ``cos``, ``tanh`` and ``arctan`` of formulas are
-formulas. A Python function of (x, u) that is made of these can be traced: it is called once, with signals.
+formulas. A Python function of (x, u) with these operations only can be traced: it is called once, with signals.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas import operations
 from lin_freq_ocp.formulas.operations import Node, Notation
 
-LARGEST_POWER = 16  # a larger exponent is more often an error; products of powers still make it
-LONGEST_SHOWN = 300  # characters of a part of a formula that people are shown; a longer one is cut to three dots
-# Advice for a Python function that no formula can be made of.
+LARGEST_POWER = 16  # a larger exponent is usually an error; a product of powers allows it
+LONGEST_SHOWN = 300  # characters of a part of a formula in texts for people; a longer one is cut to three dots
+# Advice for a Python function that cannot be traced
 FUNCTIONS = "lfo.DifferentiableFunction takes functions that compute with numbers and have derivatives."
 
 
@@ -126,13 +126,13 @@ class Formula(Node):
 
     def __float__(self) -> float:
         expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(operations.scalar_functions())}"
-        raise ProblemError("formula", "what takes numbers only, as math.sin", expected, FUNCTIONS)
+        raise ProblemError("formula", "a function of numbers only, as math.sin", expected, FUNCTIONS)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
     __lt__ = __le__ = __gt__ = __ge__ = _compare
 
     def __getattr__(self, name: str) -> Callable[[], Formula]:
-        """Return what makes a function of the formula: np.exp of it, or of an array of formulas, calls its ``exp``."""
+        """Return the method of a scalar function: np.exp of a formula or an array of formulas calls its ``exp``."""
         if name in operations.scalar_functions():
             return lambda: self.node(name, (self,))
         raise AttributeError(f"a formula has no attribute {name!r}")
@@ -270,7 +270,7 @@ def extreme(kind: str, arguments: Sequence[Formula | float], given: Sequence[str
 
 
 def nodes_in_order(formulas: Sequence[Formula]) -> tuple[Formula, ...]:
-    """Return all nodes, each once, arguments before what is made of them."""
+    """Return all nodes, each once and after its arguments."""
     return _in_order(tuple(formulas))
 
 
@@ -280,7 +280,7 @@ def _in_order(formulas: tuple[Formula, ...]) -> tuple[Formula, ...]:
 
 
 def post_order(roots: Sequence[Value], parts: Callable[[Value], Sequence[Value]]) -> dict[Value, None]:
-    """Return all nodes of a graph, each after its parts; without recursion, as long sums are nested deeply."""
+    """Return all nodes of a graph, each after its parts; without recursion, as long sums are deeply nested."""
     found: dict[Value, None] = {}
     stack = [(one, False) for one in reversed(roots)]
     while stack:
@@ -295,7 +295,7 @@ def post_order(roots: Sequence[Value], parts: Callable[[Value], Sequence[Value]]
 
 
 def evaluate(formulas: Sequence[Formula], rule: Callable[[Formula, list[Value]], Value]) -> list[Value]:
-    """Return what a rule gives for formulas, from each node and the values of its arguments."""
+    """Return the values of formulas by a rule, which takes a node and the values of its arguments."""
     found: dict[Formula, Value] = {}
     for node in nodes_in_order(formulas):
         found[node] = rule(node, [found[argument] for argument in node.arguments])
@@ -303,7 +303,7 @@ def evaluate(formulas: Sequence[Formula], rule: Callable[[Formula, list[Value]],
 
 
 def rebuild(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> list[Formula]:
-    """Return the formulas with some nodes replaced, as operators make them; what has none stays the same object."""
+    """Return the formulas with some nodes replaced by operators; one without such nodes stays the same object."""
     made: dict[Formula, Formula] = {}
     for one in nodes_in_order(formulas):
         if one in changed:
@@ -335,7 +335,7 @@ def translate_formulas(formulas: Sequence[Formula], origin: Array) -> list[Formu
 
 
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:
-    """Yield the nodes of some kinds, those within others first."""
+    """Yield the nodes of some kinds, inner ones first."""
     return (one for one in nodes_in_order(formulas) if one.kind in kinds)
 
 

@@ -1,6 +1,6 @@
-"""Formulas as text, "norm(x_0, x_1) * u_0", and back: Python's arithmetic, with a few functions, and nothing else.
+"""Formulas as text, "norm(x_0, x_1) * u_0", and back: Python's arithmetic with a few functions.
 
-Texts that are written are of moderate length: parts that are shared, long or nested deeply get names.
+Written texts have a moderate length: parts that are shared, long or deeply nested get names.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from lin_freq_ocp.formulas.nodes import Formula, post_order
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, OPERATIONS, SUM, VARIABLE, Notation, scalar_functions
 
 LONGEST_FORMULA = 100_000  # characters of one formula
-# What users give for formulas of x and u, "x_0 + u_0" among them; a function is called with signals.
+# User input for formulas of x and u, such as "x_0 + u_0"; a function is called with signals
 Formulas = Formula | str | Sequence[Formula | str | float] | Callable[..., object]
-ARITHMETIC: dict[type[ast.operator], Callable[..., float]] = {  # of formulas, too, which make formulas
+ARITHMETIC: dict[type[ast.operator], Callable[..., float]] = {  # of numbers, and of formulas, with a formula as result
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
@@ -76,7 +76,7 @@ def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> t
 def formula_from_text(
     field: str, text: str, dimensions: tuple[int, int], known: Mapping[str, Formula] | None = None
 ) -> Formula:
-    """Return the formula that a text says; errors call it ``field``.
+    """Return the formula of a text; errors name the field.
 
     It has numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1} or the names in ``known``, + - * / **, and ``function_names``.
     """
@@ -86,7 +86,7 @@ def formula_from_text(
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError):
         raise ProblemError(field, brief(text), _expected_text()) from None
-    except (RecursionError, MemoryError):  # the parser's words for it
+    except (RecursionError, MemoryError):  # errors of the parser
         raise ProblemError(field, f"{brief(text)}, nested too deeply", "fewer terms, factors and brackets") from None
     if known is None:
         known = known_signals(dimensions)
@@ -143,7 +143,7 @@ class _Reader:
         raise self._other()
 
     def _number(self, compute: Callable[[], float]) -> float:
-        """Return a finite number; Python has errors of several kinds, and complex numbers, where there is none."""
+        """Return a finite number; ProblemError if Python raises an error or returns a complex or infinite number."""
         try:
             value = compute()
         except (ArithmeticError, ValueError):
@@ -185,7 +185,7 @@ class _Reader:
 
 
 def read_definitions(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
-    """Return signals and named formulas, each of which may use those before it; errors call the table ``field``."""
+    """Return signals and named formulas, each of which may use the earlier ones; errors name the field of the table."""
     if not isinstance(given, Mapping):
         raise ProblemError(field, brief(given), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
     known = known_signals(dimensions)
@@ -202,25 +202,25 @@ def read_definitions(field: str, given: object, dimensions: tuple[int, int]) -> 
 
 
 def require_formula(one: Formula, field: str = "formula") -> None:
-    """Raise ProblemError if a node is a function that is no formula."""
+    """Raise ProblemError if a node is an external function."""
     if one.function is not None:
         raise ProblemError(field, f"the function {one.function.title}", "formulas, which are text in a file")
 
 
 LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat
-SHORTEST_NAMED = 12  # characters: a shorter shared part is repeated, as a name would save nothing
-DEEPEST = 20  # brackets within brackets of one text: parsers take some hundred
-MOST_TERMS = 50  # terms of a sum in one text: parsers nest them
+SHORTEST_NAMED = 12  # characters of a shared part from which a name makes the text shorter
+DEEPEST = 20  # depth of brackets in one text: parsers accept some hundred
+MOST_TERMS = 50  # terms of a sum in one text: parsers nest sums
 EXACT = Notation(repr)  # numbers to the last bit
 
 
 def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, str]]:
     """Return the texts of formulas, and the named formulas that they use, each after those that it uses.
 
-    Formulas of up to ``LONGEST_TEXT`` characters are written as they stand; as soon as one is longer, what stands in
-    several of them is written once. So the length of all texts grows with the number of nodes.
+    If no formula has more than ``LONGEST_TEXT`` characters, all are written in full. Otherwise a part of several
+    formulas gets a name, so that the length of all texts is proportional to the number of nodes.
 
-    Formulas are those of ``signals``, without other functions.
+    The formulas have no external functions.
     """
     order = nodes.nodes_in_order(formulas)
     uses = Counter(argument for one in order for argument in one.arguments) + Counter(formulas)
@@ -239,7 +239,7 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
 
 
 class _Writer:
-    """Writes nodes, arguments before what is made of them."""
+    """Writes nodes, arguments first."""
 
     def __init__(self, shared: set[Formula]):
         self.definitions: dict[str, str] = {}
@@ -258,7 +258,7 @@ class _Writer:
         self._written[one] = OPERATIONS[one.kind].text(one, texts, EXACT, whole), depth
 
     def part(self, one: Formula) -> tuple[str, int]:
-        """Return how a node stands in another text, and how deeply it is nested: 0 for a name."""
+        """Return the text of a node within another one, and its depth of nesting: 0 for a name."""
         text, depth = self._written[one]
         large = len(text) > LONGEST_TEXT or depth > DEEPEST
         if depth and (large or (one in self._shared and len(text) >= SHORTEST_NAMED)):
@@ -266,7 +266,7 @@ class _Writer:
         return self._written[one]
 
     def _long_sum(self, one: Formula, texts: Sequence[str]) -> str:
-        """Return the names of parts of a sum, added up: what is read makes one sum of them again."""
+        """Return the sum of the names of its parts, from which reading makes one sum again."""
         names: list[str] = []
         for first in range(0, len(texts), MOST_TERMS):
             chosen = slice(first, first + MOST_TERMS)

@@ -1,6 +1,6 @@
-"""The fields of a problem, and what follows from them: dimensions, bounds, stopped bins, and its terms.
+"""The fields of a problem, and dimensions, bounds, stopped bins and terms that follow from them.
 
-The terms are made of the sets, rows, costs and frequency constraints that the problem was given.
+Terms are made of sets, rows, costs and frequency constraints.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, make_read_only, with_fields
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, seal, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
@@ -47,7 +47,7 @@ class ProblemData:
 
     @property
     def origin(self) -> Array | None:
-        """Return where zero states lie in the coordinates that they were given in (``Translation``); None: there."""
+        """Return the position of zero states in the coordinates of the user (``Translation``); None for zero."""
         return self.__dict__.get("_origin")
 
     @cached_property
@@ -123,9 +123,9 @@ class ProblemData:
 
     @cached_property
     def met_ends(self) -> tuple[tuple[Box, Mask], tuple[Box, Mask]]:
-        """The bounds of both ends, and in which components, (n,), no point of an end is in the state set of its time.
+        """The bounds of both ends, and the components, (n,), in which an end lies outside the state set of its time.
 
-        There the bounds are those of the end, and the bounds of the state set are terms.
+        In these components the bounds are those of the end, and the bounds of the state set are terms.
         """
         boxes = self.state_boxes
         return end_within(self.initial_box, boxes.at(0)), end_within(self.terminal_box, boxes.at(-1))
@@ -155,7 +155,7 @@ class ProblemData:
         return self.horizon + 1 - any(one.repeats for one in self.links)
 
     def in_time(self, rho_x: ComplexArray) -> Array:
-        """Return (R' rho_x)_t, (T+1, n), for rho_x (N//2 + 1, n); it is zero where a state is in no spectrum."""
+        """Return (R' rho_x)_t, (T+1, n), for rho_x (N//2 + 1, n); zero at a last state that spectra leave out."""
         signal = time_signal(rho_x, self.state_samples)
         last = np.zeros((self.horizon + 1 - len(signal), self.state_dim), dtype=signal.dtype)
         return np.concatenate([signal, last])
@@ -168,22 +168,22 @@ class ProblemData:
 
 
 Data = TypeVar("Data", bound=ProblemData)
-# The cached properties that depend on a field, where not on everything
+# The cached properties that depend on a field and not on all of them
 DEPENDENT = {
     "dynamics": ("linear", "equations", "borders", "gap"),
     "cost": ("quadratic",),
     "state_set": ("state_boxes", "met_ends", "state_tube", "terms"),
-    "initial_state": ("met_ends", "state_tube"),  # and of some, the terms: see ``with_ends``
+    "initial_state": ("met_ends", "state_tube"),  # and the terms, in the cases that ``with_ends`` names
     "terminal_state": ("met_ends", "state_tube"),
 }
 
 
 def replace_fields(problem: Data, **fields: object) -> Data:
-    """Return a problem with other fields, which fit: nothing is checked again, and what depends on them not kept."""
-    other = with_fields(problem, **fields)
+    """Return a problem with other fields, unchecked, and without the cached properties that depend on them."""
+    copy = with_fields(problem, **fields)
     for name in (name for field in fields for name in DEPENDENT.get(field, ())):
-        other.__dict__.pop(name, None)
-    return other
+        copy.__dict__.pop(name, None)
+    return copy
 
 
 def terms_of(problem: ProblemData) -> tuple[Term, ...]:
@@ -226,7 +226,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
         found += outputs.terms(n, m, T, step, where, i)
     found += problem.cost.terms(n, m, T)
     seen = Counter[str]()
-    for k, term in enumerate(found):  # names that would stand twice get a number
+    for k, term in enumerate(found):  # a name that occurs again gets a number
         seen[term.name] += 1
         if seen[term.name] > 1:
             found[k] = replace(term, name=f"{term.name} {seen[term.name]}")
@@ -234,7 +234,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
 
 
 def unmet_bounds(problem: ProblemData) -> Iterator[Term]:
-    """Yield the bounds of the state set that no point of an end keeps, one term for each end and component."""
+    """Yield the bounds of the state set that no point of an end satisfies, a term for each end and component."""
     boxes, identity = problem.state_boxes, np.eye(problem.state_dim)
     for t, (_, beyond) in zip((0, problem.horizon), problem.met_ends, strict=True):
         for i in np.flatnonzero(beyond):
@@ -247,7 +247,7 @@ def unmet_bounds(problem: ProblemData) -> Iterator[Term]:
 def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixed: dict[int, Array]) -> list[Term]:
     """Return the terms of the sets of one signal, of one field of the problem, beyond their boxes.
 
-    Where the signal is ``fixed`` (time to value), a hard set is made a constraint only if the value lies outside.
+    Where the signal is ``fixed`` (time to value), a hard part that the value satisfies, up to rounding, has no term.
     """
     per_time = isinstance(given, Sequence)
     sets = given if per_time else [given] * len(times)
@@ -266,24 +266,20 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
                 raise ProblemError(field, links[0].name, "a set of one state or control", advice)
             parts_of[id(one)] = one.parts(dimension)
         for k, part in enumerate(parts_of[id(one)]):
-            if t in fixed and part.penalty.hard and _satisfies(part, fixed[t]):
-                continue
+            if t in fixed and part.penalty.hard:
+                violation = float(part.penalty.violation(part.values(fixed[t][None])).max())
+                if violation <= END_TOLERANCE * float((np.abs(part.F) @ np.abs(fixed[t]) + np.abs(part.c)).max()):
+                    continue
             parts.setdefault((k, part.F.shape, part.penalty.signature), []).append((int(t), part))
     of_state, name, terms = field != "control_set", field.replace("_", " "), list[Term]()
     kind = TermKind.STATE_SET if of_state else TermKind.CONTROL_SET
-    for i, found in enumerate(parts.values()):  # the same part of a set at several times is one term
-        several = [part for _, part in found]
-        F, c = _merge_equal([part.F for part in several]), _merge_equal([part.c for part in several])
-        rows = StageMap(np.array([t for t, _ in found]), F if of_state else None, None if of_state else F, c)
-        penalty = several[0].penalty.stacked([part.penalty for part in several])
+    for i, timed in enumerate(parts.values()):  # the same part of a set at several times is one term
+        same = [part for _, part in timed]
+        F, c = _merge_equal([part.F for part in same]), _merge_equal([part.c for part in same])
+        rows = StageMap(np.array([t for t, _ in timed]), F if of_state else None, None if of_state else F, c)
+        penalty = same[0].penalty.stacked([part.penalty for part in same])
         terms.append(Term(name if i == 0 else f"{name} {i + 1}", kind, rows, penalty, (field, 0)))
     return terms
-
-
-def _satisfies(part: Part, value: Array) -> bool:
-    """Whether a value satisfies a part of a set, up to rounding."""
-    excess = float(part.penalty.violation(part.values(value[None])).max())
-    return excess <= END_TOLERANCE * float((np.abs(part.F) @ np.abs(value) + np.abs(part.c)).max())
 
 
 def _merge_equal(arrays: list[Array]) -> Array:
@@ -293,12 +289,12 @@ def _merge_equal(arrays: list[Array]) -> Array:
 
 
 def bounded_bins(terms: Sequence[Term], kind: TermKind, shape: tuple[int, int]) -> Mask:
-    """Return which bins of which component the magnitude and energy bounds of a spectrum are about, (bins, components).
+    """Return the bins, (bins, components), that the magnitude and energy bounds of a spectrum limit.
 
-    A point of a finer grid belongs to the nearest bin.
+    A point of a finer grid counts as its nearest bin.
     """
     bounded = np.zeros(shape, dtype=bool)
     for term in terms:
         if term.kind == kind:
             bounded[term.map.nearest_bins, term.map.component] = True
-    return make_read_only(bounded)
+    return seal(bounded)

@@ -154,5 +154,5 @@ def test_a_frequency_constraint_must_say_what_it_is_on_longer_signals():
         def terms(self, signal, field, source):
             yield from ()
 
-    with pytest.raises(TypeError, match="extended"):
+    with pytest.raises(TypeError, match="augmented"):
         Incomplete()

@@ -404,7 +404,7 @@ def test_the_converter_by_casadi_has_the_optimum_of_the_converter_by_formulas(ca
          "from_casadi.states: got 2; expected 1, as the function has"),
         (lambda c: lfo.from_casadi(lambda x, u: x.T, 2, 1), "a matrix 1 x 2; expected columns"),
         (lambda c: lfo.from_casadi(c.Function("f", [c.SX.sym("x")], [c.SX(1)])), "1 inputs and 1 outputs"),
-        (lambda c: lfo.from_casadi(lambda x, u: c.sinh(x) + c.fmax(u, 0), 1, 1), "got fmax, beside .* smooth=True"),
+        (lambda c: lfo.from_casadi(lambda x, u: c.sinh(x) + c.fmax(u, 0), 1, 1), "got fmax, with .* smooth=True"),
         (lambda c: lfo.from_casadi(lambda x, u: c.if_else(x[0] > 0, x[0], u[0]), 1, 1), "got if_else_zero"),
         (lambda c: lfo.from_casadi(lambda x, u: c.sinh(x), 2, 1)(X[:1], U), r"x \(1,\).*expected x \(2,\)"),
         (lambda c: lfo.from_casadi(lambda x, u: x, 2, 1)([1], [1]), r"expected x \(2,\)"),

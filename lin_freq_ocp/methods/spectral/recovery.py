@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Entry, Mask, make_read_only
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Entry, Mask, seal
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
@@ -38,7 +38,7 @@ def trajectory(outcome: ExchangeOutcome, units: LtiUnits) -> Trajectory:
     x = np.empty((at.y.shape[1] + 1, n))
     np.multiply(at.y[:n].T, units.x, out=x[:-1])
     x[-1] = at.last * units.x
-    return Trajectory(make_read_only(x), make_read_only(at.y[n:].T * units.u))
+    return Trajectory(seal(x), seal(at.y[n:].T * units.u))
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,15 +226,15 @@ def in_units(problem: OptimalControlProblem, structure: Structure, units: LtiUni
         at_end = np.where(mu[0] > 0, tube.upper[-1] < tube.upper[0], tube.lower[-1] > tube.lower[0])
         mu[-1] = np.where(at_end, mu[0], 0.0)
         mu[0] -= mu[-1]
-        on_ends[Periodic.name] = make_read_only((-(found.eta[:, -1] * x) - mu[-1])[None])
+        on_ends[Periodic.name] = seal((-(found.eta[:, -1] * x) - mu[-1])[None])
     weights = found.on_rows[n + m :, :-1] * (units.cost / units.rows)[:, None]
     splits = np.cumsum([rows.e.shape[-1] for rows in problem.stage_rows])[:-1]
     on_stage_rows = np.split(weights, splits) if problem.stage_rows else []
     multipliers = Multipliers(
         found.eta_C,
-        make_read_only(found.eta.T * x),
-        make_read_only(forces[:, :n]),
-        make_read_only(forces[:-1, n:]),
+        seal(found.eta.T * x),
+        seal(forces[:, :n]),
+        seal(forces[:-1, n:]),
         (found.band * (structure.spaces.weight / problem.horizon)).T * u,
         found.rho_x * x,
         {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_ends,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, make_read_only, with_rows
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, with_rows
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -139,7 +139,7 @@ class SoftSet:
         paid = np.where(self.violation > 0, eta_C * self.price, 0.0)
         found = np.where(self.constant, paid, np.where(np.isfinite(self.limit), own, 0.0))
         np.subtract.at(forces, (self.times[:, None], self.f[None]), self.sign * found)
-        return make_read_only(found / self.size)
+        return seal(found / self.size)
 
 
 def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
@@ -278,8 +278,8 @@ class SoftBins(Inverse):
                 )
             forces[bins, component] -= own
             paid = np.asarray(own if reduced.eta_C else np.zeros_like(own), dtype=np.complex128)
-            stage[term.name] = make_read_only(np.stack([paid.real, paid.imag], axis=1))
-        rho_u, rho_x = (make_read_only(forces) for forces, *_ in rho.values())
+            stage[term.name] = seal(np.stack([paid.real, paid.imag], axis=1))
+        rho_u, rho_x = (seal(forces) for forces, *_ in rho.values())
         return replace(reduced, rho_u=rho_u, rho_x=rho_x, stage=stage)
 
 

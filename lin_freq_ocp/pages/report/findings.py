@@ -150,7 +150,9 @@ def _holds(comparison: ComparisonOutcome) -> str:
                 f"the spectrum of the {what} peaks at {number(peak, 3)} between the bins of its band, above the "
                 f"{number(before, 3)} without the constraint"
             )
-    return f"every constraint holds at the bins, but {join_words(larger)}" if larger else "everything holds"
+    between = result.between_samples
+    samples = "" if between is None or between.holds else f" at the samples (between them {between})"
+    return f"every constraint holds at the bins, but {join_words(larger)}" if larger else f"everything holds{samples}"
 
 
 def _proven(result: Outcome) -> str:

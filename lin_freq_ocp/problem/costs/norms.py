@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, array_of_shape, assign, brief, real_array, with_columns
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, real_array, to_shape, with_columns
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum, join_words, span, vector
 from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
@@ -82,7 +82,7 @@ class _NormCost(NonsmoothCost):
         for entry, (size, times) in shapes.items():
             value: Array = getattr(self, entry)
             complete = np.full(size, value) if value.ndim == 0 else value
-            arrays[entry] = array_of_shape(f"{field}.{entry}", complete, (size,), times)
+            arrays[entry] = to_shape(f"{field}.{entry}", complete, (size,), times)
         x, u, terminal, x_ref, u_ref = arrays.values()
         x_ref, u_ref = np.broadcast_to(x_ref, (T + 1, n)), np.broadcast_to(u_ref, (T, m))
         norm, stages = NormBall(self.order, np.zeros(()), np.ones(())), np.arange(T)

@@ -21,6 +21,7 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.kinds import register_all
 from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
@@ -56,6 +57,7 @@ class Dynamics(ABC):
     sampling_time: float | None
     state_names: tuple[str, ...]
     control_names: tuple[str, ...]
+    plant: ContinuousPlant | None = None  # the continuous model whose zero-order hold they are, if it is known
 
     @property
     @abstractmethod

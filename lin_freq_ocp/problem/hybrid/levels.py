@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, as_read_only, assign, brief, real_array
+from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, freeze, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural, short_name, vector
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
@@ -184,7 +184,7 @@ class FiniteSet(ConvexSet):
     def bounds(self) -> Bounds:
         ends = np.array([[one.values[0], one.values[-1]] for one in self.given]).T
         lower, upper = ends[:, 0] if self.single else ends
-        return as_read_only(np.asarray(lower)), as_read_only(np.asarray(upper))
+        return freeze(np.asarray(lower)), freeze(np.asarray(upper))
 
     @property
     def hull(self) -> FiniteSet:
@@ -266,7 +266,7 @@ def _levels(name: str, values: Array, costs: Array | None) -> Levels:
     if (price < 0).any():
         advice = "The same amount added to all of them changes no solution."
         raise ProblemError(f"FiniteSet.costs{name}", f"{price.min():g}", "costs of zero or above", advice)
-    return Levels(as_read_only(rising), as_read_only(price[order]))
+    return Levels(freeze(rising), freeze(price[order]))
 
 
 @dataclass(frozen=True, eq=False, init=False)

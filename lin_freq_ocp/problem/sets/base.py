@@ -18,7 +18,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, as_read_only, assign, brief, with_columns, with_products
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, freeze, with_columns, with_products
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT
 from lin_freq_ocp.problem.terms.penalty import Penalty
@@ -216,7 +216,7 @@ class Intersection(ConvexSet):
             if apart.any():
                 got = f"bounds {common[0][apart].flat[0]:g} <= v <= {common[1][apart].flat[0]:g} on a component"
                 raise ProblemError("Intersection", got, "a point within the bounds of all sets")
-            lower, upper = as_read_only(common[0]), as_read_only(common[1])
+            lower, upper = freeze(common[0]), freeze(common[1])
         return lower, upper
 
     @property

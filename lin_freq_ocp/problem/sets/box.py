@@ -9,17 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import (
-    NO_BOUND,
-    Array,
-    Bound,
-    Mask,
-    as_read_only,
-    assign,
-    brief,
-    one_component,
-    real_array,
-)
+from lin_freq_ocp.base.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, freeze, one_component, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT, intervals, plural, short_name
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
@@ -91,7 +81,7 @@ class Box(ConvexSet):
                     expected = f"a number below {NO_BOUND:g} in absolute value"
                     advice = "That is beyond what stands for no bound at all; choose other units."
                     raise ProblemError(f"Box.{side}", f"{bound[impossible][0]:g}", expected, advice)
-        assign(self, lower=as_read_only(low), upper=as_read_only(high))
+        assign(self, lower=freeze(low), upper=freeze(high))
 
     @property
     def dimension(self) -> int | None:
@@ -189,7 +179,7 @@ class Point(Box):
         point = one_component(real_array("Point", value), 1)
         if point.ndim != 1:
             raise ProblemError("Point", f"shape {point.shape}", "one number per component")
-        assign(self, lower=as_read_only(point), upper=as_read_only(point))
+        assign(self, lower=freeze(point), upper=freeze(point))
 
     @property
     def value(self) -> Array:
@@ -263,7 +253,7 @@ def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
         lower, upper = np.where(excess > 0, end.lower, lower), np.where(excess > 0, end.upper, upper)
     else:
         beyond = np.zeros(lower.shape, dtype=bool)
-    return _box_of_checked(as_read_only(lower), as_read_only(upper)), beyond
+    return _box_of_checked(freeze(lower), freeze(upper)), beyond
 
 
 def fix_values(given: SetOrSets, values: Array | None) -> SetOrSets:

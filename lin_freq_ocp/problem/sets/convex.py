@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import (
     Array,
-    array_of_shape,
     assign,
     brief,
     positive_number,
     real_array,
     require_rows_hold,
     row_matrix,
+    to_shape,
     upper_limits,
     with_columns,
 )
@@ -199,7 +199,7 @@ class SecondOrderCone(ConvexSet):
     def __init__(self, F: ArrayLike, g: ArrayLike, h: ArrayLike, d: float = 0.0):
         matrix = row_matrix("SecondOrderCone.F", F)
         inner, slope = (
-            array_of_shape(f"SecondOrderCone.{name}", value, (size,))
+            to_shape(f"SecondOrderCone.{name}", value, (size,))
             for name, value, size in zip("gh", (g, h), matrix.shape, strict=True)
         )
         constant = real_array("SecondOrderCone.d", d)

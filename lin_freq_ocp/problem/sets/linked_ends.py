@@ -10,15 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import (
-    Array,
-    array_of_shape,
-    assign,
-    require_rows_hold,
-    row_matrix,
-    with_columns,
-    with_products,
-)
+from lin_freq_ocp.base.arrays import Array, assign, require_rows_hold, row_matrix, to_shape, with_columns, with_products
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
@@ -68,8 +60,8 @@ class LinkedEnds(ConvexSet):
 
     def __init__(self, E_0: ArrayLike, E_T: ArrayLike, e: ArrayLike | None = None):
         first = row_matrix("LinkedEnds.E_0", E_0)
-        last = array_of_shape("LinkedEnds.E_T", E_T, first.shape)
-        right = array_of_shape("LinkedEnds.e", np.zeros(len(first)) if e is None else e, first.shape[:1])
+        last = to_shape("LinkedEnds.E_T", E_T, first.shape)
+        right = to_shape("LinkedEnds.e", np.zeros(len(first)) if e is None else e, first.shape[:1])
         require_rows_hold("LinkedEnds.e", ~(first.any(axis=1) | last.any(axis=1)) & (right != 0), right)
         assign(self, E_0=first, E_T=last, e=right, reach=0.0, repeats=False)
 

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import (
     Array,
     Mask,
-    array_of_shape,
     assign,
     brief,
     positive_number,
@@ -23,6 +22,7 @@ from lin_freq_ocp.base.arrays import (
     real_array,
     require_rows_hold,
     times_vectors,
+    to_shape,
     upper_limits,
     with_products,
 )
@@ -105,8 +105,8 @@ class StageRows:
             expected = f"one for each of the {horizon} steps of the horizon"
             raise ProblemError(f"{field}.e", f"limits for {len(self.e)} times", expected)
         rows = self.e.shape[-1]
-        C = array_of_shape(f"{field}.C", self.C if self.C.shape[-1] else np.zeros((rows, n)), (rows, n), horizon)
-        D = array_of_shape(f"{field}.D", self.D if self.D.shape[-1] else np.zeros((rows, m)), (rows, m), horizon)
+        C = to_shape(f"{field}.C", self.C if self.C.shape[-1] else np.zeros((rows, n)), (rows, n), horizon)
+        D = to_shape(f"{field}.D", self.D if self.D.shape[-1] else np.zeros((rows, m)), (rows, m), horizon)
         complete = StageRows(C, D, self.e, self.name, self.penalty)
         require_rows_hold(f"{field}.e", complete._empty & (self.e < 0), self.e)
         return complete

@@ -20,14 +20,14 @@ from lin_freq_ocp.base.arrays import (
     Array,
     ComplexArray,
     Mask,
-    array_of_shape,
     assign,
     brief,
-    make_read_only,
     positive_number,
     real_array,
     real_signal,
     require_rows_hold,
+    seal,
+    to_shape,
     with_columns,
 )
 from lin_freq_ocp.base.errors import BandWarning, ProblemError
@@ -419,7 +419,7 @@ def stopped_bins(
         if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
             what = f"removes every bin of a signal of {length} samples that the bands before it leave"
             warnings.warn(f"{where}: {band} {what}; it must then be zero.", BandWarning, stacklevel=2)
-    return make_read_only(stopped)
+    return seal(stopped)
 
 
 def bands_of(stop: Mask) -> list[Band]:
@@ -481,7 +481,7 @@ class LinearConstraint(FrequencyConstraint):
             expected = "one matrix (rows, components) per time"
             raise ProblemError("LinearConstraint.coefficients", f"shape {matrices.shape}", expected)
         rows = matrices.shape[1]
-        right = array_of_shape("LinearConstraint.constant", np.zeros(rows) if constant is None else constant, (rows,))
+        right = to_shape("LinearConstraint.constant", np.zeros(rows) if constant is None else constant, (rows,))
         soft = None if penalty is None else positive_number("LinearConstraint.penalty", penalty)
         if soft is None:
             require_rows_hold("LinearConstraint.constant", ~matrices.any(axis=(0, 2)) & (right != 0), right)
