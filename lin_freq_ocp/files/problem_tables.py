@@ -43,12 +43,21 @@ from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 FORMULA_KEYS = ("f", "region", "domain")
 
 
-def _linear(continuous: bool = False, **arguments: FileValue) -> LinearDynamics:
+def _linear(
+    A: FileValue,
+    B: FileValue,
+    offset: FileValue = None,
+    sampling_time: FileValue = None,
+    state_names: FileValue = None,
+    control_names: FileValue = None,
+    continuous: bool = False,
+) -> LinearDynamics:
     if not continuous:
-        return LinearDynamics(**arguments)
-    if "sampling_time" not in arguments:
+        return LinearDynamics(A, B, offset, sampling_time, state_names, control_names)
+    if sampling_time is None:
         raise ProblemError("sampling_time", "nothing", "seconds per step", "A continuous model is sampled with it.")
-    return LinearDynamics.from_continuous(**arguments)
+    names = {"state_names": state_names, "control_names": control_names}
+    return LinearDynamics.from_continuous(A, B, sampling_time, offset, **names)
 
 
 def without_zeros(first: Array, second: Array) -> tuple[Array | None, Array | None]:
@@ -164,7 +173,7 @@ SMOOTH_MODE = TableRecord(
 
 LINEAR = TableRecord(
     _linear,
-    like=LinearDynamics,
+    classes=(LinearDynamics,),
     offset=nonzero(1),
     continuous=checked_value(lambda given: isinstance(given, bool), "true or false"),
 )

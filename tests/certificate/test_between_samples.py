@@ -1,14 +1,17 @@
 """State bounds between the samples: a published table, dense sampling, and integration by another program."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.between_samples import MOST_CELLS, REACH, between_samples
+from helpers.schemas import RESULT, faults, printed
+from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, between_samples
 from lin_freq_ocp.dynamics import ContinuousPlant
+from lin_freq_ocp.files.summary import certificate_summary, result_summary
+from lin_freq_ocp.pages.report.findings import finding
 
 # Largest violation over half the width of the bounds, 2 digits: CONTINUOUS.md, section 2
 FREE = {"notch_width_hz": None}
@@ -214,7 +217,7 @@ def test_nothing_is_said_without_a_plant_with_held_controls_and_state_bounds():
     assert between_samples(replace(scanner, state_set=None), trajectory) is None
     modulated = lfo.FiniteSet([-1.0, 0.0, 1.0], duty_cycles=True)
     assert between_samples(replace(scanner, control_set=modulated, control_spectrum=None), trajectory) is None
-    steep = lfo.LinearDynamics.from_continuous([[-1.1 * REACH * MOST_CELLS]], [[1.0]], 1.0)
+    steep = lfo.LinearDynamics.from_continuous([[-1.1 * LARGEST_REACH]], [[1.0]], 1.0)
     stiff = lfo.OptimalControlProblem(steep, 2, lfo.QuadraticCost(R=1.0), state_set=lfo.Box(-1, 1))
     assert between_samples(stiff, lfo.Trajectory(np.zeros((3, 1)), np.zeros((2, 1)))) is None
 
@@ -237,6 +240,23 @@ def test_a_solve_does_not_compute_it(monkeypatch):
     for subject in (result, certificate):
         with pytest.raises(AssertionError, match="computed within a solve"):
             _ = subject.between_samples
+
+
+def test_json_has_every_bound():
+    result = solved("scanner", {})
+    summaries = result_summary(result), certificate_summary(result.problem, lfo.certify(result.problem, result))
+    for summary in summaries:
+        assert faults(RESULT, printed(summary)) == []
+        assert summary["between_samples"] == [asdict(bound) for bound in result.between_samples.bounds]
+    silent = lfo.solve(lfo.library.quadcopter(horizon=20))
+    assert "between_samples" not in result_summary(silent)
+
+
+def test_a_report_says_where_a_bound_is_exceeded():
+    assert "at the samples (between them speed exceeds its upper bound by" in str(
+        finding(lfo.compare(lfo.library.scanner()))
+    )
+    assert "between them" not in str(finding(lfo.compare(lfo.library.pendulum())))
 
 
 def test_results_and_certificates_say_it():

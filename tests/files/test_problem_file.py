@@ -186,6 +186,7 @@ def test_a_continuous_model_is_sampled_with_a_zero_order_hold(tmp_path):
     problem = read_problem(file_with(tmp_path, text.replace("[dynamics]", "[dynamics]\ncontinuous = true")))
     np.testing.assert_allclose(problem.dynamics.A, [[1, 0.1], [0, 1]], rtol=1e-14)
     np.testing.assert_allclose(problem.dynamics.B, [[0.005], [0.1]], rtol=1e-14)
+    assert problem.dynamics.plant is not None
 
 
 def test_arrays_come_from_an_npz_beside_the_file(tmp_path):
