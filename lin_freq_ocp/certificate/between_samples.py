@@ -23,7 +23,7 @@ from scipy.linalg import expm, matrix_balance
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.phrases import number, split_unit
-from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, RADIUS_MARGIN
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
@@ -146,14 +146,14 @@ def between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> B
     upper, lower = np.maximum(boxes.upper[:-1], boxes.upper[1:]), np.minimum(boxes.lower[:-1], boxes.lower[1:])
     limits = np.hstack([upper[:, :n], -lower[:, :n]])  # of x and of -x
     rows = np.flatnonzero(np.isfinite(limits).any(axis=0))
-    cells = max(1, ceil(balance(plant.A)[0] * step / REACH))
-    if not len(rows) or cells * REACH > LARGEST_REACH:
+    parts = max(1, ceil(balance(plant.A)[0] * step / REACH))
+    if not len(rows) or parts * REACH > LARGEST_REACH:
         return None
     components = rows % n
-    sizes = np.array([_size(problem, trajectory.x, i) for i in components])
-    search = _LargestValues(np.where(rows < n, 1.0, -1.0), components, limits[:, rows], RESOLUTION * sizes)
-    error = search.run(plant, trajectory.x[:-1, :n], trajectory.u, step / cells, cells)
-    figures = np.stack([search.values, search.proven + error, search.values / sizes, search.times], axis=1).tolist()
+    sizes = np.array([_size(problem, trajectory.x, int(i)) for i in components])
+    peaks = _LargestValues(np.where(rows < n, 1.0, -1.0), components, limits[:, rows], RESOLUTION * sizes)
+    error = peaks.search(plant, trajectory.x[:-1, :n], trajectory.u, step / parts, parts)
+    figures = np.stack([peaks.values, peaks.proven + error, peaks.values / sizes, peaks.times], axis=1).tolist()
     named = [(int(row % n), problem.state_names[row % n], "upper" if row < n else "lower") for row in rows]
     return BetweenSamples(tuple(BoundPeak(*name, *values) for name, values in zip(named, figures, strict=True)))
 
@@ -176,70 +176,66 @@ def _size(problem: OptimalControlProblem, x: Array, i: int) -> float:
 def balance(A: Array) -> tuple[float, Array]:
     """Return the norm of D^-1 A D (largest sum of a row) for units D, (n,), that balance A, and these."""
     balanced, (units, _) = matrix_balance(A, permute=False, separate=True)
-    return float(np.abs(balanced).sum(axis=1).max()), np.asarray(units)
+    return float(np.abs(balanced).sum(axis=1).max()), np.asarray(units, dtype=np.float64)
 
 
 class _LargestValues:
-    """Largest values of sign * x_i(t) - limit over all instants, for several rows (component, sign)."""
+    """Largest values of sign * x_i(t) - limit over all instants, of several rows (component, sign).
+
+    Cells are polynomials b (cells, DEGREE + 1) in Bernstein form, with their row and their start in seconds.
+    """
 
     def __init__(self, signs: Array, components: Indices, limits: Array, resolution: Array):
         self._signs, self._components, self._limits, self._resolution = signs, components, limits, resolution
-        self.values = np.full(len(signs), -np.inf)
+        self.values, self.proven = np.full(len(signs), -np.inf), np.full(len(signs), -np.inf)
         self.times = np.zeros(len(signs))
-        self.proven = np.full(len(signs), -np.inf)
 
-    def run(self, plant: ContinuousPlant, x: Array, u: Array, w: float, cells: int) -> Array:
-        """Search all cells of length w; return a bound of the errors of each row."""
+    def search(self, plant: ContinuousPlant, x: Array, u: Array, w: float, parts: int) -> Array:
+        """Search all periods, of ``parts`` cells of length w each; return a bound of the errors of each row."""
         norm, units = balance(plant.A)
-        growth = float(np.abs(expm(plant.A * w) * units / units[:, None]).sum(axis=1).max())
+        growth = RADIUS_MARGIN * float(np.abs(expm(plant.A * w) * units / units[:, None]).sum(axis=1).max())
         remainder = w * (w * norm) ** DEGREE * np.exp(w * norm) / factorial(DEGREE + 1)
-        drive, error, largest_error = u @ plant.B.T + plant.offset, 0.0, 0.0
-        terms = np.abs(u) @ np.abs(plant.B).T + np.abs(plant.offset)
-        y, hulls = x, list[tuple[Array, Array, Array]]()
-        for cell in range(cells):
+        drive, sizes = u @ plant.B.T + plant.offset, np.abs(u) @ np.abs(plant.B).T + np.abs(plant.offset)
+        periods, used = (
+            w * parts * np.arange(len(x), dtype=np.float64),
+            np.flatnonzero(np.isfinite(self._limits).ravel()),
+        )
+        b, row, start = np.empty((0, DEGREE + 1)), np.empty(0, dtype=np.intp), np.empty(0)
+        y, error, largest_error = x, 0.0, 0.0
+        for part in range(parts):
             powers = np.empty((DEGREE + 1, *y.shape))
             powers[0], powers[1] = y, w * (y @ plant.A.T + drive)
             for j in range(2, DEGREE + 1):
                 powers[j] = powers[j - 1] @ plant.A.T * (w / j)
-            sums = ((np.abs(y) + w * (np.abs(y) @ np.abs(plant.A).T + terms)) / units).max(initial=0.0)
-            moved = (np.abs(powers[1]) / (w * units)).max(initial=0.0)
-            error = growth * error + remainder * moved + ROUNDING * len(units) * sums
+            rates = (np.abs(powers[1]) / (w * units)).max(initial=0.0)
+            terms = ((np.abs(y) + w * (np.abs(y) @ np.abs(plant.A).T + sizes)) / units).max(initial=0.0)
+            error = growth * error + remainder * rates + ROUNDING * len(units) * terms
             largest_error = max(largest_error, error)
-            hulls.append(self._first_hulls(powers, np.arange(len(x)) * (w * cells) + cell * w, w))
+            hulls = np.tensordot(BERNSTEIN, self._signs * powers[:, :, self._components], axes=1) - self._limits
+            cells = hulls.reshape(DEGREE + 1, -1).T[used]
+            new = self._prune(cells, used % len(self._signs), (periods + part * w)[used // len(self._signs)], w)
+            b, row, start = np.vstack([b, new[0]]), np.append(row, new[1]), np.append(start, new[2])
             y = powers.sum(axis=0)
-        b, row, start = (np.concatenate(parts) for parts in zip(*hulls, strict=True))
-        self._refine(b, row, start, w)
-        return largest_error * units[self._components] + 2 * np.finfo(np.float64).eps * np.abs(self.values)
-
-    def _first_hulls(self, powers: Array, starts: Array, w: float) -> tuple[Array, Array, Array]:
-        """Return Bernstein coefficients, row and start of the cells that may hold a largest value."""
-        values = self._signs * powers[:, :, self._components]
-        b = np.tensordot(BERNSTEIN, values, axes=1) - self._limits
-        chosen = np.flatnonzero(np.isfinite(self._limits).ravel())
-        b, row = b.reshape(DEGREE + 1, -1).T[chosen], chosen % len(self._signs)
-        return self._prune(b, row, starts[chosen // len(self._signs)], w)
-
-    def _refine(self, b: Array, row: Indices, start: Array, w: float) -> None:
-        """Halve cells by de Casteljau's algorithm until the largest coefficients are near the largest values."""
         for _ in range(LATEST_HALVING):
             b, row, start = self._prune(b, row, start, w)
             if not len(b):
                 break
             left, right, w = np.empty_like(b), np.empty_like(b), w / 2
-            for j in range(DEGREE + 1):
+            for j in range(DEGREE + 1):  # de Casteljau's algorithm
                 left[:, j], right[:, DEGREE - j] = b[:, 0], b[:, -1]
                 b = (b[:, :-1] + b[:, 1:]) / 2
-            b, row, start = np.vstack([left, right]), np.tile(row, 2), np.concatenate([start, start + w])
+            b, row, start = np.vstack([left, right]), np.tile(row, 2), np.append(start, start + w)
         np.maximum.at(self.proven, row, b.max(axis=1, initial=-np.inf))
         self.proven = np.maximum(self.proven, self.values + self._resolution)
+        return largest_error * units[self._components] + 2 * np.finfo(np.float64).eps * np.abs(self.values)
 
-    def _prune(self, b: Array, row: Indices, start: Array, w: float) -> tuple[Array, Array, Array]:
-        """Note the values at both ends of cells, and return the cells with larger coefficients than these."""
+    def _prune(self, b: Array, row: Indices, start: Array, w: float) -> tuple[Array, Indices, Array]:
+        """Note the values at both ends of cells of length w, and return the cells with larger coefficients."""
         for values, times in ((b[:, 0], start), (b[:, -1], start + w)):
-            for r in np.unique(row):
-                mine = np.flatnonzero(row == r)
-                best = mine[np.argmax(values[mine])]
-                if values[best] > self.values[r]:
-                    self.values[r], self.times[r] = values[best], times[best]
-        chosen = b.max(axis=1) > self.values[row] + self._resolution[row]
-        return b[chosen], row[chosen], start[chosen]
+            for i in np.unique(row):
+                cells = np.flatnonzero(row == i)
+                best = cells[np.argmax(values[cells])]
+                if values[best] > self.values[i]:
+                    self.values[i], self.times[i] = values[best], times[best]
+        wider = b.max(axis=1, initial=-np.inf) > self.values[row] + self._resolution[row]
+        return b[wider], row[wider], start[wider]

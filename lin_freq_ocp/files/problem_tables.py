@@ -56,8 +56,9 @@ def _linear(
         return LinearDynamics(A, B, offset, sampling_time, state_names, control_names)
     if sampling_time is None:
         raise ProblemError("sampling_time", "nothing", "seconds per step", "A continuous model is sampled with it.")
-    names = {"state_names": state_names, "control_names": control_names}
-    return LinearDynamics.from_continuous(A, B, sampling_time, offset, **names)
+    return LinearDynamics.from_continuous(
+        A, B, sampling_time, offset, state_names=state_names, control_names=control_names
+    )
 
 
 def without_zeros(first: Array, second: Array) -> tuple[Array | None, Array | None]:

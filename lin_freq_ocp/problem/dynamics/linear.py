@@ -109,7 +109,14 @@ class LinearDynamics(StateEquations):
 
     @classmethod
     def from_continuous(
-        cls, A: ArrayLike, B: ArrayLike, sampling_time: float, offset: ArrayLike | None = None, **named: Sequence[str]
+        cls,
+        A: ArrayLike,
+        B: ArrayLike,
+        sampling_time: float,
+        offset: ArrayLike | None = None,
+        *,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
     ) -> LinearDynamics:
         """Sample dx/dt = A x + B u + d by a zero-order hold: u is held constant over each period.
 
@@ -119,8 +126,8 @@ class LinearDynamics(StateEquations):
             The continuous model.
         sampling_time : float
             Seconds per step.
-        named
-            ``state_names`` and ``control_names``.
+        state_names, control_names : sequences of str, optional
+            As for ``LinearDynamics``.
         """
         Ac, Bc = real_array("dynamics.A", A), real_array("dynamics.B", B)
         step = positive_number("dynamics.sampling_time", sampling_time)
@@ -131,7 +138,7 @@ class LinearDynamics(StateEquations):
         if drift.shape != (n,):
             raise ProblemError("dynamics.offset", f"shape {drift.shape}", f"shape ({n},)")
         plant = ContinuousPlant(Ac, Bc, drift)
-        dynamics = cls(*plant.sampled(step), sampling_time=step, **named)
+        dynamics = cls(*plant.sampled(step), step, state_names, control_names)
         assign(dynamics, plant=plant)
         return dynamics
 
