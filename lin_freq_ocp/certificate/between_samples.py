@@ -139,8 +139,9 @@ def between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> B
         None without a continuous plant or state bounds, if the control is modulated within a period (duty cycles of
         levels), or if the plant is so stiff that h |A| is above ``LARGEST_REACH``.
     """
-    plant, step = problem.dynamics.plant, problem.sampling_time
-    if plant is None or step is None or _has_duty_cycles(problem):
+    plant, step, control_set = problem.dynamics.plant, problem.sampling_time, problem.control_set
+    modulated = isinstance(control_set, ConvexSet) and len(control_set.levels_of(problem.control_dim)) > 0
+    if plant is None or step is None or modulated:
         return None
     boxes, n = problem.state_boxes, len(plant.A)
     upper, lower = np.maximum(boxes.upper[:-1], boxes.upper[1:]), np.minimum(boxes.lower[:-1], boxes.lower[1:])
@@ -156,12 +157,6 @@ def between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> B
     figures = np.stack([peaks.values, peaks.proven + error, peaks.values / sizes, peaks.times], axis=1).tolist()
     named = [(int(row % n), problem.state_names[row % n], "upper" if row < n else "lower") for row in rows]
     return BetweenSamples(tuple(BoundPeak(*name, *values) for name, values in zip(named, figures, strict=True)))
-
-
-def _has_duty_cycles(problem: OptimalControlProblem) -> bool:
-    """Whether controls are means of levels within each period."""
-    given = problem.control_set
-    return isinstance(given, ConvexSet) and len(given.levels_of(problem.control_dim)) > 0
 
 
 def _size(problem: OptimalControlProblem, x: Array, i: int) -> float:

@@ -103,7 +103,14 @@ def from_casadi(
         made = function
     elif callable(function):
         n, m = positive_integer("from_casadi.states", states), positive_integer("from_casadi.controls", controls)
-        made = _compile_function(casadi, function, n, m)
+        x, u = casadi.SX.sym("x", n), casadi.SX.sym("u", m)
+        try:
+            outputs = function(x, u)
+            column = casadi.vertcat(*outputs) if isinstance(outputs, (Sequence, np.ndarray)) else casadi.SX(outputs)
+        except Exception as error:  # any error of a function that was not made for symbols
+            got = f"{first_line(error)}, from the function"
+            raise ProblemError("from_casadi", got, "an expression of casadi.SX columns x and u, or a list") from error
+        made = casadi.Function("f", [x, u], [column])
     else:
         raise ProblemError("from_casadi", brief(function), "a casadi.Function of (x, u), or a Python function")
     if (made.n_in(), made.n_out()) != (2, 1):
@@ -160,17 +167,6 @@ def _casadi() -> ModuleType:
         raise MissingExtraError(
             "from_casadi: casadi is not installed. Install it with: pip install 'lin-freq-ocp[casadi]'."
         ) from None
-
-
-def _compile_function(casadi: ModuleType, function: Callable[..., object], n: int, m: int) -> Function:
-    x, u = casadi.SX.sym("x", n), casadi.SX.sym("u", m)
-    try:
-        given = function(x, u)
-        column = casadi.vertcat(*given) if isinstance(given, (Sequence, np.ndarray)) else casadi.SX(given)
-    except Exception as error:  # any error of a function that was not made for symbols
-        got = f"{first_line(error)}, from the function"
-        raise ProblemError("from_casadi", got, "an expression of casadi.SX columns x and u, or a list") from error
-    return casadi.Function("f", [x, u], [column])
 
 
 def _serialize_function(made: Function) -> str:

@@ -145,9 +145,15 @@ class DifferentiableFunction:
         ProblemError
             If these are neither formulas nor numbers, or its values have another shape.
         """
-        given = [_outputs_of(f"{self.title}.{letter}", one) for letter, one in (("x", x), ("u", u))]
-        arguments, states = [*given[0], *given[1]], len(given[0])
-        self._require(states, len(given[1]))
+        signals = [[part] if isinstance(part, Formula) or np.ndim(part) == 0 else list(part) for part in (x, u)]
+        for letter, components in zip("xu", signals, strict=True):
+            for component in components:
+                if not isinstance(component, Formula):
+                    if np.ndim(component):
+                        raise ProblemError(f"{self.title}.{letter}", brief(components), "a list of formulas or numbers")
+                    real_array(f"{self.title}.{letter}", component)
+        arguments, states = [*signals[0], *signals[1]], len(signals[0])
+        self._require(states, len(signals[1]))
         formulas = [one for one in arguments if isinstance(one, Formula)]
         if not formulas:
             y = real_array(f"{self.title}(x, u)", arguments)[None]
@@ -323,16 +329,6 @@ class DifferentiableFunction:
         if array.shape != shape and (self.outputs != 1 or array.shape != without_output):
             raise ProblemError(f"{self.title}.{what}", f"shape {array.shape} at {_place(*point)}", f"shape {shape}")
         return array.astype(np.float64).reshape(shape)
-
-
-def _outputs_of(label: str, given: Any) -> list[Formula | float]:
-    listed = [given] if isinstance(given, Formula) or np.ndim(given) == 0 else list(given)
-    for one in listed:
-        if not isinstance(one, Formula):
-            if np.ndim(one):
-                raise ProblemError(label, brief(given), "a list of formulas or numbers")
-            real_array(label, one)
-    return listed
 
 
 def _place(x: Array, u: Array) -> str:

@@ -25,7 +25,8 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
     if step is not None:
         horizon = f"{horizon} of {number(step)} s ({number(step * problem.horizon)} s)"
     signals = *(short_name(name) for name in problem.state_names), *problem.control_names
-    at_levels = _has_levels_as_modes(problem)
+    levels = any(len(part.levels_of(problem.control_dim)) for part in entries_of(problem.control_set))
+    at_levels = levels and bool(problem.dynamics.mode_names)  # modes are levels, which the dynamics describe
     facts = [("horizon", horizon), *_cost(problem), *problem.dynamics.facts(signals)]
     if gap and not at_levels:
         facts.append(("gap", f"no mode {gap}: infeasible there"))
@@ -94,12 +95,6 @@ def _bounds(boxes: Box, i: int, convex_set: object) -> str:
 def _exceeds_bounds(convex_set: object) -> bool:
     """Whether a set, or one of a list of them, is more than bounds on components."""
     return any(part.members for part in entries_of(convex_set))
-
-
-def _has_levels_as_modes(problem: ProblemData) -> bool:
-    """Whether the modes are the levels of the controls, which the dynamics describe."""
-    levels = any(len(part.levels_of(problem.control_dim)) for part in entries_of(problem.control_set))
-    return levels and bool(problem.dynamics.mode_names)
 
 
 def _over_time(words: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ LEVELS: dict[type, Callable[[LinearDynamics, ConvexSet], Dynamics]] = {}
 
 
 def with_levels(dynamics: Dynamics, control_set: SetOrSets) -> tuple[Dynamics, SetOrSets]:
-    """Return the dynamics and the convex control set of a problem: a set of finitely many points becomes modes."""
+    """Return dynamics and convex control set of a problem; points of a finite control set become modes."""
     if not isinstance(control_set, ConvexSet):
         several = control_set if isinstance(control_set, Iterable) else ()  # others are refused with the sets
         if any(isinstance(one, ConvexSet) and _finite(one, dynamics) for one in several):

@@ -3,8 +3,7 @@
 
 Explanations, live pages, sweeps and proofs change a problem by this list. A ``Limit`` is a constraint that can be
 relaxed by an amount: bounds, joint rows, stop bands, sets, frequency constraints. Its ``numbers`` are the values that a
-user may choose, each with key, unit and the direction in which the problem gets easier. Methods without a docstring are
-described by ``Limit``.
+user may choose. Methods without a docstring are described by ``Limit``.
 
 The classes that own the numbers change them: ``Box`` its bounds, ``StageRows`` its limits, a ``ConvexSet`` by
 ``relaxed_by``, a ``FrequencyConstraint`` its ``levels`` and its other ``numbers``. A class of your own overrides these.
@@ -43,7 +42,6 @@ BOXES = {  # the fields that hold sets, and where a problem has their bounds
 # First words of the keys of numbers, but for those of ends, which are fields of a problem
 NUMBER_WORDS = ("bound", "lower", "upper", "state_bound", "state_lower", "state_upper", "rows", "level", "edge")
 CUTOFFS = "cutoff", "cutoff_hz"  # of low passes in place of a control_spectrum; in rad/sample, and in Hz
-
 LEAST_PART, LARGEST_PART = 0.1, 3.0  # of bounds and limits, to which they are moved
 
 
@@ -284,9 +282,9 @@ class RowLimit(Limit):
         name, limits = self.family.name, self.family.e[np.isfinite(self.family.e)]
         if not limits.size or limits.min() < 0 or not limits.any():
             return
-        same = bool((limits == limits[0]).all())
-        value, unit = (float(limits[0]), self._unit()) if same else (100.0, "%")
-        label = f"{name} {AT_MOST}" if same else f"limits of {name}"
+        label, value, unit = f"limits of {name}", 100.0, "%"
+        if (limits == limits[0]).all():
+            label, value, unit = f"{name} {AT_MOST}", float(limits[0]), self._unit()
         key, ends = f"rows.{self.index}", (LEAST_PART * value, LARGEST_PART * value)
         yield Number(key, label, unit, value, *ends, 1, partial(_scale_limits, name, value), field=self.field)
 
@@ -320,13 +318,13 @@ class BandLimit(Limit):
         return replace(problem, **{self.field: [*bands_of(stop), *others]})
 
     def shown(self, relaxed: OptimalControlProblem, amount: float) -> tuple[str, str]:
-        stopped, later = (self._removed_bins(one)[:, self.index] for one in (self.problem, relaxed))
+        stopped, later = (self._removed_bins(problem)[:, self.index] for problem in (self.problem, relaxed))
         before, after = np.flatnonzero(~stopped), np.flatnonzero(~later)
         if not len(before) or stopped[: before.max()].any() or not stopped[before.max() + 1 :].all():
             return f"{len(before)}", f"{len(after)} passed bins of {len(stopped)}"
-        step, of_states = self.problem.sampling_time, self.field == "state_spectrum"  # a low pass
-        factor, unit = (2 * np.pi, "rad/sample") if step is None else (1 / step, "Hz")
-        factor /= self.problem.state_samples if of_states else self.problem.horizon
+        problem, step = self.problem, self.problem.sampling_time  # the stop band of a low pass
+        samples = problem.state_samples if self.field == "state_spectrum" else problem.horizon
+        factor, unit = (2 * np.pi / samples, "rad/sample") if step is None else (1 / (step * samples), "Hz")
         return f"cut-off {factor * before.max():.6g}", f"{factor * after.max():.6g} {unit}"
 
     def _removed_bins(self, problem: OptimalControlProblem) -> Mask:
@@ -364,13 +362,12 @@ class SetLimit(TermLimit):
     def relaxed(self, problem: OptimalControlProblem, amount: float) -> OptimalControlProblem:
         dimension = problem.control_dim if self.field == "control_set" else problem.state_dim
 
-        members = (
-            (lambda convex_set: [member for member in convex_set.members if member.soft])
-            if np.isinf(amount)
-            else (lambda convex_set: [member.relaxed_by(amount, dimension) for member in convex_set.members])
-        )
-        sets = map_sets(getattr(problem, self.field), lambda given: intersection(box_of(given), members(given)))
-        return replace(problem, **{self.field: sets})
+        def relax(given: ConvexSet) -> ConvexSet:
+            if np.isinf(amount):
+                return intersection(box_of(given), [member for member in given.members if member.soft])
+            return intersection(box_of(given), [member.relaxed_by(amount, dimension) for member in given.members])
+
+        return replace(problem, **{self.field: map_sets(getattr(problem, self.field), relax)})
 
 
 class EntryLimit(TermLimit):

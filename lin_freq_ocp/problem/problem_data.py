@@ -6,7 +6,7 @@ Terms are made of sets, rows, costs and frequency constraints.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -192,6 +192,17 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     fixed = problem.fixed_ends
     states = Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, problem.state_samples, step)
     controls = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, T, step)
+    boxes, identity = problem.state_boxes, np.eye(n)
+    unmet_bounds = [  # bounds of the state set that no point of an end satisfies, a term for each end and component
+        Term(
+            f"state bound on {problem.state_names[i]}",
+            TermKind.STATE_SET,
+            StageMap(np.array([t]), np.stack([identity[i], -identity[i]]), None, np.zeros(2)),
+            HalfSpaces(np.array([[boxes.upper[t, i], -boxes.lower[t, i]]]), HARD),
+        )
+        for t, (_, outside) in zip((0, T), problem.met_ends, strict=True)
+        for i in np.flatnonzero(outside)
+    ]
     stated = len(problem.terminal_state.links(n, T))  # of the links: the others follow from the dynamics
     sources = [("terminal_state", 0) if i < stated else None for i in range(len(problem.links))]
     found = [
@@ -204,7 +215,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
             )
             for rows in problem.stage_rows
         ),
-        *unmet_bounds(problem),
+        *unmet_bounds,
         *set_terms("state_set", problem.state_set, n, np.arange(T + 1), fixed),
         *set_terms("initial_state", problem.initial_state, n, np.array([0]), fixed),
         *set_terms("terminal_state", problem.terminal_state, n, np.array([T]), fixed),
@@ -231,17 +242,6 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
         if seen[term.name] > 1:
             found[k] = replace(term, name=f"{term.name} {seen[term.name]}")
     return tuple(found)
-
-
-def unmet_bounds(problem: ProblemData) -> Iterator[Term]:
-    """Yield the bounds of the state set that no point of an end satisfies, a term for each end and component."""
-    boxes, identity = problem.state_boxes, np.eye(problem.state_dim)
-    for t, (_, beyond) in zip((0, problem.horizon), problem.met_ends, strict=True):
-        for i in np.flatnonzero(beyond):
-            limits = np.array([boxes.upper[t, i], -boxes.lower[t, i]])
-            rows = StageMap(np.array([t]), np.stack([identity[i], -identity[i]]), None, np.zeros(2))
-            name = f"state bound on {problem.state_names[i]}"
-            yield Term(name, TermKind.STATE_SET, rows, HalfSpaces(limits[None], HARD))
 
 
 def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixed: dict[int, Array]) -> list[Term]:

@@ -26,7 +26,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 @dataclass(frozen=True, eq=False)
 class BinCurvature:
-    """H_k (bins, m, m), and which controls may use bin k, (bins, m)."""
+    """H_k (bins, m, m), and the controls that may use bin k, (bins, m)."""
 
     hessians: ComplexArray
     passed: Mask
@@ -38,7 +38,7 @@ class BinCurvature:
 
     @cached_property
     def smallest(self) -> Array:
-        """The smallest eigenvalue at each bin, (bins,); 0 where it is rounding, or where no control may use the bin."""
+        """The smallest eigenvalue at each bin, (bins,); 0 if it is rounding, or if no control may use the bin."""
         found = np.linalg.eigvalsh(self.within)
         rounding = CONVEXITY_TOLERANCE * np.abs(found).max(initial=0.0)
         return np.where(found[:, 0] < -rounding, found[:, 0], np.maximum(found[:, 0], 0.0))

@@ -20,11 +20,11 @@ class Start:
     """A start of a search over modes."""
 
     sequence: Indices  # (T,): the modes of the trajectory, or those given
-    trajectory: Trajectory | None  # None where only modes are given
+    trajectory: Trajectory | None  # None if only modes are given
 
     @property
     def saved(self) -> object:
-        """Return what a file can hold, and ``start_of`` takes: modes, or the table of x and u."""
+        """Return the start as file content, which ``start_of`` reads: modes, or a table of x and u."""
         if self.trajectory is None:
             return self.sequence.tolist()
         return {"x": self.trajectory.x.tolist(), "u": self.trajectory.u.tolist()}
@@ -33,8 +33,8 @@ class Start:
 def start_of(problem: OptimalControlProblem, given: object) -> Start:
     """Return the start of a search.
 
-    ``given`` is a trajectory, also that of a result or a table of x and u; controls (T, m), which are replayed from
-    the initial state; or the mode at every time, (T,) integers.
+    ``given`` is a trajectory (also of a result, or a table of x and u), controls (T, m), which are simulated from the
+    initial state, or the mode at every time, (T,) integers.
     """
     if not problem.dynamics.mode_names:
         raise UnsupportedError("start: got one for linear dynamics, which have no modes to search; leave it out.")

@@ -19,7 +19,7 @@ from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 @dataclass(frozen=True, eq=False, init=False)
 class _NormCost(NonsmoothCost):
-    """What L1Cost and LInfCost share: weights of deviations from references."""
+    """The base of L1Cost and LInfCost: weights of deviations from references."""
 
     x: Array
     u: Array

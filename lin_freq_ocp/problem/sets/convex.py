@@ -1,5 +1,8 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
-"""Convex sets beyond boxes: polyhedra, balls, ellipsoids, second-order cones, and soft sets."""
+# ruff: noqa: D102
+"""Convex sets other than boxes: polyhedra, balls, ellipsoids, second-order cones, and soft sets.
+
+Methods without a docstring are described by ``ConvexSet``.
+"""
 
 from __future__ import annotations
 
@@ -226,16 +229,16 @@ class SecondOrderCone(ConvexSet):
 
 @dataclass(frozen=True, eq=False, init=False)
 class Soft(ConvexSet):
-    """A set that may be violated at a price: penalty times the excess over each of its constraints joins the cost.
+    """A set that may be violated at a price: the cost has a penalty times the violation of each of its constraints.
 
-    For a Box and a Polyhedron, the excess over every bound and row; for a Ball and an Ellipsoid, that of the norm over
-    the radius. If the set can be satisfied and the penalty exceeds its multipliers, it is satisfied exactly.
+    The violation is that of every bound and row of a Box or Polyhedron, and the norm less the radius of a Ball or
+    Ellipsoid. If the set can be satisfied and the penalty exceeds its multipliers, it is satisfied exactly.
 
     Parameters
     ----------
     soft_set : Box, Polyhedron, Ball or Ellipsoid
     penalty : float
-        Above zero, in units of cost per unit of excess.
+        Above zero, in units of cost per unit of violation.
 
     Raises
     ------
@@ -281,11 +284,11 @@ class Soft(ConvexSet):
 
 
 def softened_set(penalty: float, given: ConvexSet) -> ConvexSet:
-    """Return a set where bounds and members that must hold cost a penalty per unit of excess."""
+    """Return a set with its bounds and hard members softened by a penalty per unit of violation."""
     lower, upper = given.bounds
     bounds = [Box(lower, upper)] if np.isfinite(lower).any() or np.isfinite(upper).any() else []
     soft = [member for member in given.members if member.soft]
-    members = [*soft, *(Soft(one, penalty) for one in (*bounds, *given.hard_members))]
+    members = [*soft, *(Soft(hard, penalty) for hard in (*bounds, *given.hard_members))]
     return Intersection(members) if members else given
 
 

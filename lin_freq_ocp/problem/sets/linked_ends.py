@@ -1,5 +1,8 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
-"""Equations that the first and the last state satisfy together: E_0 x_0 + E_T x_T = e, and x_T = x_0."""
+# ruff: noqa: D102
+"""Equations on the first and the last state together: E_0 x_0 + E_T x_T = e, and x_T = x_0.
+
+Methods without a docstring are described by ``ConvexSet``.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,14 @@ from lin_freq_ocp.problem.terms.term import Link
 class LinkedEnds(ConvexSet):
     """E_0 x_0 + E_T x_T = e: equations on both ends together, a ``terminal_state``.
 
-    An initial set is kept beside it; a terminal set too, as in ``LinkedEnds(...) & Box(...)``.
+    It can be combined with an initial set, and with a terminal set, as in ``LinkedEnds(...) & Box(...)``.
 
     Parameters
     ----------
     E_0, E_T : (rows, n)
         Coefficients of the first and of the last state.
     e : (rows,), optional
-        Right-hand sides, in the units of the rows; zero without.
+        Right-hand sides, in the units of the rows; default zero.
 
     Raises
     ------
@@ -52,7 +55,7 @@ class LinkedEnds(ConvexSet):
     E_0: Array
     E_T: Array
     e: Array
-    reach: float  # how far from e the rows may be: above 0 only where a conflict is explained
+    reach: float  # largest distance of the rows from e: above 0 only in explanations of conflicts
     repeats: bool  # whether x_T repeats x_0, so that spectra of states have T samples
     may_be_soft: ClassVar[bool] = False
     name: ClassVar[str] = "linked ends"
@@ -70,7 +73,7 @@ class LinkedEnds(ConvexSet):
         return self.E_0.shape[1]
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        return ()  # nothing of x_T alone
+        return ()  # no constraint on x_T alone
 
     def matrices(self, dimension: int) -> tuple[Array, Array, Array]:
         """Return E_0 and E_T, (rows, dimension), and e."""
@@ -105,8 +108,8 @@ class LinkedEnds(ConvexSet):
 class Periodic(LinkedEnds):
     """x_T = x_0: the trajectory is one period, and both ends are free.
 
-    Beside it stand a ``state_set``, an initial set, or a terminal set, as in ``Periodic() & Box(...)``. Spectra of
-    states have T samples, x_0 .. x_{T-1}: x_T repeats x_0.
+    It can be combined with a ``state_set``, an initial set, or a terminal set, as in ``Periodic() & Box(...)``. Spectra
+    of states have T samples, x_0 .. x_{T-1}, as x_T repeats x_0.
 
     References
     ----------
