@@ -105,26 +105,26 @@ def positive_number(field: str, value: object) -> float:
     return float(number)
 
 
-def known_entries(field: str, given: object, keys: Sequence[str]) -> dict[str, object]:
+def known_entries(field: str, entries: object, keys: Sequence[str]) -> dict[str, object]:
     """Require a mapping with these keys only; None is an empty one."""
-    if given is not None and not isinstance(given, Mapping):
-        raise ProblemError(field, type(given).__name__, f"a mapping with {' and '.join(keys)}")
-    for key in given or {}:
+    if entries is not None and not isinstance(entries, Mapping):
+        raise ProblemError(field, type(entries).__name__, f"a mapping with {' and '.join(keys)}")
+    for key in entries or {}:
         if key not in keys:
             raise ProblemError(f"{field}.{key}", "an unknown key", f"{' or '.join(keys)}")
-    return dict(given or {})
+    return dict(entries or {})
 
 
-def component_names(field: str, given: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
+def component_names(field: str, stated: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
     """Require ``count`` different names; the default is ``x_0 ...``, with the given letter."""
-    if given is None:
+    if stated is None:
         return tuple(f"{letter}_{i}" for i in range(count))
-    if isinstance(given, str) or not isinstance(given, Sequence):
-        raise ProblemError(field, brief(given), f"a list of {count} names")
-    checked = tuple(printable(field, name, "") for name in given)
+    if isinstance(stated, str) or not isinstance(stated, Sequence):
+        raise ProblemError(field, brief(stated), f"a list of {count} names")
+    checked = tuple(printable(field, name, "") for name in stated)
     if len(checked) != count or len(set(checked)) != count:
         advice = 'One per component, such as "position [m]".'
-        raise ProblemError(field, brief(list(given)), f"{count} different names", advice)
+        raise ProblemError(field, brief(list(stated)), f"{count} different names", advice)
     return checked
 
 

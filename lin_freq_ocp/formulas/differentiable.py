@@ -101,10 +101,10 @@ class DifferentiableFunction:
         sizes: ArrayLike = 1.0,
         check_at: Sequence[tuple[ArrayLike, ArrayLike]] | None = None,
     ):
-        for label, given in (("call", call), ("jacobian", jacobian), ("hessian", hessian)):
-            if not callable(given) and not (label == "hessian" and given is None):
+        for label, function in (("call", call), ("jacobian", jacobian), ("hessian", hessian)):
+            if not callable(function) and not (label == "hessian" and function is None):
                 advice = "lfo.from_casadi has derivatives by automatic differentiation." if label == "jacobian" else ""
-                raise ProblemError(f"DifferentiableFunction.{label}", brief(given), "a function of (x, u)", advice)
+                raise ProblemError(f"DifferentiableFunction.{label}", brief(function), "a function of (x, u)", advice)
         printable("DifferentiableFunction.name", name)
         require_bool("DifferentiableFunction.vectorized", vectorized)
         scale = real_array("DifferentiableFunction.sizes", sizes)
@@ -154,22 +154,23 @@ class DifferentiableFunction:
                     real_array(f"{self.title}.{letter}", component)
         arguments, states = [*signals[0], *signals[1]], len(signals[0])
         self._require(states, len(signals[1]))
-        formulas = [one for one in arguments if isinstance(one, Formula)]
+        formulas = [argument for argument in arguments if isinstance(argument, Formula)]
         if not formulas:
             y = real_array(f"{self.title}(x, u)", arguments)[None]
             return self.values_at(y[:, :states], y[:, states:])[0]
         zero = formulas[0] * 0.0
-        listed = [zero + one if not isinstance(one, Formula) else one for one in arguments]
-        for one in listed:
-            if one.dimensions != zero.dimensions:
-                raise ProblemError(self.title, f"signals of {one.dimensions} and {zero.dimensions}", "the same signals")
-        made = np.empty(self.outputs, dtype=object)
+        converted = [zero + argument if not isinstance(argument, Formula) else argument for argument in arguments]
+        for argument in converted:
+            if argument.dimensions != zero.dimensions:
+                got = f"signals of {argument.dimensions} and {zero.dimensions}"
+                raise ProblemError(self.title, got, "the same signals")
+        values = np.empty(self.outputs, dtype=object)
         if self.translation is not None:
-            made[:] = self.translation(listed, states)
+            values[:] = self.translation(converted, states)
         else:
-            node = zero.node(EXTERNAL, tuple(listed))
-            made[:] = [replace(node, data=(i, states), function=self) for i in range(self.outputs)]
-        return made
+            node = zero.node(EXTERNAL, tuple(converted))
+            values[:] = [replace(node, data=(i, states), function=self) for i in range(self.outputs)]
+        return values
 
     def check_derivatives(self, at: Sequence[tuple[ArrayLike, ArrayLike]]) -> None:
         """Compare the Jacobian with differences of values, and the Hessian, if there is one, with those of Jacobians.
@@ -203,27 +204,27 @@ class DifferentiableFunction:
         """
         y, sizes = np.concatenate([x, u]), self._sizes(len(x) + len(u))
         labels, where = [f"x[{i}]" for i in range(len(x))] + [f"u[{i}]" for i in range(len(u))], _place(x, u)
-        given = self._evaluate(what, x[None], u[None])[0]
+        stated = self._evaluate(what, x[None], u[None])[0]
         if not np.isfinite(self._evaluate(of, x[None], u[None])).all():
             advice = "Choose a point in its domain."
             raise ProblemError(f"{self.title}.{of}", f"no finite number at {where}", "finite numbers", advice)
         for j, label in enumerate(labels):
             size = float(max(abs(y[j]), sizes[j]))
-            found, doubt = _differences(lambda y: self._evaluate(of, y[:, : len(x)], y[:, len(x) :]), y, j, size)
-            if not np.isfinite(found).all():
+            difference, doubt = _differences(lambda y: self._evaluate(of, y[:, : len(x)], y[:, len(x) :]), y, j, size)
+            if not np.isfinite(difference).all():
                 got = f"nothing finite on one of the sides of {label} = {y[j]:g}, at {where}"
                 advice = "Choose a point inside its domain."
                 raise ProblemError(f"{self.title}.{of}", got, "a function that is defined around", advice)
-            own = given[..., j]
-            allowed = DOUBT * doubt + DERIVATIVE_TOLERANCE * np.maximum(np.abs(own), np.abs(found))
-            for index in np.argwhere(~(np.abs(own - found) <= allowed)):  # not a number is wrong, too
+            derivative = stated[..., j]
+            allowed = DOUBT * doubt + DERIVATIVE_TOLERANCE * np.maximum(np.abs(derivative), np.abs(difference))
+            for index in np.argwhere(~(np.abs(derivative - difference) <= allowed)):  # not a number is wrong, too
                 at = tuple(map(int, index))
                 by = " and ".join([*(labels[i] for i in at[1:]), label])
-                expected = f"{found[at]:.8g}, as differences of {of} say"
+                expected = f"{difference[at]:.8g}, as differences of {of} say"
                 name = "derivative" if what == "jacobian" else "second derivative"
                 advice = f"It is the {name} of output {at[0]} by {by}."
                 entry = f"{self.title}.{what}[{', '.join(map(str, (*at, j)))}]"
-                raise ProblemError(entry, f"{own[at]:.8g}, at {where}", expected, advice)
+                raise ProblemError(entry, f"{derivative[at]:.8g}, at {where}", expected, advice)
 
     def _require(self, states: int, controls: int) -> None:
         if self.dimensions not in (None, (states, controls)):
@@ -254,16 +255,16 @@ class DifferentiableFunction:
         """Return arrays, read-only: those of the last call if its points were the same."""
         last = self._recent.get(what)
         if last is None or not (np.array_equal(last[0], x) and np.array_equal(last[1], u)):
-            found = compute()
-            for array in found:
+            arrays = compute()
+            for array in arrays:
                 array.flags.writeable = False
-            last = self._recent[what] = x.copy(), u.copy(), found
+            last = self._recent[what] = x.copy(), u.copy(), arrays
         return last[2]
 
     def _differences(self, x: Array, u: Array, slopes: Array) -> Array:
         """Return central differences of the Jacobian, one-sided ones where only those are defined."""
         y, states = np.hstack([x, u]), x.shape[1]
-        found = np.empty((*slopes.shape, y.shape[1]))
+        differences = np.empty((*slopes.shape, y.shape[1]))
         steps = DIFFERENCE_STEP * np.maximum(np.abs(y), self._sizes(y.shape[1]))
         for j in range(y.shape[1]):
             sides: list[Array] = []
@@ -276,8 +277,8 @@ class DifferentiableFunction:
                 sides.append(np.where(defined[:, None, None], jacobian, slopes))
                 points.append(np.where(defined, moved[:, j], y[:, j]))
             with np.errstate(invalid="ignore"):
-                found[..., j] = (sides[0] - sides[1]) / (points[0] - points[1])[:, None, None]
-        return 0.5 * (found + np.swapaxes(found, 2, 3))
+                differences[..., j] = (sides[0] - sides[1]) / (points[0] - points[1])[:, None, None]
+        return 0.5 * (differences + np.swapaxes(differences, 2, 3))
 
     def _sizes(self, arguments: int) -> Array:
         if self.sizes.ndim and len(self.sizes) != arguments:
@@ -289,19 +290,19 @@ class DifferentiableFunction:
         """Return the values of one of the functions at points, (points, outputs, ...)."""
         count = x.shape[1] + u.shape[1]
         shape = (self.outputs, *(count,) * ("call", "jacobian", "hessian").index(what))
-        made = np.full((len(x), *shape), _UNDEFINED)
+        values = np.full((len(x), *shape), _UNDEFINED)
         defined = np.flatnonzero(np.isfinite(x).all(axis=1) & np.isfinite(u).all(axis=1))
         x, u = x[defined], u[defined]
         x.flags.writeable = u.flags.writeable = False
         with np.errstate(all="ignore"):
             if self.vectorized and len(defined):
-                made[defined] = self._check_output(what, self._call_function(what, x, u), (len(x), *shape), (x, u))
-                return made
+                values[defined] = self._check_output(what, self._call_function(what, x, u), (len(x), *shape), (x, u))
+                return values
             for i, point in zip(defined, zip(x, u, strict=True), strict=True):
                 row = self._call_function(what, *point)
                 plain = row is _UNDEFINED or (isinstance(row, float) and shape == (1,))
-                made[i] = row if plain else self._check_output(what, row, shape, point)
-        return made
+                values[i] = row if plain else self._check_output(what, row, shape, point)
+        return values
 
     def _call_function(self, what: str, x: Array, u: Array) -> ArrayLike:
         try:
@@ -315,16 +316,16 @@ class DifferentiableFunction:
             advice = "Return nan where the function is not defined."
             raise ProblemError(f"{self.title}.{what}", got, "numbers", advice) from error
 
-    def _check_output(self, what: str, given: ArrayLike, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
+    def _check_output(self, what: str, output: ArrayLike, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
         """Return the values of a function in the right shape; the axis of a single output may be missing."""
-        if isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == shape:
-            return given
+        if isinstance(output, np.ndarray) and output.dtype == np.float64 and output.shape == shape:
+            return output
         try:
-            array = np.asarray(given)
+            array = np.asarray(output)
         except ValueError:
             array = np.asarray(None)
         if array.dtype.kind not in "iuf":
-            raise ProblemError(f"{self.title}.{what}", f"{brief(given)} at {_place(*point)}", "real numbers")
+            raise ProblemError(f"{self.title}.{what}", f"{brief(output)} at {_place(*point)}", "real numbers")
         without_output = (shape[0], *shape[2:]) if self.vectorized else shape[1:]
         if array.shape != shape and (self.outputs != 1 or array.shape != without_output):
             raise ProblemError(f"{self.title}.{what}", f"shape {array.shape} at {_place(*point)}", f"shape {shape}")
@@ -359,5 +360,5 @@ def _differences(evaluate: Callable[[Array], Array], y: Array, j: int, size: flo
     apart = np.where(np.isfinite(apart), apart, np.inf)
     best = np.argmin(apart, axis=0)[None]
     doubt = np.take_along_axis(apart, best, axis=0)[0]
-    found = np.take_along_axis(quotients[1:], best, axis=0)[0]
-    return np.where(np.isfinite(doubt), found, np.nan), doubt
+    differences = np.take_along_axis(quotients[1:], best, axis=0)[0]
+    return np.where(np.isfinite(doubt), differences, np.nan), doubt

@@ -39,8 +39,8 @@ def add(a: Interval, b: Interval) -> Interval:
 
 def scale(factor: float | Array, a: Interval) -> Interval:
     """Return factor * a for real numbers."""
-    one, other = _times(factor, a[0]), _times(factor, a[1])
-    return outward(np.minimum(one, other), np.maximum(one, other))
+    first, second = _times(factor, a[0]), _times(factor, a[1])
+    return outward(np.minimum(first, second), np.maximum(first, second))
 
 
 def multiply(a: Interval, b: Interval) -> Interval:
@@ -66,11 +66,11 @@ def power(a: Interval, exponent: int) -> Interval:
         return np.ones_like(a[0]), np.ones_like(a[1])
     if exponent == 1:
         return a
-    one, other = a[0] ** float(exponent), a[1] ** float(exponent)
+    first, second = a[0] ** float(exponent), a[1] ** float(exponent)
     if exponent % 2:
-        return outward(one, other)
+        return outward(first, second)
     through = (a[0] <= 0) & (a[1] >= 0)
-    lower, upper = outward(np.minimum(one, other), np.maximum(one, other))
+    lower, upper = outward(np.minimum(first, second), np.maximum(first, second))
     return np.where(through, 0.0, np.maximum(lower, 0.0)), upper
 
 

@@ -42,14 +42,14 @@ def function_names() -> tuple[str, ...]:
 def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
     """Return x_0 .. and u_0 .. by name."""
     x, u = nodes.signals(*dimensions)
-    return {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
+    return {f"x_{i}": variable for i, variable in enumerate(x)} | {f"u_{i}": variable for i, variable in enumerate(u)}
 
 
-def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
+def listed_formulas(field: str, formulas: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
     """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
-    if callable(given):
+    if callable(formulas):
         try:
-            given = given(*nodes.signals(*dimensions))
+            formulas = formulas(*nodes.signals(*dimensions))
         except LinFreqOCPError:
             raise
         except Exception as error:  # any error of a function that was not made for formulas
@@ -57,20 +57,21 @@ def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> t
             expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
             advice = f"It is called once, with lfo.signals. {nodes.FUNCTIONS} lfo.from_casadi takes those of CasADi."
             raise ProblemError(field, got, expected, advice) from error
-    if isinstance(given, (Formula, str)):
-        given = [given]
-    if not isinstance(given, (Sequence, np.ndarray)):
-        raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
-    zero, made = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
-    for i, one in enumerate(given):
-        if isinstance(one, str):
-            one = formula_from_text(f"{field}[{i}]", one, dimensions)
-        formula = one if isinstance(one, Formula) else nodes.as_formula(zero, f"{field}[{i}]", one)
+    if isinstance(formulas, (Formula, str)):
+        formulas = [formulas]
+    if not isinstance(formulas, (Sequence, np.ndarray)):
+        expected = "a list of formulas made of lfo.signals(n, m), or a function of (x, u)"
+        raise ProblemError(field, brief(formulas), expected)
+    zero, converted = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
+    for i, entry in enumerate(formulas):
+        if isinstance(entry, str):
+            entry = formula_from_text(f"{field}[{i}]", entry, dimensions)
+        formula = entry if isinstance(entry, Formula) else nodes.as_formula(zero, f"{field}[{i}]", entry)
         if formula.dimensions != dimensions:
             expected = f"{plural(dimensions[0], 'state')} and {plural(dimensions[1], 'control')}"
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
-        made.append(formula)
-    return tuple(made)
+        converted.append(formula)
+    return tuple(converted)
 
 
 def formula_from_text(
@@ -96,7 +97,7 @@ def formula_from_text(
             formula = nodes.as_formula(zero, "formula", _Reader(text, known).read(tree.body))
     except ProblemError as error:
         raise ProblemError(field, error.got, error.expected, error.advice) from None
-    if not all(np.isfinite(one.data).all() for one in nodes.nodes_in_order([formula])):
+    if not all(np.isfinite(node.data).all() for node in nodes.nodes_in_order([formula])):
         raise ProblemError(field, brief(text), "coefficients that are finite numbers")
     return formula
 
@@ -114,10 +115,10 @@ class _Reader:
 
     def read(self, root: ast.expr) -> Formula | float:
         """Return the formula or number of a syntax tree."""
-        made: dict[ast.expr, Formula | float] = {}
+        values: dict[ast.expr, Formula | float] = {}
         for node in post_order([root], self._operands):
-            made[node] = self._apply_operation(node, [made[part] for part in self._operands(node)])
-        return made[root]
+            values[node] = self._apply_operation(node, [values[part] for part in self._operands(node)])
+        return values[root]
 
     def _operands(self, node: ast.expr) -> list[ast.expr]:
         if isinstance(node, ast.BinOp):
@@ -166,7 +167,7 @@ class _Reader:
         return compute(left, right)
 
     def _call(self, name: str, arguments: Sequence[Formula | float]) -> Formula | float:
-        numbers = [one for one in arguments if isinstance(one, float)]
+        numbers = [argument for argument in arguments if isinstance(argument, float)]
         constant, functions = len(numbers) == len(arguments), scalar_functions()
         if name in ("max", "min") and len(arguments) > 1:
             if constant:
@@ -177,19 +178,19 @@ class _Reader:
         if len(arguments) == 1 and name == "abs":
             return abs(arguments[0])
         if len(arguments) == 1 and name in functions:
-            (one,) = arguments
-            if isinstance(one, Formula):
-                return one.node(name, (one,))
-            return self._number(lambda: float(functions[name].function(np.array(one))))
+            (argument,) = arguments
+            if isinstance(argument, Formula):
+                return argument.node(name, (argument,))
+            return self._number(lambda: float(functions[name].function(np.array(argument))))
         raise self._other()
 
 
-def read_definitions(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
+def read_definitions(field: str, table: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
     """Return signals and named formulas, each of which may use the earlier ones; errors name the field of the table."""
-    if not isinstance(given, Mapping):
-        raise ProblemError(field, brief(given), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
+    if not isinstance(table, Mapping):
+        raise ProblemError(field, brief(table), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
     known = known_signals(dimensions)
-    for name, text in given.items():
+    for name, text in table.items():
         entry = f"{field}.{name}"
         if not isinstance(name, str) or not name.isidentifier() or not name.isascii() or keyword.iskeyword(name):
             raise ProblemError(field, brief(name), "names of letters, digits and _, which begin with no digit")
@@ -201,10 +202,10 @@ def read_definitions(field: str, given: object, dimensions: tuple[int, int]) -> 
     return known
 
 
-def require_formula(one: Formula, field: str = "formula") -> None:
+def require_formula(node: Formula, field: str = "formula") -> None:
     """Raise ProblemError if a node is an external function."""
-    if one.function is not None:
-        raise ProblemError(field, f"the function {one.function.title}", "formulas, which are text in a file")
+    if node.function is not None:
+        raise ProblemError(field, f"the function {node.function.title}", "formulas, which are text in a file")
 
 
 LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat
@@ -223,19 +224,19 @@ def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, 
     The formulas have no external functions.
     """
     order = nodes.nodes_in_order(formulas)
-    uses = Counter(argument for one in order for argument in one.arguments) + Counter(formulas)
+    uses = Counter(argument for node in order for argument in node.arguments) + Counter(formulas)
 
-    def length(one: Formula, arguments: list[int]) -> int:
+    def length(node: Formula, arguments: list[int]) -> int:
         """Return the approximate number of characters of a formula in full."""
-        numbers = 0 if one.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in one.data)
+        numbers = 0 if node.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in node.data)
         return 4 + numbers + sum(arguments) + 2 * len(arguments)
 
     long = max(nodes.evaluate(formulas, length), default=0) > LONGEST_TEXT
-    shared = {one for one, count in uses.items() if count > 1} if long else set()
+    shared = {node for node, count in uses.items() if count > 1} if long else set()
     writer = _Writer(shared)
-    for one in order:
-        writer.add(one)
-    return [writer.part(one)[0] for one in formulas], writer.definitions
+    for node in order:
+        writer.add(node)
+    return [writer.part(node)[0] for node in formulas], writer.definitions
 
 
 class _Writer:
@@ -246,35 +247,35 @@ class _Writer:
         self._shared = shared
         self._written: dict[Formula, tuple[str, int]] = {}
 
-    def add(self, one: Formula) -> None:
+    def add(self, node: Formula) -> None:
         """Write one node."""
-        parts = [self.part(argument) for argument in one.arguments]
+        parts = [self.part(argument) for argument in node.arguments]
         texts = [text for text, _ in parts]
-        if one.kind == SUM and len(texts) > MOST_TERMS:
-            self._written[one] = self._long_sum(one, texts), 1
+        if node.kind == SUM and len(texts) > MOST_TERMS:
+            self._written[node] = self._long_sum(node, texts), 1
             return
         whole = {i for i, (_, depth) in enumerate(parts) if depth == 0}
-        depth = 0 if one.kind == VARIABLE else 1 + max((depth for _, depth in parts), default=0)
-        self._written[one] = OPERATIONS[one.kind].text(one, texts, EXACT, whole), depth
+        depth = 0 if node.kind == VARIABLE else 1 + max((depth for _, depth in parts), default=0)
+        self._written[node] = OPERATIONS[node.kind].text(node, texts, EXACT, whole), depth
 
-    def part(self, one: Formula) -> tuple[str, int]:
+    def part(self, node: Formula) -> tuple[str, int]:
         """Return the text of a node within another one, and its depth of nesting: 0 for a name."""
-        text, depth = self._written[one]
+        text, depth = self._written[node]
         large = len(text) > LONGEST_TEXT or depth > DEEPEST
-        if depth and (large or (one in self._shared and len(text) >= SHORTEST_NAMED)):
-            self._written[one] = self._short(text), 0
-        return self._written[one]
+        if depth and (large or (node in self._shared and len(text) >= SHORTEST_NAMED)):
+            self._written[node] = self._short(text), 0
+        return self._written[node]
 
-    def _long_sum(self, one: Formula, texts: Sequence[str]) -> str:
+    def _long_sum(self, node: Formula, texts: Sequence[str]) -> str:
         """Return the sum of the names of its parts, from which reading makes one sum again."""
         names: list[str] = []
         for first in range(0, len(texts), MOST_TERMS):
-            chosen = slice(first, first + MOST_TERMS)
+            terms = slice(first, first + MOST_TERMS)
             last = first + MOST_TERMS >= len(texts)
-            factors = (*one.data[:-1][chosen], one.data[-1] if last else 0.0)
-            some = Formula(one.dimensions, SUM, one.arguments[chosen], factors)
-            whole = {i for i, argument in enumerate(some.arguments) if not self._written[argument][1]}
-            names.append(self._short(OPERATIONS[SUM].text(some, texts[chosen], EXACT, whole)))
+            factors = (*node.data[:-1][terms], node.data[-1] if last else 0.0)
+            partial_sum = Formula(node.dimensions, SUM, node.arguments[terms], factors)
+            whole = {i for i, argument in enumerate(partial_sum.arguments) if not self._written[argument][1]}
+            names.append(self._short(OPERATIONS[SUM].text(partial_sum, texts[terms], EXACT, whole)))
         while len(names) > MOST_TERMS:
             names = [
                 self._short(" + ".join(names[first : first + MOST_TERMS])) for first in range(0, len(names), MOST_TERMS)

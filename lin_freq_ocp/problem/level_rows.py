@@ -103,7 +103,7 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
         if term.hard:
             rows = term.map.rows(T, n, m)[0].toarray()
             parts.append((rows[:, : (T + 1) * n].reshape(-1, T + 1, n), rows[:, (T + 1) * n :].reshape(-1, T, m)))
-    of_x, of_u = (np.concatenate(given) for given in zip(*parts, strict=True))
+    of_x, of_u = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
     return of_u + _through_states(problem, of_x)
 
 

@@ -37,11 +37,11 @@ class _NormCost(NonsmoothCost):
         x_ref: ArrayLike = 0.0,
         u_ref: ArrayLike = 0.0,
     ):
-        given = {"x": x, "u": u, "terminal": terminal, "x_ref": x_ref, "u_ref": u_ref}
-        arrays = {field: real_array(f"{type(self).__name__}.{field}", value) for field, value in given.items()}
+        values = {"x": x, "u": u, "terminal": terminal, "x_ref": x_ref, "u_ref": u_ref}
+        arrays = {field: real_array(f"{type(self).__name__}.{field}", value) for field, value in values.items()}
         for field in ("x", "u", "terminal"):
             if (arrays[field] < 0).any():
-                raise ProblemError(f"{type(self).__name__}.{field}", brief(given[field]), "weights of zero or above")
+                raise ProblemError(f"{type(self).__name__}.{field}", brief(values[field]), "weights of zero or above")
         assign(self, **arrays)
 
     def describe(self) -> str:
@@ -55,8 +55,8 @@ class _NormCost(NonsmoothCost):
         if not parts:
             return ""
         used = {"x_ref": self.x.any() or self.terminal.any(), "u_ref": self.u.any()}
-        given = {"x_ref": self.x_ref, "u_ref": self.u_ref}
-        references = [datum(name, values, 1) for name, values in given.items() if used[name] and values.any()]
+        stated = {"x_ref": self.x_ref, "u_ref": self.u_ref}
+        references = [datum(name, values, 1) for name, values in stated.items() if used[name] and values.any()]
         deviations = f" of deviations from {join_words(references)}" if references else ""
         return f"{self.kind}{deviations} at each time: {join_words(parts)}"
 
@@ -86,8 +86,8 @@ class _NormCost(NonsmoothCost):
         x, u, terminal, x_ref, u_ref = arrays.values()
         x_ref, u_ref = np.broadcast_to(x_ref, (T + 1, n)), np.broadcast_to(u_ref, (T, m))
         norm, stages = NormBall(self.order, np.zeros(()), np.ones(())), np.arange(T)
-        found: list[Term] = []
-        for weights, reference, times, kind, of_state, what in (
+        terms: list[Term] = []
+        for weights, reference, times, kind, of_state, signal in (
             (x, x_ref[:-1], stages, TermKind.STAGE_COST, True, "states"),
             (u, u_ref, stages, TermKind.STAGE_COST, False, "controls"),
             (terminal, x_ref[-1:], np.array([T]), TermKind.TERMINAL_COST, True, "terminal state"),
@@ -95,8 +95,8 @@ class _NormCost(NonsmoothCost):
             if weights.any():
                 scale = weights[..., None] * np.eye(weights.shape[-1])
                 matrices = (scale, None) if of_state else (None, scale)
-                found.append(Term(f"{name} of {what}", kind, StageMap(times, *matrices, -weights * reference), norm))
-        return found
+                terms.append(Term(f"{name} of {signal}", kind, StageMap(times, *matrices, -weights * reference), norm))
+        return terms
 
 
 class L1Cost(_NormCost):

@@ -201,12 +201,12 @@ class Intersection(ConvexSet):
 
     @property
     def dimension(self) -> int | None:
-        return next((one.dimension for one in self.sets if one.dimension is not None), None)
+        return next((convex_set.dimension for convex_set in self.sets if convex_set.dimension is not None), None)
 
     @property
     def bounds(self) -> Bounds:
         lower, upper = self.sets[0].bounds
-        for low, high in (one.bounds for one in self.sets[1:]):
+        for low, high in (convex_set.bounds for convex_set in self.sets[1:]):
             try:
                 common = np.maximum(lower, low), np.minimum(upper, high)
             except ValueError:
@@ -221,18 +221,18 @@ class Intersection(ConvexSet):
 
     @property
     def members(self) -> tuple[ConvexSet, ...]:
-        return tuple(member for one in self.sets for member in one.members)
+        return tuple(member for convex_set in self.sets for member in convex_set.members)
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        return tuple(part for one in self.sets for part in one.parts(dimension))
+        return tuple(part for convex_set in self.sets for part in convex_set.parts(dimension))
 
     def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
-        return tuple(link for one in self.sets for link in one.links(dimension, horizon))
+        return tuple(link for convex_set in self.sets for link in convex_set.links(dimension, horizon))
 
     def translated(self, origin: Array) -> Intersection:
-        return Intersection([one.translated(origin) for one in self.sets])
+        return Intersection([convex_set.translated(origin) for convex_set in self.sets])
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        text = "; and ".join(one.describe(names, signal) for one in self.sets)
-        kinds = ", ".join(dict.fromkeys(type(one).__name__ for one in self.sets))
+        text = "; and ".join(convex_set.describe(names, signal) for convex_set in self.sets)
+        kinds = ", ".join(dict.fromkeys(type(convex_set).__name__ for convex_set in self.sets))
         return text if len(text) <= 2 * MOST_TEXT else f"an intersection of {len(self.sets)} sets ({kinds})"
