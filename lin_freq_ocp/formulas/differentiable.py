@@ -145,13 +145,7 @@ class DifferentiableFunction:
         ProblemError
             If these are neither formulas nor numbers, or its values have another shape.
         """
-        signals = [[part] if isinstance(part, Formula) or np.ndim(part) == 0 else list(part) for part in (x, u)]
-        for letter, components in zip("xu", signals, strict=True):
-            for component in components:
-                if not isinstance(component, Formula):
-                    if np.ndim(component):
-                        raise ProblemError(f"{self.title}.{letter}", brief(components), "a list of formulas or numbers")
-                    real_array(f"{self.title}.{letter}", component)
+        signals = [_components(f"{self.title}.{letter}", signal) for letter, signal in (("x", x), ("u", u))]
         arguments, states = [*signals[0], *signals[1]], len(signals[0])
         self._require(states, len(signals[1]))
         formulas = [argument for argument in arguments if isinstance(argument, Formula)]
@@ -330,6 +324,17 @@ class DifferentiableFunction:
         if array.shape != shape and (self.outputs != 1 or array.shape != without_output):
             raise ProblemError(f"{self.title}.{what}", f"shape {array.shape} at {_place(*point)}", f"shape {shape}")
         return array.astype(np.float64).reshape(shape)
+
+
+def _components(field: str, signal: Any) -> list[Formula | float]:
+    """Return formulas and numbers as a list, of a single one, too."""
+    components = [signal] if isinstance(signal, Formula) or np.ndim(signal) == 0 else list(signal)
+    for component in components:
+        if not isinstance(component, Formula):
+            if np.ndim(component):
+                raise ProblemError(field, brief(signal), "a list of formulas or numbers")
+            real_array(field, component)
+    return components
 
 
 def _place(x: Array, u: Array) -> str:
