@@ -6,7 +6,7 @@ relaxed by an amount: bounds, joint rows, stop bands, sets, frequency constraint
 user may choose. Methods without a docstring are described by ``Limit``.
 
 The classes that own the numbers change them: ``Box`` its bounds, ``StageRows`` its limits, a ``ConvexSet`` by
-``relaxed_by``, a ``FrequencyConstraint`` its ``levels`` and its other ``numbers``. A class of your own overrides these.
+``relaxed``, a ``FrequencyConstraint`` its ``levels`` and its other ``numbers``. A class of your own overrides these.
 """
 
 from __future__ import annotations
@@ -365,7 +365,7 @@ class SetLimit(TermLimit):
         def relax(given: ConvexSet) -> ConvexSet:
             if np.isinf(amount):
                 return intersection(box_of(given), [member for member in given.members if member.soft])
-            return intersection(box_of(given), [member.relaxed_by(amount, dimension) for member in given.members])
+            return intersection(box_of(given), [member.relaxed(amount, dimension) for member in given.members])
 
         return replace(problem, **{self.field: map_sets(getattr(problem, self.field), relax)})
 
@@ -390,7 +390,7 @@ class EntryLimit(TermLimit):
         entries = list(entries_of(getattr(problem, self.field)))
         entry = entries.pop(self.index)
         if np.isfinite(amount):
-            entries.insert(self.index, entry.with_constraints([one.relaxed_by(amount) for one in entry.constraints]))
+            entries.insert(self.index, entry.with_constraints([one.relaxed(amount) for one in entry.constraints]))
         return replace(problem, **{self.field: entries or None})
 
     def numbers(self) -> Iterator[Number]:

@@ -345,14 +345,14 @@ def everywhere_of(problem: OptimalControlProblem, kind: type[Kind]) -> list[tupl
 
 
 def at_frequencies(
-    problem: OptimalControlProblem, frequencies: Mapping[str, Array], relaxed: bool = False
+    problem: OptimalControlProblem, frequencies: Mapping[str, Array], points_only: bool = False
 ) -> OptimalControlProblem:
     """Return the problem with semi-infinite terms at these points, (groups,) in rad/sample or (groups, 2), by name.
 
-    Terms without an entry keep their points. ``relaxed``: nothing is required at other points.
+    Terms without an entry keep their points. ``points_only``: nothing is required at other points.
     """
     semi_infinite = [term for term in problem.terms if term.everywhere is not None]
-    if not semi_infinite or not (frequencies or relaxed):
+    if not semi_infinite or not (frequencies or points_only):
         return problem
     pending = iter([frequencies.get(term.name, term.map.places) for term in semi_infinite])
 
@@ -362,7 +362,7 @@ def at_frequencies(
         for constraint in entries_of(entries):
             if constraint.every_frequency:
                 count = len(component_indices("spectrum", constraint.component, names))
-                constraint = constraint.at_frequencies([next(pending) for _ in range(count)], relaxed)
+                constraint = constraint.at_frequencies([next(pending) for _ in range(count)], points_only)
             constraints.append(constraint)
         return constraints
 
@@ -400,4 +400,4 @@ class SampledMasks(Inverse):
 
 def sampled_masks(problem: OptimalControlProblem, points: Mapping[str, Array]) -> SampledMasks:
     """Return the problem with its semi-infinite constraints at points only, and the way back."""
-    return SampledMasks(problem, at_frequencies(problem, points, relaxed=True), points)
+    return SampledMasks(problem, at_frequencies(problem, points, points_only=True), points)

@@ -82,7 +82,7 @@ def test_within_is_an_interval_around_zero():
     v, multipliers = np.array([[0.5, -2.0]]), np.array([[3.0, -1.0]])
     assert Within(1.0).violation(v) == pytest.approx(np.array([[0.0, 1.0]]))
     assert Within(1.0).gap(v, multipliers, 1.0) == pytest.approx(np.array([[1.5, -1.0]]))
-    assert Within(0.0).relaxed_by(v[0], 2.0)[1].sizes() == pytest.approx(2.0)
+    assert Within(0.0).relaxed(v[0], 2.0)[1].sizes() == pytest.approx(2.0)
 
 
 def test_words_and_added_states():

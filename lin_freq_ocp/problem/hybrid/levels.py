@@ -222,7 +222,7 @@ class FiniteSet(ConvexSet):
         limits, prices = (np.concatenate([hinges[k] for _, hinges in rows]) for k in (1, 2))
         return (Part(F, np.zeros(len(F)), HalfSpaces(limits, prices)),)
 
-    def relaxed_by(self, amount: float, dimension: int) -> FiniteSet:
+    def relaxed(self, amount: float, dimension: int) -> FiniteSet:
         return self
 
     def describe(self, names: Sequence[str], signal: str) -> str:

@@ -104,9 +104,9 @@ class ConvexSet(ABC):
         parts = tuple(Part(with_columns(part.F, k), part.c, part.penalty) for part in self.parts(n))
         return PartSet(parts, n + k, self.describe([f"x[{i}]" for i in range(n)], "x"))
 
-    def relaxed_by(self, amount: float, dimension: int) -> ConvexSet:
+    def relaxed(self, amount: float, dimension: int) -> ConvexSet:
         """Return the set with limits, bounds apart, that are higher by an amount; a soft set does not change."""
-        parts = tuple(Part(part.F, *part.penalty.relaxed_by(part.c, amount)) for part in self.parts(dimension))
+        parts = tuple(Part(part.F, *part.penalty.relaxed(part.c, amount)) for part in self.parts(dimension))
         return PartSet(parts, dimension, f"wider by {amount:g}")
 
     @property

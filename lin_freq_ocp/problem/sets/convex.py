@@ -273,7 +273,7 @@ class Soft(ConvexSet):
     def augmented(self, n: int, k: int) -> Soft:
         return Soft(self.soft_set.augmented(n, k), self.penalty)
 
-    def relaxed_by(self, amount: float, dimension: int) -> Soft:
+    def relaxed(self, amount: float, dimension: int) -> Soft:
         return self
 
     def translated(self, origin: Array) -> Soft:

@@ -88,7 +88,7 @@ class LinkedEnds(ConvexSet):
         E_0, E_T, e = self.matrices(n)
         return self._restate(with_columns(E_0, k), with_columns(E_T, k), e)
 
-    def relaxed_by(self, amount: float, dimension: int) -> ConvexSet:
+    def relaxed(self, amount: float, dimension: int) -> ConvexSet:
         return self._restate(*self.matrices(dimension), amount)
 
     def translated(self, origin: Array) -> ConvexSet:

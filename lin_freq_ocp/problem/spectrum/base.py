@@ -81,7 +81,7 @@ class FrequencyConstraint(ABC):
             low, high, step = LEVELS
             yield Number("level.{}", "level", "dB", 0.0, low, high, 1, _scale_levels, step)
 
-    def relaxed_by(self, amount: float) -> Self:
+    def relaxed(self, amount: float) -> Self:
         """Return it with limits that are higher by an amount, if it has some."""
         return self if self.levels is None else self.at_levels(self.levels + amount)
 
@@ -108,11 +108,11 @@ class FrequencyConstraint(ABC):
 
     every_frequency: bool = False  # whether it is infinitely many constraints, of which terms have finitely many
     points: Sequence[Array] | None = None  # of these, one array for each component; None: those to begin with
-    relaxed: bool = False  # whether it holds at these only
+    points_only: bool = False  # whether nothing is required elsewhere: a relaxation
 
-    def at_frequencies(self, points: Sequence[Array], relaxed: bool) -> Self:
-        """Return it with other points in its terms, one array for each component; ``relaxed``: at these only."""
-        return self.changed(points=tuple(points), relaxed=relaxed)
+    def at_frequencies(self, points: Sequence[Array], points_only: bool) -> Self:
+        """Return it with other points in its terms, one array for each component; ``points_only``: a relaxation."""
+        return self.changed(points=tuple(points), points_only=points_only)
 
     def semi_infinite_terms(
         self, label: str, signal: Signal, required: Iterable[Continuum], source: tuple[str, int]
@@ -121,7 +121,7 @@ class FrequencyConstraint(ABC):
         indices = component_indices(label, self.component, signal.names)
         for k, (i, everywhere) in enumerate(zip(indices, required, strict=True)):
             values, balls = everywhere.at(everywhere.first_points() if self.points is None else self.points[k])
-            name, beyond = f"{label} {signal.names[i]}", None if self.relaxed else everywhere
+            name, beyond = f"{label} {signal.names[i]}", None if self.points_only else everywhere
             yield Term(name, signal.kind, values, balls, source, everywhere=beyond)
 
     def softened(self, penalty: float) -> FrequencyConstraint:

@@ -89,7 +89,7 @@ class HalfSpaces(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
@@ -134,7 +134,7 @@ class Within(Penalty):
     def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
         return np.full(shape, -self.reach), np.full(shape, self.reach)
 
-    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, reach=self.reach + amount)
 
     def conic(self, groups: int, dim: int) -> ConicForm:
@@ -220,7 +220,7 @@ class NormBall(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, radius=self.radius + amount)
 
     def stacked(self, others: list[Any]) -> Penalty:
@@ -268,7 +268,7 @@ class StandardCone(Penalty):
     def misfit(self, v: Array, multipliers: Array) -> Array:
         return across(v[:, 1:], multipliers[:, 1:])[:, None]
 
-    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c + amount * (np.arange(len(c)) == 0), self
 
     def conic(self, groups: int, dim: int) -> ConicForm:
@@ -359,7 +359,7 @@ class LargestExcess(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
     @property

@@ -156,7 +156,7 @@ class Penalty(ABC):
         """Return it with another weight."""
         raise UnsupportedError(f"{type(self).__name__} cannot be soft.")
 
-    def relaxed_by(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         """Return the constant of an affine map and a penalty of its values with limits higher by an amount."""
         raise UnsupportedError(f"{type(self).__name__} has no limits that could be higher.")
 
