@@ -3,6 +3,7 @@
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode, SmoothPiece
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
@@ -10,6 +11,7 @@ from lin_freq_ocp.problem.hybrid.pulse_train import PulseTrain
 
 __all__ = [
     "AffineMode",
+    "ContinuousPlant",
     "DifferentiableFunction",
     "FrequencyResponse",
     "LinearDynamics",

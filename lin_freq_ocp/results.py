@@ -7,6 +7,7 @@ from lin_freq_ocp.api.receding_horizon import ClosedLoop
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import SavedRun
 from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.between_samples import BetweenSamples, BoundPeak
 from lin_freq_ocp.certificate.sensitivities import Sensitivities
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.files.solution_files import SavedSolution
@@ -15,6 +16,8 @@ from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.solving.outcome import Cure, Explanation
 
 __all__ = [
+    "BetweenSamples",
+    "BoundPeak",
     "Certificate",
     "ClosedLoop",
     "Comparison",

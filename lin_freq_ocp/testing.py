@@ -1,7 +1,7 @@
-"""Problems with known optimal costs, to run against a solver of one's own, and a check of terms of one's own.
+"""Problems with known optimal costs to test your own solver, and a check of your own terms.
 
 ``conformance_cases()`` yields the problems, and ``check(case, solver)`` measures the answer of a solver to one of them.
-``check_terms(problem)`` says what is wrong with costs, sets, rows and frequency constraints that you have written.
+``check_terms(problem)`` lists the faults of costs, sets, rows and frequency constraints that you have written.
 
 Examples
 --------
@@ -72,7 +72,7 @@ class Report:
         Of the trajectory that the solver returned.
     passed : bool
     message : str
-        What is wrong, if anything.
+        The fault, if there is one.
     """
 
     name: str
@@ -219,7 +219,15 @@ def reference_problem(name: str, **changes: Any) -> lfo.OptimalControlProblem:
     T = data["T"]
     bounds = lfo.Box([-bound for bound in data["xmax"]], data["xmax"])
     last = bounds if data["xT"] is None else lfo.sets.Everything()
-    A, B = time_varying(T) if name == "ltv200" else (data["A"], data["B"])
+    A, B = data["A"], data["B"]
+    if name == "ltv200":  # the time-varying instance
+        t = np.arange(T)
+        A, B = np.zeros((T, 2, 2)), np.zeros((T, 2, 1))
+        A[:, 0, 0] = 1
+        A[:, 0, 1] = 0.02 + 0.005 * np.sin(2 * np.pi * t / 200)
+        A[:, 1, 0] = -0.02 * np.cos(2 * np.pi * t / 100)
+        A[:, 1, 1] = 1 - 0.002 * t / 200
+        B[:, 1, 0] = 0.02 * (1 + 0.3 * np.sin(2 * np.pi * t / 50))
     return lfo.OptimalControlProblem(
         dynamics=lfo.LinearDynamics(A, B),
         horizon=T,
@@ -236,18 +244,6 @@ def reference_problem(name: str, **changes: Any) -> lfo.OptimalControlProblem:
     )
 
 
-def time_varying(T: int) -> tuple[Array, Array]:
-    """Return A (T, 2, 2) and B (T, 2, 1) of the time-varying instance."""
-    t = np.arange(T)
-    A, B = np.zeros((T, 2, 2)), np.zeros((T, 2, 1))
-    A[:, 0, 0] = 1
-    A[:, 0, 1] = 0.02 + 0.005 * np.sin(2 * np.pi * t / 200)
-    A[:, 1, 0] = -0.02 * np.cos(2 * np.pi * t / 100)
-    A[:, 1, 1] = 1 - 0.002 * t / 200
-    B[:, 1, 0] = 0.02 * (1 + 0.3 * np.sin(2 * np.pi * t / 50))
-    return A, B
-
-
 SIZES = (0.1, 1.0, 10.0)  # of random signals, in units of the optimal ones: inside and outside of limits
 STEP = 1e-6  # of differences, relative to the values
 ROUNDING = 1e-9  # error of sums, relative to their terms
@@ -256,12 +252,12 @@ Point = tuple[Array, Array]  # x (T+1, n) and u (T, m)
 
 
 def check_terms(problem: lfo.OptimalControlProblem, seed: int = 0) -> list[str]:
-    """Return what is wrong with the terms of a problem, in words; nothing if they keep their protocols.
+    """Return the faults of the terms of a problem, in words; an empty list if they keep their protocols.
 
-    Of every term h(L(x, u)) rows and adjoint of L are compared with its values, slopes of h with differences, its conic
-    form with its cost, the Fenchel-Young gap with what other points gain, and all of them with those of the problem
-    ``rate_limited``. No limit is violated more after it is relaxed, and its numbers at their own values change nothing.
-    The optimum must be proven.
+    Of every term h(L(x, u)) the check compares rows and adjoint of L with its values, slopes of h with differences, the
+    conic form with the cost, the Fenchel-Young gap with the gain of other points, and all with the problem
+    ``rate_limited``. A relaxed limit must not be violated more, and its numbers at their own values change nothing. The
+    optimum must be proven.
 
     Parameters
     ----------

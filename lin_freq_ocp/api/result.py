@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, final
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.atomic import replacing
+from lin_freq_ocp.base.atomic import open_replacement
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound
@@ -197,7 +197,7 @@ class Result(Outcome):
             from lin_freq_ocp.proof.proof import unchecked_proof  # imports an extra
 
             proof = unchecked_proof(self)
-        with replacing(path) as stream:
+        with open_replacement(path) as stream:
             stream.writelines(text.encode() for text in proof.lines())
 
     @cached_property

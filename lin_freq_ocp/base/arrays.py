@@ -1,4 +1,4 @@
-"""Numbers from outside become read-only float64 arrays of a known shape, or a ProblemError that says why not."""
+"""Conversion of user input to read-only float64 arrays of a known shape, with a ProblemError if that fails."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 Entry = TypeVar("Entry", bound=np.generic)
 Instance = TypeVar("Instance")
-Bound = ArrayLike | Sequence[float | None] | None  # as users give it: numbers, with None where there is none
-NO_BOUND = 1e20  # a bound from here on is none: other tools write infinity so
-LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer one is a slip of the pen
+Bound = ArrayLike | Sequence[float | None] | None  # from a user: numbers, and None for no bound
+NO_BOUND = 1e20  # larger bounds count as none: other tools write infinity so
+LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer horizon is a typing error
 
 
 def real_array(
@@ -50,7 +50,7 @@ def complex_array(field: str, value: object) -> ComplexArray:
     return np.asarray(real_array(field, value, kinds="iufc", dtype=complex), dtype=np.complex128)
 
 
-def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None = None) -> Array:
+def to_shape(field: str, value: object, shape: tuple[int, ...], times: int | None = None) -> Array:
     """Convert and require ``shape``, or ``(times, *shape)`` where one value per time is allowed."""
     array = real_array(field, value)
     if array.shape == shape or (times is not None and array.shape == (times, *shape)):
@@ -60,7 +60,7 @@ def shaped(field: str, value: object, shape: tuple[int, ...], times: int | None 
 
 
 def one_component(array: Array, size: int) -> Array:
-    """Return a single number as the vector that it stands for where there is one component; else what was given."""
+    """Return a single number as a vector if there is one component; any other array as it is."""
     return array.reshape(1) if array.ndim == 0 and size == 1 else array
 
 
@@ -73,16 +73,16 @@ def row_matrix(field: str, value: object, advice: str = "") -> Array:
 
 
 def upper_limits(field: str, value: object) -> Array:
-    """Convert to upper limits, inf where there is none: from ``NO_BOUND`` on."""
+    """Convert to upper limits; from ``NO_BOUND`` on they become inf, for none."""
     limits = real_array(field, value, allow_infinite=True)
     if (limits == -np.inf).any():
         entry = "".join(f"[{i}]" for i in np.argwhere(limits == -np.inf)[0])
         raise ProblemError(f"{field}{entry}", "-inf", "a number, or inf for no bound")
-    return frozen(np.where(limits >= NO_BOUND, np.inf, limits))
+    return freeze(np.where(limits >= NO_BOUND, np.inf, limits))
 
 
 def require_rows_hold(field: str, broken: Mask, limits: Array) -> None:
-    """Raise ProblemError if 0 is beyond the limit of a row without coefficients; both (rows,), or (times, rows)."""
+    """Raise ProblemError if a row without coefficients is ``broken``: its limit excludes 0; (rows,), (times, rows)."""
     if broken.any():
         at = tuple(int(i) for i in np.argwhere(broken)[0])
         when = f" at t = {at[0]}" if broken.ndim == 2 else ""
@@ -105,38 +105,38 @@ def positive_number(field: str, value: object) -> float:
     return float(number)
 
 
-def known_entries(field: str, given: object, keys: Sequence[str]) -> dict[str, object]:
-    """Require a mapping without other keys than these; None is empty."""
-    if given is not None and not isinstance(given, Mapping):
-        raise ProblemError(field, type(given).__name__, f"a mapping with {' and '.join(keys)}")
-    for key in given or {}:
+def known_entries(field: str, entries: object, keys: Sequence[str]) -> dict[str, object]:
+    """Require a mapping with these keys only; None is an empty one."""
+    if entries is not None and not isinstance(entries, Mapping):
+        raise ProblemError(field, type(entries).__name__, f"a mapping with {' and '.join(keys)}")
+    for key in entries or {}:
         if key not in keys:
             raise ProblemError(f"{field}.{key}", "an unknown key", f"{' or '.join(keys)}")
-    return dict(given or {})
+    return dict(entries or {})
 
 
-def names(field: str, given: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
-    """Require ``count`` different names; without any, ``x_0 ...``."""
-    if given is None:
+def component_names(field: str, stated: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
+    """Require ``count`` different names; the default is ``x_0 ...``, with the given letter."""
+    if stated is None:
         return tuple(f"{letter}_{i}" for i in range(count))
-    if isinstance(given, str) or not isinstance(given, Sequence):
-        raise ProblemError(field, brief(given), f"a list of {count} names")
-    checked = tuple(printable(field, name, "") for name in given)
+    if isinstance(stated, str) or not isinstance(stated, Sequence):
+        raise ProblemError(field, brief(stated), f"a list of {count} names")
+    checked = tuple(printable(field, name, "") for name in stated)
     if len(checked) != count or len(set(checked)) != count:
         advice = 'One per component, such as "position [m]".'
-        raise ProblemError(field, brief(list(given)), f"{count} different names", advice)
+        raise ProblemError(field, brief(list(stated)), f"{count} different names", advice)
     return checked
 
 
 def printable(field: str, name: object, empty: str | None = None) -> str:
-    """Require a text of printable characters, other than ``empty`` where that is given."""
+    """Require a text of printable characters; it may not be ``empty``, if that is given."""
     if not isinstance(name, str) or not name.isprintable() or name.strip() == empty:
         raise ProblemError(field, brief(name), "a name of printable characters")
     return name
 
 
 def brief(value: object, length: int = 80) -> str:
-    """Return a value as an error message shows it."""
+    """Return a value as text for an error message."""
     try:
         text = repr(value).replace("\n", " ")
     except (ValueError, RecursionError):  # whole numbers of thousands of digits; nesting without end
@@ -157,13 +157,13 @@ def assign(instance: object, **fields: object) -> None:
 
 
 def with_fields(instance: Instance, **fields: object) -> Instance:
-    """Return a shallow copy of a frozen dataclass with other fields; nothing is checked, and its caches are shared."""
-    other = copy(instance)
-    assign(other, **fields)
-    return other
+    """Return a shallow copy of a frozen dataclass with other fields; nothing is checked, and caches are shared."""
+    changed = copy(instance)
+    assign(changed, **fields)
+    return changed
 
 
-def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
+def freeze(array: NDArray[Entry]) -> NDArray[Entry]:
     """Return the array itself if it is read-only, else a read-only copy."""
     if array.flags.writeable:
         array = array.copy()
@@ -171,15 +171,15 @@ def frozen(array: NDArray[Entry]) -> NDArray[Entry]:
     return array
 
 
-def sealed(array: NDArray[Entry]) -> NDArray[Entry]:
-    """Return a new array, now read-only: whoever takes it need not copy it."""
+def seal(array: NDArray[Entry]) -> NDArray[Entry]:
+    """Return a new array after making it read-only in place: its readers need no copy."""
     array.flags.writeable = False
     return array
 
 
-def extended(given: ArrayLike) -> NDArray[Any]:
-    """Return a copy in the longest float or complex of the machine, where differences of large terms are formed."""
-    array = np.asarray(given)
+def to_long_double(values: ArrayLike) -> NDArray[Any]:
+    """Return a copy in the longest float or complex type of the machine, for differences of large terms."""
+    array = np.asarray(values)
     return array.astype(np.clongdouble if array.dtype.kind == "c" else np.longdouble)
 
 
@@ -197,19 +197,19 @@ def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
 
     values (..., k), each matrix (..., k, n) and vector (n,); infinite values stay.
     """
-    total = extended(values)
+    total = to_long_double(values)
     for matrix, vector in products:
-        total = total + extended(matrix) @ extended(vector)
-    return frozen(total.astype(np.float64))
+        total = total + to_long_double(matrix) @ to_long_double(vector)
+    return freeze(total.astype(np.float64))
 
 
 def with_columns(array: Array, columns: int) -> Array:
-    """Return the array with so many zeros more along its last axis."""
+    """Return the array with so many zeros appended along its last axis."""
     return np.concatenate([array, np.zeros((*array.shape[:-1], columns))], axis=-1)
 
 
 def with_rows(matrices: Array, rows: Array) -> Array:
-    """Return a matrix, or one per time, with these rows below."""
+    """Return a matrix, or one per time, with these rows appended."""
     return np.concatenate([matrices, np.broadcast_to(rows, (*matrices.shape[:-2], *rows.shape))], axis=-2)
 
 

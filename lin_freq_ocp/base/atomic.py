@@ -1,6 +1,6 @@
-"""Files are written beside and renamed: under a name stands the whole of the new one, or the old one as it was.
+"""Atomic writing: a temporary file in the same folder is renamed when it is complete, so that no file is half written.
 
-Files that grow while they are written are locked instead.
+Files that grow over time are locked instead.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from lin_freq_ocp.base.errors import ProblemError
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Generator[BinaryIO]:
-    """Yield a stream; what is written to it takes the place of the file when all of it is on the disk.
+def open_replacement(path: str | os.PathLike[str]) -> Generator[BinaryIO]:
+    """Yield a stream whose content replaces the file when all of it is on the disk.
 
-    If anything fails before, the file stays as it was, or absent. A link keeps pointing to the file that is replaced.
-    What is no regular file, such as a pipe, has nothing to lose, and is written to as it is.
+    If anything fails before, the file stays unchanged, or absent. A link keeps pointing to the replaced file. A pipe or
+    another file that is not regular is written directly.
 
     Raises
     ------
@@ -29,7 +29,7 @@ def replacing(path: str | os.PathLike[str]) -> Generator[BinaryIO]:
         If it cannot be written there; the field is the path.
     """
     path = Path(path)
-    with writing(path):
+    with report_write_errors(path):
         try:
             target = Path(os.path.realpath(path))
         except ValueError as error:  # a character that no file name can have
@@ -38,52 +38,52 @@ def replacing(path: str | os.PathLike[str]) -> Generator[BinaryIO]:
             with target.open("wb") as stream:
                 yield stream
             return
-        beside = target.with_name(f".{secrets.token_hex(8)}.tmp")
+        temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
         try:
-            with beside.open("xb") as stream:
+            with temporary.open("xb") as stream:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
             if target.exists():
-                shutil.copymode(target, beside)
-            os.replace(beside, target)
-        except BaseException:  # Ctrl-C, too, leaves nothing behind
-            beside.unlink(missing_ok=True)
+                shutil.copymode(target, temporary)
+            os.replace(temporary, target)
+        except BaseException:  # also after Ctrl-C
+            temporary.unlink(missing_ok=True)
             raise
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Replace a file by these bytes; see ``replacing``."""
-    with replacing(path) as stream:
+    """Replace a file by these bytes; see ``open_replacement``."""
+    with open_replacement(path) as stream:
         stream.write(content)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Replace a file by this text, in UTF-8 with its line ends as they are; see ``replacing``."""
+    """Replace a file by this text, in UTF-8 with its line ends as they are; see ``open_replacement``."""
     write_bytes(path, text.encode())
 
 
 def write_each(contents: Mapping[Path, bytes]) -> None:
-    """Replace every file by its bytes; ProblemError names all that could not be written, after all were tried."""
-    failed = list[ProblemError]()
+    """Replace every file by its bytes; after trying all, ProblemError names those that could not be written."""
+    errors = list[ProblemError]()
     for path, content in contents.items():
         try:
             write_bytes(path, content)
         except ProblemError as error:
-            failed.append(error)
-    if failed:
-        fields = ", ".join(one.field for one in failed)
-        reasons = ", ".join(dict.fromkeys(one.got for one in failed))
-        others = f"The other {len(contents) - len(failed)} of {len(contents)} files are written."
+            errors.append(error)
+    if errors:
+        fields = ", ".join(error.field for error in errors)
+        reasons = ", ".join(dict.fromkeys(error.got for error in errors))
+        others = f"The other {len(contents) - len(errors)} of {len(contents)} files are written."
         raise ProblemError(fields, reasons, "files that can be written", others)
 
 
 @contextmanager
-def locked(stream: BinaryIO | TextIO, wait: bool = True) -> Generator[bool]:
-    """Lock an open file; yield whether it is locked, False if another process has it and we do not wait.
+def lock_file(stream: BinaryIO | TextIO, wait: bool = True) -> Generator[bool]:
+    """Lock an open file; yield whether it is locked: False if another process has the lock and we do not wait.
 
-    The system unlocks it when this process ends, however it ends. Where files cannot be locked (Windows, some network
-    disks), all have it.
+    The system releases the lock when this process ends for any reason. On systems without locks (Windows, some network
+    disks) every process gets it.
     """
     try:
         import fcntl
@@ -98,12 +98,12 @@ def locked(stream: BinaryIO | TextIO, wait: bool = True) -> Generator[bool]:
     try:
         yield True
     finally:
-        fcntl.flock(stream, fcntl.LOCK_UN)  # also where a forked process has the file
+        fcntl.flock(stream, fcntl.LOCK_UN)  # a forked process may have the file open
 
 
 @contextmanager
-def writing(path: Path) -> Generator[None]:
-    """Turn failures to write into a ProblemError with the path as its field."""
+def report_write_errors(path: Path) -> Generator[None]:
+    """Raise a ProblemError with the path as its field if writing fails."""
     try:
         yield
     except OSError as error:
@@ -111,5 +111,5 @@ def writing(path: Path) -> Generator[None]:
 
 
 def reason(error: Exception) -> str:
-    """Return what the system says of a failure to read or write."""
+    """Return the message of the system for a failure to read or write."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__

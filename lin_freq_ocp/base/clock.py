@@ -1,4 +1,4 @@
-"""The clock: whatever measures time, or stops when its time is over, reads it here, so that a test can set another."""
+"""The clock of all time limits and measured times, which a test can replace."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
-LEAST_SECONDS = 1e-3  # given to a solver when the time is over: it makes a step, and ends with its limit
+LEAST_SECONDS = 1e-3  # time limit of a solver that starts when no time is left: it makes one step and stops
 
 _read: Callable[[], float] = time.perf_counter
 _read_processor: Callable[[], float] = time.process_time
 
 
 def now() -> float:
-    """Return the seconds that the clock shows; only differences mean something."""
+    """Return the seconds of the clock; only differences have a meaning."""
     return _read()
 
 
@@ -24,13 +24,13 @@ def seconds_left(end: float) -> float | None:
 
 
 def processor_now() -> float:
-    """Return the seconds for which processors have worked for this process; on a busy machine they pass more slowly."""
+    """Return the seconds of processor time of this process."""
     return _read_processor()
 
 
 @contextmanager
 def use_clock(read: Callable[[], float], processor: Callable[[], float] | None = None) -> Generator[None]:
-    """Read the seconds from this function instead, in all threads of this process; other processes keep their clock.
+    """Replace the clock by a function, in all threads of this process; other processes keep their clock.
 
     Processor seconds are read from ``processor``, by default from the same function.
     """

@@ -1,4 +1,4 @@
-"""Everything the package raises on purpose, and the one warning it gives about frequency bands."""
+"""All errors of the package, and its warning about frequency bands."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ class LinFreqOCPError(Exception):
 
 
 class ProblemError(LinFreqOCPError, ValueError):
-    """A description that is not a problem: says which field, what was got, what was expected and what to do.
+    """An invalid problem: the message names the field, its value, the expected value and a remedy.
 
     Parameters
     ----------
     field : str
-        Where the fault is, as the user wrote it (``"control_set.lower"``).
+        The place of the fault, as the user wrote it (``"control_set.lower"``).
     got, expected : str
-        What was found there, and what would be right.
+        The value there, and a description of valid values.
     advice : str, optional
-        What to do about it.
+        The remedy.
 
     Examples
     --------
@@ -46,7 +46,7 @@ class ProblemError(LinFreqOCPError, ValueError):
 
 
 class UnsupportedError(LinFreqOCPError):
-    """A valid problem that the chosen method cannot take; the message says why and what can.
+    """A valid problem that the chosen method cannot solve; the message gives the reason and an alternative.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class UnsupportedError(LinFreqOCPError):
 
 
 class MissingExtraError(LinFreqOCPError, ImportError):
-    """An optional package is not installed; the message names it and how to get it.
+    """An optional package is not installed; the message has the command that installs it.
 
     Examples
     --------
@@ -67,7 +67,7 @@ class MissingExtraError(LinFreqOCPError, ImportError):
 
 
 class SolveError(LinFreqOCPError):
-    """A solve that ended without an optimum; ``result`` holds all that was found.
+    """A solve that ended without an optimum; ``result`` holds its best trajectory and bounds.
 
     Examples
     --------
@@ -86,7 +86,7 @@ class InfeasibleError(SolveError):
     Attributes
     ----------
     proven : bool
-        Whether the judge has verified a proof; otherwise a solver only says so.
+        Whether the judge has verified a proof; if not, it is the claim of a solver.
 
     Examples
     --------
@@ -112,7 +112,7 @@ class UnboundedError(SolveError):
 
 
 class NumericalError(SolveError):
-    """The solver stopped at a point whose residuals, computed by us, are too large to call it a solution.
+    """The residuals at the last point of the solver, measured by the judge, are too large for a solution.
 
     Examples
     --------
@@ -122,7 +122,7 @@ class NumericalError(SolveError):
 
 
 class LimitError(SolveError):
-    """A time or iteration limit was reached first; the result holds the best point, if there is one.
+    """A time or iteration limit was reached; the result holds the best point, if there is one.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class LimitError(SolveError):
     bound : float or None
         A lower bound on the optimal cost, None if none was found.
     gap : float or None
-        What the two leave open, as ``result.gap`` says it.
+        Their relative difference, as in ``result.gap``.
 
     Examples
     --------
@@ -178,19 +178,19 @@ class ClosedLoopWarning(UserWarning):
 
 
 def first_line(error: Exception) -> str:
-    """Return what kind of an error of others it is, and the beginning of what it says."""
+    """Return the type of an error of other software and the first line of its message."""
     return f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
 
 
 def suggestion(given: object, known: Iterable[str]) -> str:
-    """Return the question whether the nearest known word was meant, or nothing if none is near."""
+    """Return "Did you mean ...?" with the nearest known word; empty if none is near."""
     nearest = get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
     return f"Did you mean {nearest[0]!r}?" if nearest else ""
 
 
 @contextmanager
 def located_at(location: str, own: str) -> Generator[None]:
-    """Let a ProblemError that names the field ``own``, or one within, name it at ``location`` instead."""
+    """Let a ProblemError that names the field ``own``, or a field within it, name ``location`` instead."""
     try:
         yield
     except ProblemError as error:

@@ -1,7 +1,7 @@
-"""Ctrl-C, where an exception would do harm: while modules are imported, and during a solver's compiled code.
+"""Ctrl-C while modules are imported, and during a solver's compiled code, where an exception would do harm.
 
-While the command line imports, it ends the process at once, with its status and without a traceback. During compiled
-code it is noted at once and acted on between iterations, so that nothing is lost.
+While the command line imports, Ctrl-C ends the process at once, with its exit status and without a traceback. During
+compiled code it sets an event, which the solver reads between iterations: no result is lost.
 """
 
 from __future__ import annotations
@@ -19,32 +19,31 @@ INTERRUPTED = 130  # exit status after Ctrl-C, as of shells
 
 
 def leave(number: int, frame: FrameType | None) -> None:
-    """Leave now: nothing is open, and KeyboardInterrupt in the midst of an import becomes other errors on its way."""
+    """End the process: no file is open, and KeyboardInterrupt within an import would become another error."""
     os._exit(INTERRUPTED)
 
 
 def leave_silently() -> None:
-    """Let Ctrl-C end this process silently, if it is the command line and Ctrl-C is not ignored."""
+    """Let Ctrl-C end this process silently, if it is the command line and Ctrl-C is not ignored.
+
+    The command line is ``lin-freq-ocp`` or ``python -m lin_freq_ocp``.
+    """
+    program = sys.argv[0] if sys.argv else ""
+    command = PurePath(program).stem == "lin-freq-ocp"
+    if program == "-m":  # a package is imported before Python knows the path of the module that it will run
+        arguments = sys.orig_argv
+        command = "lin_freq_ocp" in (arguments[arguments.index("-m") + 1 :] if "-m" in arguments else [])[:1]
     main = threading.current_thread() is threading.main_thread()
-    if main and _is_command_line() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    if main and command and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, leave)
 
 
 def let_commands_decide() -> bool:
-    """Let Ctrl-C raise KeyboardInterrupt again, which the commands know what to do with; return whether it did not."""
+    """Let Ctrl-C raise KeyboardInterrupt again, which the commands handle; return whether it ended the process."""
     silent = signal.getsignal(signal.SIGINT) is leave
     if silent:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     return silent
-
-
-def _is_command_line() -> bool:
-    """Whether this process was started as ``lin-freq-ocp`` or ``python -m lin_freq_ocp``."""
-    program = sys.argv[0] if sys.argv else ""
-    if program == "-m":  # a package is imported before Python knows the path of what it is to run
-        given = sys.orig_argv
-        return "lin_freq_ocp" in (given[given.index("-m") + 1 :] if "-m" in given else [])[:1]
-    return PurePath(program).stem == "lin-freq-ocp"
 
 
 @contextmanager

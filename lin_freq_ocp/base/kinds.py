@@ -15,7 +15,7 @@ _lock = RLock()
 
 
 def register_later(register: Callable[[], object]) -> None:
-    """Take a function whose imports register further kinds; it is called once, when a table lacks an entry."""
+    """Keep a function whose imports register further kinds, for one call when a table lacks an entry."""
     _later.append(register)
 
 

@@ -1,4 +1,4 @@
-"""Numbers, vectors, matrices, inequalities and small tables as people read them: problems describe themselves so."""
+"""Numbers, vectors, matrices, inequalities and small tables as text for people, from which descriptions are made."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_ENTRIES, MOST_ROWS, MOST_TEXT = 6, 3, 150  # a longer vector, more rows or 
 
 
 def number(value: float | None, digits: int = 5) -> str:
-    """Return a number with up to so many significant digits; nothing small is called zero."""
+    """Return a number with at most so many significant digits; a small one is never shown as zero."""
     if value is None:
         return NOTHING
     if not isfinite(value):
@@ -43,18 +43,18 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def short_name(name: str) -> str:
-    """Return a component's name without its unit, in the case it was given: V is not v."""
+    """Return the name of a component without its unit; capitals stay, as V is not v."""
     return split_unit(name)[0]
 
 
-def listed(parts: Sequence[str]) -> str:
+def join_words(parts: Sequence[str]) -> str:
     """Return "a", "a and b", or "a, b and c"."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def first_few(parts: Sequence[str], most: int = MOST_ENTRIES) -> str:
-    """Return the first of them as a list, and how many more there are."""
-    return listed(parts) if len(parts) <= most else f"{', '.join(parts[:most])} and {len(parts) - most} more"
+    """Return the first parts as a list, and the number of the others."""
+    return join_words(parts) if len(parts) <= most else f"{', '.join(parts[:most])} and {len(parts) - most} more"
 
 
 def plural(count: int, noun: str) -> str:
@@ -74,7 +74,7 @@ def runs_of(numbers: Array | Indices) -> list[tuple[int, int]]:
 
 
 def vector(values: Array) -> str:
-    """Return "(1, 0.5)"; of equal entries, that one; of many, how many and their range."""
+    """Return "(1, 0.5)"; the entry, if all are equal; the number of entries and their range, if there are many."""
     if values.ndim == 0:
         return number(float(values))
     if len(values) > 1 and (values == values[0]).all():
@@ -101,7 +101,7 @@ def matrix(values: Array) -> str:
 
 
 def datum(name: str, values: Array, dimensions: int) -> str:
-    """Return "Q = 2 I" or "x_ref depends on time, from 0 to 1"; an axis more than ``dimensions`` is that of time."""
+    """Return "Q = 2 I" or "x_ref depends on time, from 0 to 1"; an axis beyond ``dimensions`` is that of time."""
     if values.ndim > dimensions:
         if (values != values[0]).any():
             return f"{name} depends on time{span(values, ', ')}"
@@ -110,7 +110,7 @@ def datum(name: str, values: Array, dimensions: int) -> str:
 
 
 def span(values: Array, before: str = " ") -> str:
-    """Return " from 0 to 1", how small and how large they are."""
+    """Return " from 0 to 1", the range of the values."""
     low, high = float(values.min()), float(values.max())
     return f"{before}from {number(low)} to {number(high)}"
 
@@ -127,7 +127,7 @@ def combination(row: Array, names: Sequence[str]) -> str:
 
 
 def inequalities(rows: Array, limits: Array, names: Sequence[str], symbols: str) -> str:
-    """Return few short rows one by one, as "position + 2 speed ≤ 1"; of others how many there are, as ``symbols``."""
+    """Return a few short rows as "position + 2 speed ≤ 1"; of other rows their number, with ``symbols``."""
     bounded = np.flatnonzero(limits < NO_BOUND)
     if 0 < len(bounded) <= MOST_ROWS:
         text = ", ".join(f"{combination(rows[i], names)} {AT_MOST} {number(float(limits[i]))}" for i in bounded)
@@ -151,26 +151,23 @@ def interval(low: float, high: float) -> str:
 
 
 def intervals(lower: Array, upper: Array) -> str:
-    """Return the same of bounds over time, (times,): where they change, how low and how high they are."""
+    """Return the ``interval`` of bounds over time, (times,); if they depend on time, the range of each side."""
     if (lower == lower[0]).all() and (upper == upper[0]).all():
         return interval(float(lower[0]), float(upper[0]))
     known = [lower[lower > -NO_BOUND], upper[upper < NO_BOUND]]
-    parts = [
-        f"{words} {_from_to(values)}" for words, values in zip(("lower", "upper"), known, strict=True) if len(values)
-    ]
+    parts = list[str]()
+    for side, values in zip(("lower", "upper"), known, strict=True):
+        if len(values):
+            low, high = float(values.min()), float(values.max())
+            parts.append(f"{side} {number(low) if low == high else f'{number(low)} to {number(high)}'}")
     if not parts:
         return "no bound"
     missing = any(0 < len(values) < len(lower) for values in known)
     return f"bounds that depend on time: {', '.join(parts)}{', none at some times' if missing else ''}"
 
 
-def _from_to(values: Array) -> str:
-    low, high = float(values.min()), float(values.max())
-    return number(low) if low == high else f"{number(low)} to {number(high)}"
-
-
 def price(penalty: float | None, of: str = "excess") -> str:
-    """Return the price of leaving a soft constraint, to stand behind it; nothing for a hard one."""
+    """Return the price of violating a soft constraint, as the end of a sentence; empty for a hard one."""
     return "" if penalty is None else f"; soft, {number(penalty)} per unit of {of}"
 
 
@@ -193,17 +190,17 @@ def term_rows(lines: Iterable[str]) -> list[tuple[str, str]]:
     return [(term, text.strip()) for term, _, text in (line.partition(" ") for line in lines)]
 
 
-MOST_TABLE_ROWS = 24  # a table says how many more there are
+MOST_TABLE_ROWS = 24  # a longer table ends with the number of the other rows
 LABEL = "text-align:left;vertical-align:top;font-weight:normal;opacity:0.7;white-space:nowrap;padding-right:1em"
 VALUE = "text-align:left;vertical-align:top;overflow-wrap:anywhere"
 
 
 def html_table(title: str, rows: Iterable[tuple[str, str]]) -> str:
     """Return a table of terms and values under a title."""
-    given = list(rows)
-    shown = given[:MOST_TABLE_ROWS]
-    if len(given) > len(shown):
-        shown.append(("\N{HORIZONTAL ELLIPSIS}", f"{len(given) - len(shown)} more"))
+    facts = list(rows)
+    shown = facts[:MOST_TABLE_ROWS]
+    if len(facts) > len(shown):
+        shown.append(("\N{HORIZONTAL ELLIPSIS}", f"{len(facts) - len(shown)} more"))
     body = "".join(
         f'<tr><th style="{LABEL}">{escape(term)}</th><td style="{VALUE}">{escape(value)}</td></tr>'
         for term, value in shown

@@ -160,17 +160,17 @@ def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) 
 
 
 def irredundant(cell: Cell, thickness: float) -> Indices:
-    """Return the rows that the others do not imply: beyond each, a ball fits that they all allow."""
-    kept = list(range(len(cell.limits)))
+    """Return the rows that the others do not imply: outside of each, a ball fits into all others."""
+    needed = list(range(len(cell.limits)))
     for row in range(len(cell.limits)):
-        others = cell.take(np.array([k for k in kept if k != row], dtype=int))
+        others = cell.take(np.array([k for k in needed if k != row], dtype=int))
         if (others & cell.beyond(row)).inner_point(thickness) is None:
-            kept.remove(row)
-    return np.array(kept, dtype=int)
+            needed.remove(row)
+    return np.array(needed, dtype=int)
 
 
-def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
-    """Return a point of the domain that none of the cells holds; None if they cover it.
+def uncovered_point(domain: Cell, cells: Sequence[Cell]) -> Array | None:
+    """Return a point of the domain outside all cells; None if they cover it.
 
     What is left uncovered in the interior ends at facets of cells. So each facet must have other cells on its far side:
     those that hold on it and have not the same facet. They are looked for in the plane of the facet, by cutting it.
@@ -187,16 +187,16 @@ def uncovered(domain: Cell, cells: Sequence[Cell]) -> Array | None:
             facet = (domain & cell.take(~cell.same_as(normal, limit))).restricted(foot, along)
             point = None
             if facet is not None:
-                point = _uncovered_point(facet, _FarSide(cells, i, normal, limit, foot, along), frozenset())
+                point = _point_of_facet(facet, _FarSide(cells, i, normal, limit, foot, along), frozenset())
             if point is not None:
                 return _point_in_gap(foot + along @ point, normal, domain, cells)
     return None
 
 
-def _uncovered_point(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
+def _point_of_facet(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
     """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None if there is none.
 
-    The piece is cut along the rows of the cell around the centre of its largest ball, and so on with what remains.
+    The piece is cut along the rows of the cell around the centre of its largest ball; each part is searched in turn.
     """
     point = piece.inner_point(THICKNESS)
     if point is None:
@@ -206,11 +206,11 @@ def _uncovered_point(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array 
     if k is None:
         return point
     if cell is None:
-        return _uncovered_point(piece, far, used | {k})
+        return _point_of_facet(piece, far, used | {k})
     for row in range(len(cell.limits)):
         if piece.implies(cell, row):
             continue
-        outside = _uncovered_point(piece & cell.beyond(row), far, used | {k})
+        outside = _point_of_facet(piece & cell.beyond(row), far, used | {k})
         if outside is not None:
             return outside
         piece = piece & cell.take(slice(row, row + 1))
@@ -223,7 +223,7 @@ class _FarSide:
     def __init__(self, cells: Sequence[Cell], own: int, normal: Array, limit: float, foot: Array, along: Array):
         self.cells, self.foot, self.along = cells, foot, along
         d = len(normal)
-        lengths = [len(cell.limits) + 1 for cell in cells]  # and a row that says nothing, for cells without any
+        lengths = [len(cell.limits) + 1 for cell in cells]  # and an infinite row, as a cell may have none
         self.starts = np.append(0, np.cumsum(lengths)[:-1])
         self.normals = np.vstack([part for cell in cells for part in (cell.normals, np.zeros((1, d)))])
         self.limits = np.concatenate([part for cell in cells for part in (cell.limits, [np.inf])])
@@ -269,7 +269,7 @@ def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float
     coefficients = np.abs(matrix)
     bounded = np.isfinite(half_widths) & (half_widths > 0)
     sizes = np.where(bounded, half_widths, 0.0)
-    for _ in sizes:  # what one component says may give another its size
+    for _ in sizes:  # the size of one component may determine that of another
         reach = _reach(coefficients, np.abs(limits), sizes)
         grown = np.where(bounded | (sizes > 0), sizes, reach)
         if (grown == sizes).all():

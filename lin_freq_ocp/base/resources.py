@@ -1,7 +1,7 @@
-"""What one solve may take of the machine: a share of its memory, and one BLAS thread.
+"""Limits on memory and threads of a solve: a share of the memory, and one BLAS thread.
 
-Large arrays are refused before they are allocated. While small matrices are at work, handing parts of them to other
-threads costs more than it saves.
+Arrays that are too large are refused before they are allocated. Products of small matrices lose more time by sharing
+them among threads than they gain.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ NUMBERS_PER_SIGNAL = 16  # per component and time, of a problem and a trajectory
 
 
 def memory_limit() -> float:
-    """Return the bytes that one solve may take: a share of the machine's memory, or of what its container may use."""
+    """Return the bytes that one solve may use: a share of the memory of the machine or of its container."""
     available = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 2 * GIB
     with suppress(OSError, ValueError):  # "max" where there is no limit
         available = min(available, float(GROUP_LIMIT.read_text()))
     return MEMORY_SHARE * available
 
 
-def require_memory(what: str, size: float, advice: str) -> None:
-    """Raise UnsupportedError if ``what`` (the subject of the message) needs more than one solve may take, in bytes."""
+def require_memory(subject: str, size: float, advice: str) -> None:
+    """Raise UnsupportedError if a size in bytes exceeds ``memory_limit``; ``subject`` is that of the message."""
     limit = np.inf if size < ALWAYS_THERE else memory_limit()
     if size > limit:
         raise UnsupportedError(
-            f"memory: {what} would take about {size / GIB:.3g} GiB; {limit / GIB:.3g} GiB may be used, "
-            f"{MEMORY_SHARE:.0%} of what there is. {advice}"
+            f"memory: {subject} would take about {size / GIB:.3g} GiB; {limit / GIB:.3g} GiB may be used, "
+            f"{MEMORY_SHARE:.0%} of the machine's. {advice}"
         )
 
 
@@ -56,9 +56,9 @@ def require_horizon(horizon: int, state_dim: int, control_dim: int) -> None:
 
 @contextmanager
 def one_blas_thread() -> Generator[None]:
-    """Let linear algebra use one thread, as long as any thread of this process is within.
+    """Let linear algebra use one thread while any thread of this process is in this context.
 
-    The last to leave restores what the first found.
+    The last thread that leaves restores the numbers that the first one found.
     """
     global _users, _before
     with _lock:

@@ -1,4 +1,4 @@
-"""How a solve can end: one word for each, and none shared by what is proven and what is not."""
+"""The statuses of a solve; proven and claimed answers never share one."""
 
 from __future__ import annotations
 

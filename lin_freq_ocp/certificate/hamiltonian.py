@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, extended
+from lin_freq_ocp.base.arrays import Array, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -140,9 +140,9 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
     T = problem.horizon
-    x, u, eta = extended(trajectory.x), extended(trajectory.u), extended(multipliers.eta)
+    x, u, eta = to_long_double(trajectory.x), to_long_double(trajectory.u), to_long_double(multipliers.eta)
     eta_C = multipliers.eta_C
-    signals = problem.in_time(extended(multipliers.rho_x)), time_signal(extended(multipliers.rho_u), T)
+    signals = problem.in_time(to_long_double(multipliers.rho_x)), time_signal(to_long_double(multipliers.rho_u), T)
     cost_x, cost_u = problem.quadratic.gradient(x, u)
     in_x, in_u = -eta_C * cost_x - signals[0], -eta_C * cost_u - signals[1]
     cost_x_terms, cost_u_terms = problem.quadratic.gradient_magnitudes(trajectory.x, trajectory.u)
@@ -173,7 +173,7 @@ def _priced_terms(
     priced: list[PricedTerm] = []
     for term in problem.terms:
         on_term = multipliers.stage.get(term.name, np.zeros(term.shape))
-        values, weights = term.map.values(x, u), term.penalty.subgradient(extended(on_term), multipliers.eta_C)
+        values, weights = term.map.values(x, u), term.penalty.subgradient(to_long_double(on_term), multipliers.eta_C)
         sizes = term.map.sizes(trajectory.x, trajectory.u)
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
         misfit, everywhere = term.penalty.misfit(values, weights), term.semi_infinite

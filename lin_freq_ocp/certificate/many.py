@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, to_long_double
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature, unit_rounding
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -70,7 +70,7 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
             minimum = np.minimum(*box_minimum(np.stack([slope - error, slope + error]), curvature, low, high))
             certain += (ARITHMETIC_ROUNDING * np.abs(slope * values) - minimum).sum((1, 2))
             summed += (size * (np.abs(values) + reference)).sum((1, 2))
-        x, u, dynamics = extended(extremals.x), extended(extremals.u), problem.linear
+        x, u, dynamics = to_long_double(extremals.x), to_long_double(extremals.u), problem.linear
         residual = (x[:, 1:] - x[:, :-1] @ dynamics.A.T - u @ dynamics.B.T - dynamics.offset).astype(np.float64)
         products = [(extremals.eta * residual).sum((1, 2)), (signal * extremals.u).sum((1, 2))]
         costs, scale = _costs(problem, extremals)
@@ -92,8 +92,8 @@ def _slopes(
 ) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:
     """Return the slopes of l_t in x and u, the sums of the absolute values of their terms, and rho_u over time."""
     cost, dynamics, (count, T, m) = problem.quadratic, problem.linear, extremals.u.shape
-    x, u, eta = extended(extremals.x), extended(extremals.u), extended(extremals.eta)
-    spectra = extended(extremals.rho_u).swapaxes(0, 1).reshape(-1, count * m)
+    x, u, eta = to_long_double(extremals.x), to_long_double(extremals.u), to_long_double(extremals.eta)
+    spectra = to_long_double(extremals.rho_u).swapaxes(0, 1).reshape(-1, count * m)
     signal = time_signal(spectra, T).reshape(T, count, m).swapaxes(0, 1)
     a, b = x - cost.x_ref, u - cost.u_ref
     in_x = np.concatenate([a[:, :-1] @ cost.Q + b @ cost.S.T + cost.q, (a[:, -1] @ cost.P + cost.p)[:, None]], axis=1)

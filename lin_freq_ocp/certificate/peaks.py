@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, to_long_double
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.semi_infinite import (
     Limits,
@@ -226,7 +226,7 @@ def certified_peak(samples: Array, limits: Limits, kind: Callable[[ComplexArray,
     if not np.isfinite(size):
         return Peak(np.inf, np.inf, float(limits.low[0]))
     least = float(min(limits.at_low.min(), limits.at_high.min())) / size
-    return bound_peak(_cells_on_intervals(kind(*_coefficients(extended(samples) / size, least)), limits, size))
+    return bound_peak(_cells_on_intervals(kind(*_coefficients(to_long_double(samples) / size, least)), limits, size))
 
 
 def _coefficients(values: Array, least: float) -> tuple[ComplexArray, float]:
@@ -301,7 +301,7 @@ def certified_vibration(samples: Array, box: VibrationLimit) -> Peak:
     if size == 0 or not np.isfinite(size):
         ratio = 0.0 if size == 0 else np.inf
         return Peak(ratio, ratio, float(box.low[0]), float(box.low[1]))
-    values, limit = extended(samples) / size, box.limit / size
+    values, limit = to_long_double(samples) / size, box.limit / size
     parts = [_cells_on_edge(values, box, limit, k, edge) for k, edge in enumerate(box.edges)]
     peak = bound_peak(Cells.concatenate(parts))
     k, share = divmod(peak.frequency, 2.0)

@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, extended, times_vectors
+from lin_freq_ocp.base.arrays import Array, times_vectors, to_long_double
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
     NUMERICAL,
@@ -125,7 +125,7 @@ def _evaluate(
     above, below = (mu > 0) & np.isfinite(upper), (mu < 0) & np.isfinite(lower)
     normal, limits = np.where(above | below, mu, 0.0), np.where(above, upper, np.where(below, lower, 0.0))
     slope_x, residual = normal - extremal.in_x, x - response.states(u)
-    through_u = problem.equations.pull_back(extended(multipliers.eta))[1]
+    through_u = problem.equations.pull_back(to_long_double(multipliers.eta))[1]
     slope = (through_u - extremal.in_u + response.pull_back(slope_x)).astype(np.float64)
     lost = multipliers.eta_C * np.abs(residual[:-1]).astype(np.float64)
     Q, S = (np.abs(part) for part in (problem.quadratic.Q, problem.quadratic.S))

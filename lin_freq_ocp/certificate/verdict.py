@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
@@ -110,6 +112,8 @@ class Certificate:
         The conditions at switching boundaries; None for linear dynamics.
     rounded : Rounded or None
         If rounding of the trajectory explains a violation of the maximum principle: the tolerance that it satisfies.
+    subject : (problem, trajectory) or None
+        Of ``certify``: the problem and the trajectory, for ``between_samples``.
 
     Examples
     --------
@@ -128,6 +132,12 @@ class Certificate:
     descent: Direction | None = None
     borders: Facts | None = None
     rounded: Rounded | None = None
+    subject: tuple[OptimalControlProblem, Trajectory] | None = None
+
+    @cached_property
+    def between_samples(self) -> BetweenSamples | None:
+        """The state bounds between the samples, by ``certify``; None without a continuous plant or state bounds."""
+        return None if self.subject is None else between_samples(*self.subject)
 
     @property
     def lower_bound(self) -> float | None:
@@ -221,6 +231,7 @@ class Certificate:
         ]
         lines += [f"mask      {condition.peak}: {condition.name}" for condition in self.conditions if condition.peak]
         lines += [] if self.rounded is None else [f"rounding  {self.rounded}"]
+        lines += [] if self.between_samples is None else [f"between   {self.between_samples}"]
         return "\n".join([*lines, *([] if self.borders is None else [f"borders   {self.borders}"])])
 
     def __repr__(self) -> str:

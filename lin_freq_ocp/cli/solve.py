@@ -19,7 +19,7 @@ import numpy as np
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, solve, with_explanation
-from lin_freq_ocp.base.atomic import replacing
+from lin_freq_ocp.base.atomic import open_replacement
 from lin_freq_ocp.base.errors import ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.cli import console
@@ -88,7 +88,7 @@ def take_outputs(options: FileTable, problem: str, as_json: bool, with_trajector
 
 def save_figure(figure: Figure, file: Path) -> None:
     """Write a figure to a file, in the format of its suffix."""
-    with replacing(file) as stream:
+    with open_replacement(file) as stream:
         figure.savefig(stream, dpi=150, format=file.suffix.lower().removeprefix("."))
 
 

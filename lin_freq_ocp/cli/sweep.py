@@ -19,7 +19,7 @@ from lin_freq_ocp import __version__
 from lin_freq_ocp.api.batch import sweep
 from lin_freq_ocp.api.minimum_time import minimum_time
 from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.base.atomic import writing
+from lin_freq_ocp.base.atomic import report_write_errors
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.interrupts import INTERRUPTED
 from lin_freq_ocp.batch.grid import LARGEST_GRID, Source
@@ -109,7 +109,7 @@ def _file_in(folder: Path | None, name: str) -> Path | None:
     if folder is None:
         return None
     require_folder(folder)
-    with writing(folder):
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     return folder / name
 

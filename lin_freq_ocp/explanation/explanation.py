@@ -30,7 +30,7 @@ from lin_freq_ocp.problem.limits import (
     map_sets,
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.reformulations import AddedStates, extended
+from lin_freq_ocp.problem.reformulations import AddedStates, add_states
 from lin_freq_ocp.problem.sets.box import Box, box_of
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.sizes import stated_sizes
@@ -236,7 +236,7 @@ def _elastic_problem(problem: OptimalControlProblem, limit: Limit, rows: StageRo
     base = replace(
         hard_part(limit.relaxed(problem, np.inf)), cost=QuadraticCost(), name=f"least change of the {limit.name}"
     )
-    elastic, (x, u) = extended(base, delta), stated_sizes(problem)
+    elastic, (x, u) = add_states(base, delta), stated_sizes(problem)
     P = np.diag(np.append(np.zeros_like(x), limit.size**-2))
     cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=P)
     return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, rows])

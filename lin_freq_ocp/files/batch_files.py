@@ -22,7 +22,7 @@ from typing import Generic, Self, TypeVar, get_type_hints
 import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.base.atomic import locked, write_text, writing
+from lin_freq_ocp.base.atomic import lock_file, report_write_errors, write_text
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.grid import grid_points, point_key
 from lin_freq_ocp.batch.many import Item
@@ -74,9 +74,9 @@ class Log(Generic[Answer]):
         self._path = path = Path(path)
         if path.exists():
             require_file(str(path), path)
-        with writing(path), ExitStack() as stack:
+        with report_write_errors(path), ExitStack() as stack:
             self._stream = stack.enter_context(path.open("ab"))
-            if not stack.enter_context(locked(self._stream, wait=False)):
+            if not stack.enter_context(lock_file(self._stream, wait=False)):
                 advice = "Wait until it ends, or choose another folder or name."
                 raise ProblemError(str(path), "a file that another run is writing", "one of its own", advice)
             self._open = stack.pop_all()
@@ -84,7 +84,7 @@ class Log(Generic[Answer]):
             first = {"kind": self.kind, "schema": SCHEMA, "version": version("lin-freq-ocp"), **head}
             answers, line = self._resume(first)
             self.answers: Mapping[str, Answer] = answers
-            with writing(path):
+            with report_write_errors(path):
                 self._stream.truncate(read_bytes(path).rfind(b"\n") + 1)  # an incomplete last line is dropped
             if line:
                 self._write(line)
@@ -101,14 +101,14 @@ class Log(Generic[Answer]):
         raise NotImplementedError
 
     def _write(self, entry: Mapping[str, object]) -> None:
-        with writing(self._path):
+        with report_write_errors(self._path):
             self._stream.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
             self._stream.flush()
             os.fsync(self._stream.fileno())
 
     def close(self) -> None:
         """Close the file and release its lock."""
-        with writing(self._path):
+        with report_write_errors(self._path):
             self._open.close()
 
     def __enter__(self) -> Self:

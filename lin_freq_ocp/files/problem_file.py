@@ -21,7 +21,7 @@ import tomli_w
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.base.atomic import write_bytes, writing
+from lin_freq_ocp.base.atomic import report_write_errors, write_bytes
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.files import reading
@@ -195,7 +195,7 @@ def template() -> str:
 def init_problem_file(path: str | PathLike[str]) -> None:
     """Write the template to a new file; ProblemError if there is a file already, or none can be written there."""
     path = Path(path)
-    with writing(path):
+    with report_write_errors(path):
         try:
             stream = path.open("x", encoding="utf-8", newline="\n")
         except FileExistsError:

@@ -16,8 +16,8 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_intege
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.codec import Kinds, TableRecord, Tables, Value, checked_value, nonzero
 from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
-from lin_freq_ocp.formulas.nodes import Formula, in_order
-from lin_freq_ocp.formulas.text import defined, formula_from_text, require_formula, with_definitions
+from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
+from lin_freq_ocp.formulas.text import formula_from_text, read_definitions, require_formula, with_definitions
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
@@ -44,12 +44,22 @@ from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 FORMULA_KEYS = ("f", "region", "domain")
 
 
-def _linear(continuous: bool = False, **arguments: FileValue) -> LinearDynamics:
+def _linear(
+    A: FileValue,
+    B: FileValue,
+    offset: FileValue = None,
+    sampling_time: FileValue = None,
+    state_names: FileValue = None,
+    control_names: FileValue = None,
+    continuous: bool = False,
+) -> LinearDynamics:
     if not continuous:
-        return LinearDynamics(**arguments)
-    if "sampling_time" not in arguments:
+        return LinearDynamics(A, B, offset, sampling_time, state_names, control_names)
+    if sampling_time is None:
         raise ProblemError("sampling_time", "nothing", "seconds per step", "A continuous model is sampled with it.")
-    return LinearDynamics.from_continuous(**arguments)
+    return LinearDynamics.from_continuous(
+        A, B, sampling_time, offset, state_names=state_names, control_names=control_names
+    )
 
 
 def without_zeros(first: Array, second: Array) -> tuple[Array | None, Array | None]:
@@ -88,7 +98,7 @@ def _parse_modes(
     """Return modes, by their location, with their texts parsed, n, and m; their class refuses other values."""
     f = next(iter(modes.values())).f
     n, m = max(len(f), 1) if isinstance(f, list) else 1, positive_integer("control_dim", control_dim)
-    known, parsed = defined("dynamics.let", {} if let is None else let, (n, m)), list[SmoothMode]()
+    known, parsed = read_definitions("dynamics.let", {} if let is None else let, (n, m)), list[SmoothMode]()
     for location, mode in modes.items():
         formulas: FileTable = {}
         for key in FORMULA_KEYS:
@@ -145,7 +155,7 @@ def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     for i, mode in enumerate(dynamics.modes):
         for key in FORMULA_KEYS:
             for j, formula in enumerate(getattr(mode, key)):
-                for node in in_order([formula]):
+                for node in nodes_in_order([formula]):
                     require_formula(node, f"dynamics.modes[{i}].{key}[{j}]")
                 formulas.append(formula)
     texts, definitions = with_definitions(formulas)
@@ -165,7 +175,7 @@ SMOOTH_MODE = TableRecord(
 
 LINEAR = TableRecord(
     _linear,
-    like=LinearDynamics,
+    classes=(LinearDynamics,),
     offset=nonzero(1),
     continuous=checked_value(lambda given: isinstance(given, bool), "true or false"),
 )

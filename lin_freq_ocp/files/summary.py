@@ -43,6 +43,8 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
     if use is not None:  # how the control uses its levels: duty cycles by component, time and level
         duty_cycles = [component.tolist() for component in use.duty_cycles]
         extras["levels"] = {"fractional": use.fractional, "rows": use.rows, "duty_cycles": duty_cycles}
+    if result.between_samples is not None:
+        extras["between_samples"] = [asdict(bound) for bound in result.between_samples.bounds]
     return finite(
         {
             **head(result.problem),
@@ -69,7 +71,10 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
 def certificate_summary(problem: OptimalControlProblem, certificate: Certificate) -> FileTable:
     """Return a certificate as the JSON object of ``lin-freq-ocp certify --json``."""
     bound = None if certificate.bound is None or certificate.lower_bound is None else certificate.bound.kind
-    return finite({**head(problem), **_values(certificate, bound), "certificate": _certificate(certificate)})
+    extras: FileTable = {}
+    if certificate.between_samples is not None:
+        extras["between_samples"] = [asdict(bound) for bound in certificate.between_samples.bounds]
+    return finite({**head(problem), **_values(certificate, bound), "certificate": _certificate(certificate), **extras})
 
 
 def comparison_summary(comparison: ComparisonOutcome) -> FileTable:

@@ -1,4 +1,4 @@
-"""Functions of CasADi: as formulas where all their operations are, else with CasADi's derivatives."""
+"""Functions of CasADi, as formulas if these have all operations; with CasADi's derivatives otherwise."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, POWER, SUM
 if TYPE_CHECKING:
     from casadi import Function
 
-# Operations of CasADi whose derivatives say nothing of their kinks or jumps.
+# Operations of CasADi with kinks or jumps, which their derivatives do not show.
 KINKED = ("FABS", "FMAX", "FMIN", "MMAX", "MMIN", "SIGN", "COPYSIGN", "FLOOR", "CEIL", "FMOD", "REMAINDER",
           "IF_ELSE_ZERO", "NORM1", "NORMINF")  # fmt: skip
 # Operations of CasADi that formulas have; constants among them are folded by CasADi.
@@ -61,9 +61,9 @@ def from_casadi(
 ) -> DifferentiableFunction:
     """Return a function of CasADi as one that makes formulas, with exact derivatives.
 
-    Where formulas have all operations of the function it becomes formulas: maxima, minima and absolute values then
-    make modes in ``PiecewiseSmoothDynamics.from_formulas``, and global bounds and problem files are possible. Any other
-    one is differentiated by CasADi, twice.
+    If formulas have all its operations, the function becomes formulas: maxima, minima and absolute values then make
+    modes in ``PiecewiseSmoothDynamics.from_formulas``, and global bounds and problem files are possible. CasADi
+    differentiates any other function twice.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def from_casadi(
     name : str
         As errors and reports show it; default: that of the function.
     smooth : bool
-        Says that the function is twice differentiable in spite of its maxima, absolute values or branches, as
-        fabs(x)**3. Functions that it calls, as interpolants, are taken to be so without a word.
+        Whether the function is twice differentiable in spite of its maxima, absolute values or branches, as fabs(x)**3.
+        Functions that it calls, such as interpolants, are assumed to be.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def from_casadi(
     MissingExtraError
         If casadi is not installed.
     ProblemError
-        If it is no such function, or has kinks that would not be seen.
+        If it is no such function, or has kinks that its derivatives do not show.
 
     Examples
     --------
@@ -100,50 +100,57 @@ def from_casadi(
     require_bool("from_casadi.smooth", smooth)
     native: type[Function] = casadi.Function
     if isinstance(function, native):
-        made = function
+        compiled = function
     elif callable(function):
         n, m = positive_integer("from_casadi.states", states), positive_integer("from_casadi.controls", controls)
-        made = _compile_function(casadi, function, n, m)
+        x, u = casadi.SX.sym("x", n), casadi.SX.sym("u", m)
+        try:
+            outputs = function(x, u)
+            column = casadi.vertcat(*outputs) if isinstance(outputs, (Sequence, np.ndarray)) else casadi.SX(outputs)
+        except Exception as error:  # any error of a function that was not made for symbols
+            got = f"{first_line(error)}, from the function"
+            raise ProblemError("from_casadi", got, "an expression of casadi.SX columns x and u, or a list") from error
+        compiled = casadi.Function("f", [x, u], [column])
     else:
         raise ProblemError("from_casadi", brief(function), "a casadi.Function of (x, u), or a Python function")
-    if (made.n_in(), made.n_out()) != (2, 1):
-        got = f"{made.n_in()} inputs and {made.n_out()} outputs"
-        raise ProblemError(f"from_casadi: {made.name()}", got, "columns x and u, and one output")
-    for size in (made.size_in(0), made.size_in(1), made.size_out(0)):
+    if (compiled.n_in(), compiled.n_out()) != (2, 1):
+        got = f"{compiled.n_in()} inputs and {compiled.n_out()} outputs"
+        raise ProblemError(f"from_casadi: {compiled.name()}", got, "columns x and u, and one output")
+    for size in (compiled.size_in(0), compiled.size_in(1), compiled.size_out(0)):
         if size[1] != 1 or not size[0]:
-            raise ProblemError(f"from_casadi: {made.name()}", f"a matrix {size[0]} x {size[1]}", "columns")
-    for i, (label, given) in enumerate((("states", states), ("controls", controls))):
-        if given is not None and given != made.size1_in(i):
-            raise ProblemError(f"from_casadi.{label}", brief(given), f"{made.size1_in(i)}, as the function has")
-    own = str(made.name() if made is function else getattr(function, "__name__", ""))
-    title = name or (own if own.isidentifier() else "")  # a lambda has none
-    with_derivatives = _Compiled(made, _serialize_function(made))
+            raise ProblemError(f"from_casadi: {compiled.name()}", f"a matrix {size[0]} x {size[1]}", "columns")
+    for i, (label, stated) in enumerate((("states", states), ("controls", controls))):
+        if stated is not None and stated != compiled.size1_in(i):
+            raise ProblemError(f"from_casadi.{label}", brief(stated), f"{compiled.size1_in(i)}, as the function has")
+    own_name = str(compiled.name() if compiled is function else getattr(function, "__name__", ""))
+    title = name or (own_name if own_name.isidentifier() else "")  # a lambda has none
+    with_derivatives = _Compiled(compiled, _serialize_function(compiled))
     value, jacobian, hessian = (partial(with_derivatives, what) for what in ("value", "jacobian", "hessian"))
-    found = DifferentiableFunction(value, jacobian, hessian, made.size1_out(0), title, vectorized=True)
-    assign(found, dimensions=(made.size1_in(0), made.size1_in(1)))
-    _translate(casadi, made, found, smooth)
-    return found
+    result = DifferentiableFunction(value, jacobian, hessian, compiled.size1_out(0), title, vectorized=True)
+    assign(result, dimensions=(compiled.size1_in(0), compiled.size1_in(1)))
+    _translate(casadi, compiled, result, smooth)
+    return result
 
 
-def _translate(casadi: ModuleType, made: Function, found: DifferentiableFunction, smooth: bool) -> None:
+def _translate(casadi: ModuleType, compiled: Function, result: DifferentiableFunction, smooth: bool) -> None:
     """Let a function make formulas where these have all its operations; else it must not have kinks."""
-    program = made
-    if not made.is_a("SXFunction"):
+    program = compiled
+    if not compiled.is_a("SXFunction"):
         with suppress(RuntimeError):  # it calls a function that has no scalar operations
-            program = made.expand()
+            program = compiled.expand()
     codes = {program.instruction_id(k) for k in range(program.n_instructions())}
     kinked = [operation for operation in KINKED if getattr(casadi, f"OP_{operation}") in codes]
     known = {casadi.OP_CONST, casadi.OP_INPUT, casadi.OP_OUTPUT, *_operations(casadi)}
     if program.is_a("SXFunction") and codes <= known and not (smooth and kinked):
         translation, n = _Translation(program, _serialize_function(program)), program.size1_in(0)
         with suppress(ProblemError):  # a power that formulas do not have
-            translation([one for part in signals(n, program.size1_in(1)) for one in part], n)
-            assign(found, translation=translation)
+            translation([variable for part in signals(n, program.size1_in(1)) for variable in part], n)
+            assign(result, translation=translation)
             return
     if kinked and not smooth:
         advice = "Write a mode for each side of a kink, or say smooth=True if there is none."
-        got = f"{', '.join(kinked).lower()}, beside operations that formulas do not have"
-        raise ProblemError(f"from_casadi: {found.title}", got, "a smooth function", advice)
+        got = f"{', '.join(kinked).lower()}, with operations that formulas do not have"
+        raise ProblemError(f"from_casadi: {result.title}", got, "a smooth function", advice)
 
 
 def _operations(casadi: ModuleType) -> dict[int, Callable[..., Formula]]:
@@ -162,22 +169,11 @@ def _casadi() -> ModuleType:
         ) from None
 
 
-def _compile_function(casadi: ModuleType, function: Callable[..., object], n: int, m: int) -> Function:
-    x, u = casadi.SX.sym("x", n), casadi.SX.sym("u", m)
+def _serialize_function(compiled: Function) -> str:
     try:
-        given = function(x, u)
-        column = casadi.vertcat(*given) if isinstance(given, (Sequence, np.ndarray)) else casadi.SX(given)
-    except Exception as error:  # any error of a function that was not made for symbols
-        got = f"{first_line(error)}, from the function"
-        raise ProblemError("from_casadi", got, "an expression of casadi.SX columns x and u, or a list") from error
-    return casadi.Function("f", [x, u], [column])
-
-
-def _serialize_function(made: Function) -> str:
-    try:
-        return str(made.serialize())
-    except RuntimeError:  # it calls what has no text
-        return str(made)
+        return str(compiled.serialize())
+    except RuntimeError:  # it calls a function that has no text
+        return str(compiled)
 
 
 @dataclass(frozen=True)
@@ -199,14 +195,14 @@ class _Compiled:
     @cached_property
     def _functions(self) -> dict[str, Function]:
         """Functions of (x, u): values (k, 1), Jacobian (k, n + m), Hessians (k (n + m), n + m)."""
-        casadi, made = _casadi(), self.function
-        kind = casadi.SX if made.is_a("SXFunction") else casadi.MX
-        x, u = kind.sym("x", made.size1_in(0)), kind.sym("u", made.size1_in(1))
-        y, value = casadi.vertcat(x, u), made(x, u)
+        casadi, compiled = _casadi(), self.function
+        kind = casadi.SX if compiled.is_a("SXFunction") else casadi.MX
+        x, u = kind.sym("x", compiled.size1_in(0)), kind.sym("u", compiled.size1_in(1))
+        y, value = casadi.vertcat(x, u), compiled(x, u)
         jacobian = casadi.jacobian(value, y)
         hessian = casadi.jacobian(casadi.vec(jacobian.T), y)  # row after row: output 0 by all arguments, output 1 ...
         outputs = {"value": value, "jacobian": jacobian, "hessian": hessian}
-        return {what: casadi.Function(what, [x, u], [casadi.densify(one)]) for what, one in outputs.items()}
+        return {what: casadi.Function(what, [x, u], [casadi.densify(output)]) for what, output in outputs.items()}
 
 
 @dataclass(frozen=True)
@@ -223,7 +219,7 @@ class _Translation:
         zero = arguments[0] * 0.0
         operations = _operations(casadi)
         rows = program.sparsity_out(0).row()
-        made, work = [zero] * program.size1_out(0), [zero] * program.sz_w()
+        values, work = [zero] * program.size1_out(0), [zero] * program.sz_w()
         for k in range(program.n_instructions()):
             code, used, to = program.instruction_id(k), program.instruction_input(k), program.instruction_output(k)
             if code == casadi.OP_CONST:
@@ -231,10 +227,10 @@ class _Translation:
             elif code == casadi.OP_INPUT:
                 work[to[0]] = inputs[used[0]][program.sparsity_in(used[0]).row()[used[1]]]
             elif code == casadi.OP_OUTPUT:
-                made[rows[to[1]]] = work[used[0]]
+                values[rows[to[1]]] = work[used[0]]
             else:
                 work[to[0]] = operations[code](*(work[i] for i in used))
-        return made
+        return values
 
 
 def _power(base: Formula, exponent: Formula) -> Formula:
@@ -252,6 +248,7 @@ def _power(base: Formula, exponent: Formula) -> Formula:
 def _root(a: Formula) -> Formula:
     """Return the square root; of a sum of squares as a norm, whose kink is known."""
     squares = a.kind == SUM and a.data[-1] == 0 and all(factor > 0 for factor in a.data[:-1])
-    if squares and all(one.kind == POWER and one.data == (2.0,) for one in a.arguments):
-        return norm([one.arguments[0] * factor**0.5 for one, factor in zip(a.arguments, a.data[:-1], strict=True)])
+    if squares and all(square.kind == POWER and square.data == (2.0,) for square in a.arguments):
+        weighted = zip(a.arguments, a.data[:-1], strict=True)
+        return norm([square.arguments[0] * factor**0.5 for square, factor in weighted])
     return a.sqrt()

@@ -1,6 +1,6 @@
 """Functions of (x, u) that are no formulas, with their derivatives: loops, branches, tables, foreign code.
 
-Given derivatives are checked against central differences before they are used.
+``check_derivatives`` compares given derivatives with central differences.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DIFFERENCE_STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
 
 @dataclass(frozen=True, eq=False, init=False)
 class DifferentiableFunction:
-    """A smooth function of (x, u) by what computes it and its derivatives, for pieces that cannot be formulas.
+    """A smooth function of (x, u) given by Python functions of values and derivatives, where no formula is possible.
 
     Called with signals, or formulas in their place, it returns one formula for each output, which can be mixed with
     others: ``SmoothMode(f=function)``, ``region=lambda x, u: [table(x[:1], u)[0] - x[1]]``. Called with numbers, it
@@ -37,38 +37,38 @@ class DifferentiableFunction:
     call : function
         Of x (n,) and u (m,), float arrays; returns (outputs,), or one number if there is one output, and always the
         same for the same arguments. Not a number (nan), or an ArithmeticError, as from 1/0: it is not defined there,
-        and a mode with it does not hold.
+        and no mode with it applies.
     jacobian : function
-        Of the same; returns the derivatives by (x, u), (outputs, n + m).
+        Of the same arguments; returns the derivatives by (x, u), (outputs, n + m).
     hessian : function, optional
-        Of the same; returns the second derivatives, (outputs, n + m, n + m). Without it central differences of the
-        Jacobian are taken, right to 1e-9 or so of its size: Newton's method then converges superlinearly, no longer
-        quadratically, to the same point. Where none are defined 0 is taken: second derivatives steer the search, and
-        no condition of the certificate has any.
+        Of the same arguments; returns the second derivatives, (outputs, n + m, n + m). The default is central
+        differences of the Jacobian, with an error near 1e-9 of its size: Newton's method then converges superlinearly,
+        no longer quadratically, to the same point. Undefined differences count as 0: second derivatives steer the
+        search, and no condition of the certificate has any.
     outputs : int
-        Of the function.
+        Number of outputs.
     name : str
         As errors and reports show it; default: that of ``call``.
     vectorized : bool
         Whether the functions take many points at once, x (points, n) and u (points, m), and return
         (points, outputs) and so on; a search evaluates some 10^5.
     sizes : float or (n + m,)
-        By how much arguments that are near zero are usually changed: steps of differences are relative to this, or
-        to the argument where that is larger.
+        Typical changes of arguments near zero: steps of differences are relative to the larger of this and the
+        argument.
     check_at : sequence of (x, u), optional
         Points at which to compare the derivatives with differences, see ``check_derivatives``.
 
     Attributes
     ----------
     dimensions : (n, m) or None
-        The only ones that it can be called with, if that is known.
+        The numbers of states and controls that it takes, if they are known.
     translation : function or None
-        What makes formulas of formulas, where ``from_casadi`` found one.
+        The function of formulas that ``from_casadi`` found.
 
     Raises
     ------
     ProblemError
-        Saying which field, what was got and what was expected; on use, also for what the functions return or raise.
+        Naming the field, its value and the expected value; on use, also if a function raises or returns a wrong value.
 
     Examples
     --------
@@ -86,7 +86,7 @@ class DifferentiableFunction:
     sizes: Array
     dimensions: tuple[int, int] | None = field(repr=False)
     translation: Callable[[Sequence[Formula], int], list[Formula]] | None = field(repr=False, compare=False)
-    # What the function was at the points of the last call: several modes, f and regions, ask at the same points.
+    # The values at the points of the last call: several modes, f and regions evaluate it at the same points
     _recent: dict[str, tuple[Array, Array, tuple[Array, ...]]] = field(repr=False, compare=False)
 
     def __init__(
@@ -101,10 +101,10 @@ class DifferentiableFunction:
         sizes: ArrayLike = 1.0,
         check_at: Sequence[tuple[ArrayLike, ArrayLike]] | None = None,
     ):
-        for label, given in (("call", call), ("jacobian", jacobian), ("hessian", hessian)):
-            if not callable(given) and not (label == "hessian" and given is None):
+        for label, function in (("call", call), ("jacobian", jacobian), ("hessian", hessian)):
+            if not callable(function) and not (label == "hessian" and function is None):
                 advice = "lfo.from_casadi has derivatives by automatic differentiation." if label == "jacobian" else ""
-                raise ProblemError(f"DifferentiableFunction.{label}", brief(given), "a function of (x, u)", advice)
+                raise ProblemError(f"DifferentiableFunction.{label}", brief(function), "a function of (x, u)", advice)
         printable("DifferentiableFunction.name", name)
         require_bool("DifferentiableFunction.vectorized", vectorized)
         scale = real_array("DifferentiableFunction.sizes", sizes)
@@ -138,32 +138,33 @@ class DifferentiableFunction:
         Parameters
         ----------
         x, u : sequences, or one formula or number
-            What stands for its n states and its m controls, in the function's own count, not the problem's.
+            Its n states and its m controls, by its own numbers n and m, not those of the problem.
 
         Raises
         ------
         ProblemError
-            If these are neither formulas nor numbers, or what the function returns has another shape.
+            If these are neither formulas nor numbers, or its values have another shape.
         """
-        given = [_outputs_of(f"{self.title}.{letter}", one) for letter, one in (("x", x), ("u", u))]
-        arguments, states = [*given[0], *given[1]], len(given[0])
-        self._require(states, len(given[1]))
-        formulas = [one for one in arguments if isinstance(one, Formula)]
+        signals = [_components(f"{self.title}.{letter}", signal) for letter, signal in (("x", x), ("u", u))]
+        arguments, states = [*signals[0], *signals[1]], len(signals[0])
+        self._require(states, len(signals[1]))
+        formulas = [argument for argument in arguments if isinstance(argument, Formula)]
         if not formulas:
             y = real_array(f"{self.title}(x, u)", arguments)[None]
             return self.values_at(y[:, :states], y[:, states:])[0]
         zero = formulas[0] * 0.0
-        listed = [zero + one if not isinstance(one, Formula) else one for one in arguments]
-        for one in listed:
-            if one.dimensions != zero.dimensions:
-                raise ProblemError(self.title, f"signals of {one.dimensions} and {zero.dimensions}", "the same signals")
-        made = np.empty(self.outputs, dtype=object)
+        converted = [zero + argument if not isinstance(argument, Formula) else argument for argument in arguments]
+        for argument in converted:
+            if argument.dimensions != zero.dimensions:
+                got = f"signals of {argument.dimensions} and {zero.dimensions}"
+                raise ProblemError(self.title, got, "the same signals")
+        values = np.empty(self.outputs, dtype=object)
         if self.translation is not None:
-            made[:] = self.translation(listed, states)
+            values[:] = self.translation(converted, states)
         else:
-            node = zero.node(EXTERNAL, tuple(listed))
-            made[:] = [replace(node, data=(i, states), function=self) for i in range(self.outputs)]
-        return made
+            node = zero.node(EXTERNAL, tuple(converted))
+            values[:] = [replace(node, data=(i, states), function=self) for i in range(self.outputs)]
+        return values
 
     def check_derivatives(self, at: Sequence[tuple[ArrayLike, ArrayLike]]) -> None:
         """Compare the Jacobian with differences of values, and the Hessian, if there is one, with those of Jacobians.
@@ -176,7 +177,7 @@ class DifferentiableFunction:
         Raises
         ------
         ProblemError
-            Naming the derivative, the point, what was given and what differences say.
+            Naming the derivative, the point, the given value and the difference.
         """
         if not isinstance(at, (Sequence, np.ndarray)) or not len(at):
             raise ProblemError("check_at", brief(at), "a list of points (x, u)")
@@ -190,34 +191,34 @@ class DifferentiableFunction:
                 self._require_derivative("jacobian", "hessian", x, u)
 
     def _require_derivative(self, of: str, what: str, x: Array, u: Array) -> None:
-        """Raise ProblemError unless central differences of ``of`` agree with the derivative ``what`` at (x, u).
+        """Raise ProblemError if the derivative ``what`` at (x, u) differs from central differences of ``of``.
 
         ``scipy.differentiate`` fails where a function is undefined within its first step, and loses digits on noisy or
         rapidly changing functions unless their scale is known. Here steps of all sizes are compared.
         """
         y, sizes = np.concatenate([x, u]), self._sizes(len(x) + len(u))
         labels, where = [f"x[{i}]" for i in range(len(x))] + [f"u[{i}]" for i in range(len(u))], _place(x, u)
-        given = self._evaluate(what, x[None], u[None])[0]
+        stated = self._evaluate(what, x[None], u[None])[0]
         if not np.isfinite(self._evaluate(of, x[None], u[None])).all():
             advice = "Choose a point in its domain."
             raise ProblemError(f"{self.title}.{of}", f"no finite number at {where}", "finite numbers", advice)
         for j, label in enumerate(labels):
             size = float(max(abs(y[j]), sizes[j]))
-            found, doubt = _differences(lambda y: self._evaluate(of, y[:, : len(x)], y[:, len(x) :]), y, j, size)
-            if not np.isfinite(found).all():
+            difference, doubt = _differences(lambda y: self._evaluate(of, y[:, : len(x)], y[:, len(x) :]), y, j, size)
+            if not np.isfinite(difference).all():
                 got = f"nothing finite on one of the sides of {label} = {y[j]:g}, at {where}"
                 advice = "Choose a point inside its domain."
                 raise ProblemError(f"{self.title}.{of}", got, "a function that is defined around", advice)
-            own = given[..., j]
-            allowed = DOUBT * doubt + DERIVATIVE_TOLERANCE * np.maximum(np.abs(own), np.abs(found))
-            for index in np.argwhere(~(np.abs(own - found) <= allowed)):  # not a number is wrong, too
+            derivative = stated[..., j]
+            allowed = DOUBT * doubt + DERIVATIVE_TOLERANCE * np.maximum(np.abs(derivative), np.abs(difference))
+            for index in np.argwhere(~(np.abs(derivative - difference) <= allowed)):  # not a number is wrong, too
                 at = tuple(map(int, index))
                 by = " and ".join([*(labels[i] for i in at[1:]), label])
-                expected = f"{found[at]:.8g}, as differences of {of} say"
+                expected = f"{difference[at]:.8g}, as differences of {of} say"
                 name = "derivative" if what == "jacobian" else "second derivative"
                 advice = f"It is the {name} of output {at[0]} by {by}."
                 entry = f"{self.title}.{what}[{', '.join(map(str, (*at, j)))}]"
-                raise ProblemError(entry, f"{own[at]:.8g}, at {where}", expected, advice)
+                raise ProblemError(entry, f"{derivative[at]:.8g}, at {where}", expected, advice)
 
     def _require(self, states: int, controls: int) -> None:
         if self.dimensions not in (None, (states, controls)):
@@ -225,7 +226,7 @@ class DifferentiableFunction:
             raise ProblemError(self.title, f"x ({states},) and u ({controls},)", expected)
 
     def values_at(self, x: Array, u: Array) -> Array:
-        """Return the values at points, (points, outputs); not a number where it is not defined.
+        """Return the values at points, (points, outputs); nan at points outside its domain.
 
         Parameters
         ----------
@@ -248,16 +249,16 @@ class DifferentiableFunction:
         """Return arrays, read-only: those of the last call if its points were the same."""
         last = self._recent.get(what)
         if last is None or not (np.array_equal(last[0], x) and np.array_equal(last[1], u)):
-            found = compute()
-            for array in found:
+            arrays = compute()
+            for array in arrays:
                 array.flags.writeable = False
-            last = self._recent[what] = x.copy(), u.copy(), found
+            last = self._recent[what] = x.copy(), u.copy(), arrays
         return last[2]
 
     def _differences(self, x: Array, u: Array, slopes: Array) -> Array:
         """Return central differences of the Jacobian, one-sided ones where only those are defined."""
         y, states = np.hstack([x, u]), x.shape[1]
-        found = np.empty((*slopes.shape, y.shape[1]))
+        differences = np.empty((*slopes.shape, y.shape[1]))
         steps = DIFFERENCE_STEP * np.maximum(np.abs(y), self._sizes(y.shape[1]))
         for j in range(y.shape[1]):
             sides: list[Array] = []
@@ -270,8 +271,8 @@ class DifferentiableFunction:
                 sides.append(np.where(defined[:, None, None], jacobian, slopes))
                 points.append(np.where(defined, moved[:, j], y[:, j]))
             with np.errstate(invalid="ignore"):
-                found[..., j] = (sides[0] - sides[1]) / (points[0] - points[1])[:, None, None]
-        return 0.5 * (found + np.swapaxes(found, 2, 3))
+                differences[..., j] = (sides[0] - sides[1]) / (points[0] - points[1])[:, None, None]
+        return 0.5 * (differences + np.swapaxes(differences, 2, 3))
 
     def _sizes(self, arguments: int) -> Array:
         if self.sizes.ndim and len(self.sizes) != arguments:
@@ -280,22 +281,22 @@ class DifferentiableFunction:
         return np.broadcast_to(self.sizes, arguments)
 
     def _evaluate(self, what: str, x: Array, u: Array) -> Array:
-        """Return what one of the functions makes of points, (points, outputs, ...)."""
+        """Return the values of one of the functions at points, (points, outputs, ...)."""
         count = x.shape[1] + u.shape[1]
         shape = (self.outputs, *(count,) * ("call", "jacobian", "hessian").index(what))
-        made = np.full((len(x), *shape), _UNDEFINED)
+        values = np.full((len(x), *shape), _UNDEFINED)
         defined = np.flatnonzero(np.isfinite(x).all(axis=1) & np.isfinite(u).all(axis=1))
         x, u = x[defined], u[defined]
         x.flags.writeable = u.flags.writeable = False
         with np.errstate(all="ignore"):
             if self.vectorized and len(defined):
-                made[defined] = self._check_output(what, self._call_function(what, x, u), (len(x), *shape), (x, u))
-                return made
+                values[defined] = self._check_output(what, self._call_function(what, x, u), (len(x), *shape), (x, u))
+                return values
             for i, point in zip(defined, zip(x, u, strict=True), strict=True):
                 row = self._call_function(what, *point)
                 plain = row is _UNDEFINED or (isinstance(row, float) and shape == (1,))
-                made[i] = row if plain else self._check_output(what, row, shape, point)
-        return made
+                values[i] = row if plain else self._check_output(what, row, shape, point)
+        return values
 
     def _call_function(self, what: str, x: Array, u: Array) -> ArrayLike:
         try:
@@ -309,30 +310,31 @@ class DifferentiableFunction:
             advice = "Return nan where the function is not defined."
             raise ProblemError(f"{self.title}.{what}", got, "numbers", advice) from error
 
-    def _check_output(self, what: str, given: ArrayLike, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
-        """Return what a function returned as numbers of the right shape; of one output, also without its axis."""
-        if isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == shape:
-            return given
+    def _check_output(self, what: str, output: ArrayLike, shape: tuple[int, ...], point: tuple[Array, Array]) -> Array:
+        """Return the values of a function in the right shape; the axis of a single output may be missing."""
+        if isinstance(output, np.ndarray) and output.dtype == np.float64 and output.shape == shape:
+            return output
         try:
-            array = np.asarray(given)
+            array = np.asarray(output)
         except ValueError:
             array = np.asarray(None)
         if array.dtype.kind not in "iuf":
-            raise ProblemError(f"{self.title}.{what}", f"{brief(given)} at {_place(*point)}", "real numbers")
+            raise ProblemError(f"{self.title}.{what}", f"{brief(output)} at {_place(*point)}", "real numbers")
         without_output = (shape[0], *shape[2:]) if self.vectorized else shape[1:]
         if array.shape != shape and (self.outputs != 1 or array.shape != without_output):
             raise ProblemError(f"{self.title}.{what}", f"shape {array.shape} at {_place(*point)}", f"shape {shape}")
         return array.astype(np.float64).reshape(shape)
 
 
-def _outputs_of(label: str, given: Any) -> list[Formula | float]:
-    listed = [given] if isinstance(given, Formula) or np.ndim(given) == 0 else list(given)
-    for one in listed:
-        if not isinstance(one, Formula):
-            if np.ndim(one):
-                raise ProblemError(label, brief(given), "a list of formulas or numbers")
-            real_array(label, one)
-    return listed
+def _components(field: str, signal: Any) -> list[Formula | float]:
+    """Return formulas and numbers as a list, of a single one, too."""
+    components = [signal] if isinstance(signal, Formula) or np.ndim(signal) == 0 else list(signal)
+    for component in components:
+        if not isinstance(component, Formula):
+            if np.ndim(component):
+                raise ProblemError(field, brief(signal), "a list of formulas or numbers")
+            real_array(field, component)
+    return components
 
 
 def _place(x: Array, u: Array) -> str:
@@ -363,5 +365,5 @@ def _differences(evaluate: Callable[[Array], Array], y: Array, j: int, size: flo
     apart = np.where(np.isfinite(apart), apart, np.inf)
     best = np.argmin(apart, axis=0)[None]
     doubt = np.take_along_axis(apart, best, axis=0)[0]
-    found = np.take_along_axis(quotients[1:], best, axis=0)[0]
-    return np.where(np.isfinite(doubt), found, np.nan), doubt
+    differences = np.take_along_axis(quotients[1:], best, axis=0)[0]
+    return np.where(np.isfinite(doubt), differences, np.nan), doubt

@@ -1,8 +1,8 @@
 """Interval arithmetic on arrays, rounded outwards, and rules of differentiation over boxes.
 
-Every result contains what real numbers of the operands make. An interval is a pair (lower, upper) of arrays. Infinite
-bounds stand for unknown ones: the numbers within are finite, so that 0 times an infinite bound is 0. An interval jet
-encloses a value, its gradient and its Hessian.
+Every result contains the results for all real numbers in the operands. An interval is a pair (lower, upper) of arrays.
+Infinite bounds stand for unknown ones: the enclosed numbers are finite, so that 0 times an infinite bound is 0. An
+interval jet encloses a value, its gradient and its Hessian.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from lin_freq_ocp.base.arrays import Array, Mask
 Interval = tuple[Array, Array]
 # Enclosures of a function of one variable and of its first and second derivative.
 WithDerivatives = tuple[Interval, Interval, Interval]
-# Results are widened by this part of themselves: sums, products, quotients and roots are off by half an eps, the
-# elementary functions of the mathematical library by a few.
+# Bounds are moved outwards by this part of themselves: sums, products, quotients and roots have an error of half an
+# eps, the elementary functions of the mathematical library of a few.
 SLACK = 8 * float(np.finfo(np.float64).eps)
-# Results are widened by this, too, as those near zero have no relative accuracy.
+# Bounds are moved outwards by this, too, as results near zero have no relative accuracy.
 SMALLEST = float(np.finfo(np.float64).tiny)
-# Extrema of sine and cosine this near to an interval (relative to its bounds above 1) are counted as within.
+# Extrema of sine and cosine this near to an interval (relative to its bounds above 1) count as inside.
 TURN = 1e-9
 
 
 def outward(lower: Array, upper: Array) -> Interval:
-    """Return an interval widened by the rounding errors of one operation; what is undefined becomes unbounded."""
+    """Return an interval enlarged by the rounding errors of one operation; undefined bounds become infinite."""
     with np.errstate(invalid="ignore"):
         low, high = lower - (SLACK * np.abs(lower) + SMALLEST), upper + (SLACK * np.abs(upper) + SMALLEST)
     return np.fmax(low, -np.inf), np.fmin(high, np.inf)
@@ -39,8 +39,8 @@ def add(a: Interval, b: Interval) -> Interval:
 
 def scale(factor: float | Array, a: Interval) -> Interval:
     """Return factor * a for real numbers."""
-    one, other = _times(factor, a[0]), _times(factor, a[1])
-    return outward(np.minimum(one, other), np.maximum(one, other))
+    first, second = _times(factor, a[0]), _times(factor, a[1])
+    return outward(np.minimum(first, second), np.maximum(first, second))
 
 
 def multiply(a: Interval, b: Interval) -> Interval:
@@ -66,16 +66,16 @@ def power(a: Interval, exponent: int) -> Interval:
         return np.ones_like(a[0]), np.ones_like(a[1])
     if exponent == 1:
         return a
-    one, other = a[0] ** float(exponent), a[1] ** float(exponent)
+    first, second = a[0] ** float(exponent), a[1] ** float(exponent)
     if exponent % 2:
-        return outward(one, other)
+        return outward(first, second)
     through = (a[0] <= 0) & (a[1] >= 0)
-    lower, upper = outward(np.minimum(one, other), np.maximum(one, other))
+    lower, upper = outward(np.minimum(first, second), np.maximum(first, second))
     return np.where(through, 0.0, np.maximum(lower, 0.0)), upper
 
 
 def root(a: Interval) -> Interval:
-    """Return the root of the part of a that has one; unbounded where none has."""
+    """Return the root of the part of a above zero; unbounded if there is none."""
     none = a[1] < 0
     lower, upper = outward(np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0)))
     return np.where(none, -np.inf, np.maximum(lower, 0.0)), np.where(none, np.inf, upper)
@@ -96,7 +96,7 @@ def exponential(a: Interval) -> WithDerivatives:
 
 
 def logarithm(a: Interval) -> WithDerivatives:
-    """Return the logarithm of the part of a that has one, unbounded where none has; derivatives as of a root."""
+    """Return the logarithm of the part of a above zero, unbounded if there is none; derivatives as of a root."""
     lower = np.where(a[0] > 0, np.log(np.where(a[0] > 0, a[0], 1.0)), -np.inf)
     upper = np.where(a[1] > 0, np.log(np.where(a[1] > 0, a[1], 1.0)), np.inf)
     slope = inverse(a)
@@ -120,31 +120,28 @@ def hyperbolic_tangent(a: Interval) -> WithDerivatives:
     """Return v = tanh(a), and its derivatives 1 - v^2 and -2 v (1 - v^2)."""
     value = meet(outward(np.tanh(a[0]), np.tanh(a[1])), _one_around(a))
 
-    def falling(v: Interval) -> Interval:
+    def slope(v: Interval) -> Interval:
         square = power(v, 2)
         return meet(outward(1 - square[1], 1 - square[0]), (np.zeros_like(v[0]), np.ones_like(v[0])))
 
-    second = _with_extrema(lambda v: scale(-2.0, multiply(v, falling(v))), value, 4 / np.sqrt(27.0))
-    return value, falling(value), second
+    second = _with_extrema(lambda v: scale(-2.0, multiply(v, slope(v))), value, 4 / np.sqrt(27.0))
+    return value, slope(value), second
 
 
 def arc_tangent(a: Interval) -> WithDerivatives:
     """Return arctan(a), and its derivatives 1/(1 + a^2) and -2 a/(1 + a^2)^2."""
     value = meet(outward(np.arctan(a[0]), np.arctan(a[1])), scale(np.pi / 2, _one_around(a)))
 
-    def falling(b: Interval) -> Interval:
+    def slope(b: Interval) -> Interval:
         one = np.ones_like(b[0])
         return inverse(add((one, one), power(b, 2)))
 
-    def second(b: Interval) -> Interval:
-        slope = falling(b)
-        return scale(-2.0, multiply(multiply(b, slope), slope))
-
-    return value, falling(a), _with_extrema(second, a, np.sqrt(27.0) / 8)
+    second = _with_extrema(lambda b: scale(-2.0, multiply(multiply(b, slope(b)), slope(b))), a, np.sqrt(27.0) / 8)
+    return value, slope(a), second
 
 
 def meet(a: Interval, b: Interval) -> Interval:
-    """Return what lies in both; its lower bound is above its upper one if nothing does."""
+    """Return the intersection; its lower bound is above its upper one if it is empty."""
     return np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
 
 
@@ -166,8 +163,8 @@ def _one_around(a: Interval) -> Interval:
 def _with_extrema(odd: Callable[[Interval], Interval], a: Interval, extremum: float) -> Interval:
     """Return an odd function that goes to 0, from its values at both ends of a.
 
-    It is ``extremum`` at -1/sqrt(3) and the negative of it at 1/sqrt(3), and monotone between and beyond these. What
-    rounding moves across one of them changes by less than ``outward`` adds.
+    It is ``extremum`` at -1/sqrt(3), the negative of it at 1/sqrt(3), and monotone between and outside these. Rounding
+    of an argument across one of them changes the value by less than ``outward`` adds.
     """
     ends: list[Interval] = []
     for end in a:
@@ -190,11 +187,11 @@ def _wave(function: np.ufunc, a: Interval, peak: float) -> Interval:
     near = TURN * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
     lower, upper = outward(np.minimum(function(low), function(high)), np.maximum(function(low), function(high)))
 
-    def within(turn: float) -> Mask:
+    def has_turn(turn: float) -> Mask:
         return np.floor((high + near - turn) / (2 * np.pi)) > np.floor((low - near - turn) / (2 * np.pi))
 
-    upper = np.where(~known | within(peak), 1.0, np.minimum(upper, 1.0))
-    lower = np.where(~known | within(peak + np.pi), -1.0, np.maximum(lower, -1.0))
+    upper = np.where(~known | has_turn(peak), 1.0, np.minimum(upper, 1.0))
+    lower = np.where(~known | has_turn(peak + np.pi), -1.0, np.maximum(lower, -1.0))
     return lower, upper
 
 
@@ -279,7 +276,7 @@ def norm_rule(arguments: Sequence[IntervalJet], curved: bool) -> IntervalJet:
 
 
 def _plus(a: Interval, b: Interval) -> Interval:
-    """Return a + b, exactly where one of them is zero: so that zeros of derivatives remain zeros."""
+    """Return a + b, without rounding if one of them is zero: zeros of derivatives remain zeros."""
     sums = add(a, b)
     zero_a, zero_b = (a[0] == 0) & (a[1] == 0), (b[0] == 0) & (b[1] == 0)
     return (

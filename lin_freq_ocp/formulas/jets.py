@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.formulas.intervals import Interval, outward
-from lin_freq_ocp.formulas.nodes import Formula, evaluated
+from lin_freq_ocp.formulas.nodes import Formula, evaluate
 from lin_freq_ocp.formulas.operations import OPERATIONS, Points
 
 # Sums of a few products of numbers that are not negative are widened by this part.
@@ -48,9 +48,9 @@ def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Arr
     points, k = y.shape
     at, shape = Points(y, {} if selections is None else {**selections}), (points, len(formulas))
     with np.errstate(all="ignore"):
-        found = evaluated(formulas, lambda node, arguments: OPERATIONS[node.kind].jet(node, arguments, at))
+        results = evaluate(formulas, lambda node, arguments: OPERATIONS[node.kind].jet(node, arguments, at))
     values, slopes, curvatures = np.empty(shape), np.empty((*shape, k)), np.zeros((*shape, k, k))
-    for i, (value, slope, curvature) in enumerate(found):
+    for i, (value, slope, curvature) in enumerate(results):
         values[:, i], slopes[:, i] = value, slope.T
         if curvature is not None:
             curvatures[:, i] = curvature.transpose(2, 0, 1)
@@ -61,8 +61,8 @@ def values_of(formulas: Sequence[Formula], y: Array) -> Array:
     """Return the values of formulas without maxima and minima alone, (points, formulas), at y (points, n + m)."""
     at = Points(y, {})
     with np.errstate(all="ignore"):
-        found = evaluated(formulas, lambda node, arguments: OPERATIONS[node.kind].value(node, arguments, at))
-    return np.stack(found, axis=1) if found else np.empty((len(y), 0))
+        results = evaluate(formulas, lambda node, arguments: OPERATIONS[node.kind].value(node, arguments, at))
+    return np.stack(results, axis=1) if results else np.empty((len(y), 0))
 
 
 def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array, curved: bool = True) -> IntervalJets:
@@ -73,11 +73,11 @@ def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array, curve
     boxes, k = lower.shape
     shape, box = (boxes, len(formulas)), (lower, upper)
     with np.errstate(all="ignore"):
-        found = evaluated(
+        results = evaluate(
             formulas, lambda node, arguments: OPERATIONS[node.kind].interval_jet(node, arguments, box, curved)
         )
     values, slopes, curvatures = np.empty((2, *shape)), np.empty((2, *shape, k)), np.zeros((2, *shape, k, k))
-    for i, (value, slope, curvature) in enumerate(found):
+    for i, (value, slope, curvature) in enumerate(results):
         values[:, :, i], slopes[:, :, i] = value, slope
         if curvature is not None:
             curvatures[:, :, i] = curvature

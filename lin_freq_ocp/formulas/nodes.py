@@ -2,7 +2,7 @@
 
 ``signals(n, m)`` makes the components of x and u. Sums, products, quotients, whole powers, ``abs``, ``maximum``,
 ``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin``, ``cos``, ``tanh`` and ``arctan`` of formulas are
-formulas. A Python function of (x, u) that is made of these can be traced: it is called once, with signals.
+formulas. A Python function of (x, u) with these operations only can be traced: it is called once, with signals.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.formulas import operations
 from lin_freq_ocp.formulas.operations import Node, Notation
 
-LARGEST_POWER = 16  # a larger exponent is more often an error; products of powers still make it
-LONGEST_SHOWN = 300  # characters of a part of a formula that people are shown; a longer one is cut to three dots
-# Advice for a Python function that no formula can be made of.
+LARGEST_POWER = 16  # a larger exponent is usually an error; a product of powers allows it
+LONGEST_SHOWN = 300  # characters of a part of a formula in texts for people; a longer one is cut to three dots
+# Advice for a Python function that cannot be traced
 FUNCTIONS = "lfo.DifferentiableFunction takes functions that compute with numbers and have derivatives."
 
 
@@ -126,13 +126,13 @@ class Formula(Node):
 
     def __float__(self) -> float:
         expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(operations.scalar_functions())}"
-        raise ProblemError("formula", "what takes numbers only, as math.sin", expected, FUNCTIONS)
+        raise ProblemError("formula", "a function of numbers only, as math.sin", expected, FUNCTIONS)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
     __lt__ = __le__ = __gt__ = __ge__ = _compare
 
     def __getattr__(self, name: str) -> Callable[[], Formula]:
-        """Return what makes a function of the formula: np.exp of it, or of an array of formulas, calls its ``exp``."""
+        """Return the method of a scalar function: np.exp of a formula or an array of formulas calls its ``exp``."""
         if name in operations.scalar_functions():
             return lambda: self.node(name, (self,))
         raise AttributeError(f"a formula has no attribute {name!r}")
@@ -166,9 +166,9 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
     Formula(x_0 + u_0)
     """
     n, m = positive_integer("states", states), positive_integer("controls", controls)
-    made = np.empty(n + m, dtype=object)
-    made[:] = [Formula((n, m), operations.VARIABLE, (), (float(i),)) for i in range(n + m)]
-    return made[:n], made[n:]
+    variables = np.empty(n + m, dtype=object)
+    variables[:] = [Formula((n, m), operations.VARIABLE, (), (float(i),)) for i in range(n + m)]
+    return variables[:n], variables[n:]
 
 
 def norm(components: Formula | Sequence[Formula | float] | NDArray[np.object_]) -> Formula:
@@ -193,11 +193,11 @@ def norm(components: Formula | Sequence[Formula | float] | NDArray[np.object_]) 
     >>> print(lfo.norm(x))
     Formula(norm(x_0, x_1))
     """
-    listed = [components] if isinstance(components, Formula) or not np.iterable(components) else list(components)
-    like = next((one for one in listed if isinstance(one, Formula)), None)
+    formulas = [components] if isinstance(components, Formula) or not np.iterable(components) else list(components)
+    like = next((component for component in formulas if isinstance(component, Formula)), None)
     if like is None:
         raise ProblemError("norm", brief(components), "formulas made of lfo.signals(n, m)")
-    return like.node(operations.NORM, tuple(as_formula(like, "norm", one) for one in listed))
+    return like.node(operations.NORM, tuple(as_formula(like, "norm", component) for component in formulas))
 
 
 def maximum(*arguments: Formula | float, names: Sequence[str] | None = None) -> Formula:
@@ -254,87 +254,89 @@ def minimum(*arguments: Formula | float, names: Sequence[str] | None = None) -> 
     return extreme(operations.MINIMUM, arguments, names)
 
 
-def extreme(kind: str, arguments: Sequence[Formula | float], given: Sequence[str] | None) -> Formula:
+def extreme(kind: str, arguments: Sequence[Formula | float], mode_names: Sequence[str] | None) -> Formula:
     """Return the maximum or minimum of formulas and numbers; see ``maximum`` and ``minimum``."""
-    like = next((one for one in arguments if isinstance(one, Formula)), None)
+    like = next((argument for argument in arguments if isinstance(argument, Formula)), None)
     if len(arguments) < 2 or like is None:
         raise ProblemError(kind, brief(arguments), "two arguments or more, at least one of them a formula")
-    listed = tuple(as_formula(like, kind, one) for one in arguments)
-    if given is not None:
-        wrong = isinstance(given, str) or not all(
-            isinstance(name, str) and (name.strip() or not name) and name.isprintable() for name in given
+    formulas = tuple(as_formula(like, kind, argument) for argument in arguments)
+    if mode_names is not None:
+        wrong = isinstance(mode_names, str) or not all(
+            isinstance(name, str) and (name.strip() or not name) and name.isprintable() for name in mode_names
         )
-        if wrong or len(given) != len(listed):
-            raise ProblemError(f"{kind}.names", brief(given), f"{len(listed)} names, one for each argument")
-    return replace(like.node(kind, listed), names=tuple(given or ()))
+        if wrong or len(mode_names) != len(formulas):
+            raise ProblemError(f"{kind}.names", brief(mode_names), f"{len(formulas)} names, one for each argument")
+    return replace(like.node(kind, formulas), names=tuple(mode_names or ()))
 
 
-def in_order(formulas: Sequence[Formula]) -> tuple[Formula, ...]:
-    """Return all nodes, each once, arguments before what is made of them."""
+def nodes_in_order(formulas: Sequence[Formula]) -> tuple[Formula, ...]:
+    """Return all nodes, each once and after its arguments."""
     return _in_order(tuple(formulas))
 
 
 @lru_cache(maxsize=256)  # a search evaluates the same formulas some thousand times
 def _in_order(formulas: tuple[Formula, ...]) -> tuple[Formula, ...]:
-    return tuple(post_order(formulas, lambda one: one.arguments))
+    return tuple(post_order(formulas, lambda node: node.arguments))
 
 
 def post_order(roots: Sequence[Value], parts: Callable[[Value], Sequence[Value]]) -> dict[Value, None]:
-    """Return all nodes of a graph, each after its parts; without recursion, as long sums are nested deeply."""
-    found: dict[Value, None] = {}
-    stack = [(one, False) for one in reversed(roots)]
+    """Return all nodes of a graph, each after its parts; without recursion, as long sums are deeply nested."""
+    order: dict[Value, None] = {}
+    stack = [(node, False) for node in reversed(roots)]
     while stack:
-        one, done = stack.pop()
-        if one in found:
+        node, done = stack.pop()
+        if node in order:
             continue
         if done:
-            found[one] = None
+            order[node] = None
         else:
-            stack += [(one, True), *((part, False) for part in reversed(parts(one)))]
-    return found
+            stack += [(node, True), *((part, False) for part in reversed(parts(node)))]
+    return order
 
 
-def evaluated(formulas: Sequence[Formula], rule: Callable[[Formula, list[Value]], Value]) -> list[Value]:
-    """Return what a rule gives for formulas, from each node and the values of its arguments."""
-    found: dict[Formula, Value] = {}
-    for node in in_order(formulas):
-        found[node] = rule(node, [found[argument] for argument in node.arguments])
-    return [found[formula] for formula in formulas]
+def evaluate(formulas: Sequence[Formula], rule: Callable[[Formula, list[Value]], Value]) -> list[Value]:
+    """Return the values of formulas by a rule, which takes a node and the values of its arguments."""
+    values: dict[Formula, Value] = {}
+    for node in nodes_in_order(formulas):
+        values[node] = rule(node, [values[argument] for argument in node.arguments])
+    return [values[formula] for formula in formulas]
 
 
-def rebuilt(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> list[Formula]:
-    """Return the formulas with some nodes replaced, as operators make them; what has none stays the same object."""
-    made: dict[Formula, Formula] = {}
-    for one in in_order(formulas):
-        if one in changed:
-            made[one] = made.get(changed[one], changed[one])
+def rebuild(formulas: Sequence[Formula], changed: Mapping[Formula, Formula]) -> list[Formula]:
+    """Return the formulas with some nodes replaced by operators; one without such nodes stays the same object."""
+    rebuilt: dict[Formula, Formula] = {}
+    for formula in nodes_in_order(formulas):
+        if formula in changed:
+            rebuilt[formula] = rebuilt.get(changed[formula], changed[formula])
             continue
-        arguments = tuple(made[argument] for argument in one.arguments)
-        if all(new is old for new, old in zip(arguments, one.arguments, strict=True)):
-            made[one] = one
-        elif one.kind == operations.SUM:  # sums within sums are taken up, products by numbers are sums
-            total = one.node(operations.SUM, (), (one.data[-1],))
-            for factor, argument in zip(one.data[:-1], arguments, strict=True):
+        arguments = tuple(rebuilt[argument] for argument in formula.arguments)
+        if all(new is old for new, old in zip(arguments, formula.arguments, strict=True)):
+            rebuilt[formula] = formula
+        elif formula.kind == operations.SUM:  # sums within sums are taken up, products by numbers are sums
+            total = formula.node(operations.SUM, (), (formula.data[-1],))
+            for factor, argument in zip(formula.data[:-1], arguments, strict=True):
                 total = total + argument * factor
-            made[one] = total
-        elif one.kind == operations.PRODUCT:
-            made[one] = arguments[0] * arguments[1]
-        elif one.kind == operations.QUOTIENT and arguments[1].constant != 0:
-            made[one] = arguments[0] / arguments[1]
+            rebuilt[formula] = total
+        elif formula.kind == operations.PRODUCT:
+            rebuilt[formula] = arguments[0] * arguments[1]
+        elif formula.kind == operations.QUOTIENT and arguments[1].constant != 0:
+            rebuilt[formula] = arguments[0] / arguments[1]
         else:
-            made[one] = replace(one, arguments=arguments)
-    return [made[one] for one in formulas]
+            rebuilt[formula] = replace(formula, arguments=arguments)
+    return [rebuilt[formula] for formula in formulas]
 
 
-def translated(formulas: Sequence[Formula], origin: Array) -> list[Formula]:
+def translate_formulas(formulas: Sequence[Formula], origin: Array) -> list[Formula]:
     """Return the formulas as functions of x - origin, origin (n,), and u."""
-    variables = [one for one in in_order(formulas) if one.kind == operations.VARIABLE and one.data[0] < len(origin)]
-    return rebuilt(formulas, {one: one + float(origin[int(one.data[0])]) for one in variables})
+    variables = [
+        one for one in nodes_in_order(formulas) if one.kind == operations.VARIABLE and one.data[0] < len(origin)
+    ]
+    return rebuild(formulas, {one: one + float(origin[int(one.data[0])]) for one in variables})
 
 
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:
-    """Yield the nodes of some kinds, those within others first."""
-    return (one for one in in_order(formulas) if one.kind in kinds)
+    """Yield the nodes of some kinds, inner ones first."""
+    return (one for one in nodes_in_order(formulas) if one.kind in kinds)
 
 
 def text_of(
@@ -354,34 +356,34 @@ def text_of(
         parts = ["..." if i in cut else part for i, part in enumerate(parts)]
         return "..." if len(parts) > longest / 2 else operations.OPERATIONS[node.kind].text(node, parts, notation, cut)
 
-    return evaluated([formula], text)[0]
+    return evaluate([formula], text)[0]
 
 
 def _sum(like: Formula, factors: Mapping[Formula, float], constant: float) -> Formula:
-    """Return sum factor * formula + constant; sums within it are taken up."""
-    flat: dict[Formula, float] = {}
-    for one, factor in factors.items():
-        inner = zip(one.arguments, one.data[:-1], strict=True) if one.kind == operations.SUM else [(one, 1.0)]
-        constant += factor * one.data[-1] if one.kind == operations.SUM else 0.0
-        for part, weight in inner:
-            flat[part] = flat.get(part, 0.0) + factor * weight
-    kept = {one: factor for one, factor in flat.items() if factor}
-    if list(kept.values()) == [1.0] and not constant:
-        return next(iter(kept))
-    return like.node(operations.SUM, tuple(kept), (*kept.values(), constant))
+    """Return sum factor * node + constant; sums within it are taken up."""
+    weights: dict[Formula, float] = {}
+    for node, factor in factors.items():
+        summands = zip(node.arguments, node.data[:-1], strict=True) if node.kind == operations.SUM else [(node, 1.0)]
+        constant += factor * node.data[-1] if node.kind == operations.SUM else 0.0
+        for part, weight in summands:
+            weights[part] = weights.get(part, 0.0) + factor * weight
+    nonzero = {node: factor for node, factor in weights.items() if factor}
+    if list(nonzero.values()) == [1.0] and not constant:
+        return next(iter(nonzero))
+    return like.node(operations.SUM, tuple(nonzero), (*nonzero.values(), constant))
 
 
-def as_formula(like: Formula, operator: str, given: Formula | float) -> Formula:
+def as_formula(like: Formula, operator: str, value: Formula | float) -> Formula:
     """Return a formula, or a number as one, of the same signals as ``like``."""
-    if not isinstance(given, Formula):
-        return _sum(like, {}, _number(operator, given))
-    _require_same(like, given)
-    return given
+    if not isinstance(value, Formula):
+        return _sum(like, {}, _number(operator, value))
+    _require_same(like, value)
+    return value
 
 
-def _require_same(one: Formula, other: Formula) -> None:
-    if one.dimensions != other.dimensions:
-        raise ProblemError("formula", f"signals of {other.dimensions} and {one.dimensions}", "the same signals")
+def _require_same(first: Formula, second: Formula) -> None:
+    if first.dimensions != second.dimensions:
+        raise ProblemError("formula", f"signals of {second.dimensions} and {first.dimensions}", "the same signals")
 
 
 def _number(operator: str, value: float) -> float:

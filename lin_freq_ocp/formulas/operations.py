@@ -1,7 +1,7 @@
-"""The operations of formulas: of each its values, derivatives, enclosures over boxes, affine form and text.
+"""The operations of formulas: values, derivatives, enclosures over boxes, affine form and text of each.
 
-``OPERATIONS`` holds all of them. A further function of one variable is one more ``ScalarFunction`` in this table. The
-rules of differentiation at points are at the end, those over boxes in ``intervals``.
+``OPERATIONS`` has all of them. A new function of one variable is a ``ScalarFunction`` in this table. The rules
+of differentiation at points are at the end, those over boxes in ``intervals``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class External(Protocol):
         ...
 
     def values_at(self, x: Array, u: Array) -> Array:
-        """Return (points, outputs); not a number where it is undefined."""
+        """Return (points, outputs); nan where it is undefined."""
         ...
 
     def derivatives_at(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -59,7 +59,7 @@ class Points:
 
     y: Array
     selections: Mapping[Node, Array]  # of norms: derivatives by the arguments, (points, components), where numbers
-    # What external functions returned: each is evaluated once for all its outputs.
+    # The values of external functions, each evaluated once for all its outputs
     calls: dict[Hashable, tuple[Array, ...]] = field(default_factory=dict[Hashable, tuple[Array, ...]])
 
 
@@ -72,7 +72,7 @@ class Notation:
 
 
 class Operation:
-    """An operation; what it does not say is refused.
+    """An operation; a method that it does not override raises ProblemError.
 
     A jet is a value with its gradient and Hessian; None for a Hessian of zeros. Points are the last axis of a jet:
     NumPy is fast along that.
@@ -97,7 +97,7 @@ class Operation:
         return None
 
     def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
-        """Return the text from those of the arguments, of which some are ``whole``: they need no brackets."""
+        """Return the text from those of the arguments; the ``whole`` ones, by number, need no brackets."""
         return f"{node.kind}({', '.join(parts)})"
 
     def _refusal(self, node: Node) -> ProblemError:
@@ -301,7 +301,7 @@ class ScalarFunction(Operation):
 
 
 def _call(node: Node) -> tuple[External, Hashable]:
-    """Return an external function, and what its outputs of the same arguments share."""
+    """Return an external function, and the key that its outputs of the same arguments share."""
     assert node.function is not None  # nodes of this kind have one
     return node.function, (node.function, node.arguments)
 
@@ -310,16 +310,6 @@ def _factor(node: Node, parts: Sequence[str], i: int, whole: Set[int]) -> str:
     """Return the text of an argument as a factor."""
     bracketed = i not in whole and OPERATIONS[node.arguments[i].kind].bracketed
     return f"({parts[i]})" if bracketed else parts[i]
-
-
-def _tanh(a: Array, value: Array) -> tuple[Array, Array]:
-    slope = np.cosh(a) ** -2.0
-    return slope, -2 * value * slope
-
-
-def _arctan(a: Array, _: Array) -> tuple[Array, Array]:
-    slope = 1 / (1 + a**2)
-    return slope, -2 * (a * slope) * slope
 
 
 # All operations by the kind of their nodes.
@@ -338,8 +328,12 @@ OPERATIONS: dict[str, Operation] = {
     "sqrt": ScalarFunction(np.sqrt, lambda a, value: (0.5 / value, -0.25 / (value * a)), intervals.square_root),
     "sin": ScalarFunction(np.sin, lambda a, value: (np.cos(a), -value), intervals.sine),
     "cos": ScalarFunction(np.cos, lambda a, value: (-np.sin(a), -value), intervals.cosine),
-    "tanh": ScalarFunction(np.tanh, _tanh, intervals.hyperbolic_tangent),
-    "arctan": ScalarFunction(np.arctan, _arctan, intervals.arc_tangent),
+    "tanh": ScalarFunction(
+        np.tanh, lambda a, value: (slope := np.cosh(a) ** -2.0, -2 * value * slope), intervals.hyperbolic_tangent
+    ),
+    "arctan": ScalarFunction(
+        np.arctan, lambda a, _: (slope := 1 / (1 + a**2), -2 * (a * slope) * slope), intervals.arc_tangent
+    ),
 }
 
 

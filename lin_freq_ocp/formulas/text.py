@@ -1,6 +1,6 @@
-"""Formulas as text, "norm(x_0, x_1) * u_0", and back: Python's arithmetic, with a few functions, and nothing else.
+"""Formulas as text, "norm(x_0, x_1) * u_0", and back: Python's arithmetic with a few functions.
 
-Texts that are written are of moderate length: parts that are shared, long or nested deeply get names.
+Written texts have a moderate length: parts that are shared, long or deeply nested get names.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from lin_freq_ocp.formulas.nodes import Formula, post_order
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, OPERATIONS, SUM, VARIABLE, Notation, scalar_functions
 
 LONGEST_FORMULA = 100_000  # characters of one formula
-# What users give for formulas of x and u, "x_0 + u_0" among them; a function is called with signals.
+# User input for formulas of x and u, such as "x_0 + u_0"; a function is called with signals
 Formulas = Formula | str | Sequence[Formula | str | float] | Callable[..., object]
-ARITHMETIC: dict[type[ast.operator], Callable[..., float]] = {  # of formulas, too, which make formulas
+ARITHMETIC: dict[type[ast.operator], Callable[..., float]] = {  # of numbers, and of formulas, with a formula as result
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
@@ -42,14 +42,14 @@ def function_names() -> tuple[str, ...]:
 def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
     """Return x_0 .. and u_0 .. by name."""
     x, u = nodes.signals(*dimensions)
-    return {f"x_{i}": one for i, one in enumerate(x)} | {f"u_{i}": one for i, one in enumerate(u)}
+    return {f"x_{i}": variable for i, variable in enumerate(x)} | {f"u_{i}": variable for i, variable in enumerate(u)}
 
 
-def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
+def listed_formulas(field: str, formulas: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
     """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
-    if callable(given):
+    if callable(formulas):
         try:
-            given = given(*nodes.signals(*dimensions))
+            formulas = formulas(*nodes.signals(*dimensions))
         except LinFreqOCPError:
             raise
         except Exception as error:  # any error of a function that was not made for formulas
@@ -57,26 +57,27 @@ def listed_formulas(field: str, given: object, dimensions: tuple[int, int]) -> t
             expected = f"one that makes formulas of x ({dimensions[0]},) and u ({dimensions[1]},)"
             advice = f"It is called once, with lfo.signals. {nodes.FUNCTIONS} lfo.from_casadi takes those of CasADi."
             raise ProblemError(field, got, expected, advice) from error
-    if isinstance(given, (Formula, str)):
-        given = [given]
-    if not isinstance(given, (Sequence, np.ndarray)):
-        raise ProblemError(field, brief(given), "a list of formulas made of lfo.signals(n, m), or a function of (x, u)")
-    zero, made = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
-    for i, one in enumerate(given):
-        if isinstance(one, str):
-            one = formula_from_text(f"{field}[{i}]", one, dimensions)
-        formula = one if isinstance(one, Formula) else nodes.as_formula(zero, f"{field}[{i}]", one)
+    if isinstance(formulas, (Formula, str)):
+        formulas = [formulas]
+    if not isinstance(formulas, (Sequence, np.ndarray)):
+        expected = "a list of formulas made of lfo.signals(n, m), or a function of (x, u)"
+        raise ProblemError(field, brief(formulas), expected)
+    zero, converted = Formula(dimensions, SUM, (), (0.0,)), list[Formula]()
+    for i, entry in enumerate(formulas):
+        if isinstance(entry, str):
+            entry = formula_from_text(f"{field}[{i}]", entry, dimensions)
+        formula = entry if isinstance(entry, Formula) else nodes.as_formula(zero, f"{field}[{i}]", entry)
         if formula.dimensions != dimensions:
             expected = f"{plural(dimensions[0], 'state')} and {plural(dimensions[1], 'control')}"
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
-        made.append(formula)
-    return tuple(made)
+        converted.append(formula)
+    return tuple(converted)
 
 
 def formula_from_text(
     field: str, text: str, dimensions: tuple[int, int], known: Mapping[str, Formula] | None = None
 ) -> Formula:
-    """Return the formula that a text says; errors call it ``field``.
+    """Return the formula of a text; errors name the field.
 
     It has numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1} or the names in ``known``, + - * / **, and ``function_names``.
     """
@@ -86,7 +87,7 @@ def formula_from_text(
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError):
         raise ProblemError(field, brief(text), _expected_text()) from None
-    except (RecursionError, MemoryError):  # the parser's words for it
+    except (RecursionError, MemoryError):  # errors of the parser
         raise ProblemError(field, f"{brief(text)}, nested too deeply", "fewer terms, factors and brackets") from None
     if known is None:
         known = known_signals(dimensions)
@@ -96,7 +97,7 @@ def formula_from_text(
             formula = nodes.as_formula(zero, "formula", _Reader(text, known).read(tree.body))
     except ProblemError as error:
         raise ProblemError(field, error.got, error.expected, error.advice) from None
-    if not all(np.isfinite(one.data).all() for one in nodes.in_order([formula])):
+    if not all(np.isfinite(node.data).all() for node in nodes.nodes_in_order([formula])):
         raise ProblemError(field, brief(text), "coefficients that are finite numbers")
     return formula
 
@@ -114,10 +115,10 @@ class _Reader:
 
     def read(self, root: ast.expr) -> Formula | float:
         """Return the formula or number of a syntax tree."""
-        made: dict[ast.expr, Formula | float] = {}
+        values: dict[ast.expr, Formula | float] = {}
         for node in post_order([root], self._operands):
-            made[node] = self._apply_operation(node, [made[part] for part in self._operands(node)])
-        return made[root]
+            values[node] = self._apply_operation(node, [values[part] for part in self._operands(node)])
+        return values[root]
 
     def _operands(self, node: ast.expr) -> list[ast.expr]:
         if isinstance(node, ast.BinOp):
@@ -143,7 +144,7 @@ class _Reader:
         raise self._other()
 
     def _number(self, compute: Callable[[], float]) -> float:
-        """Return a finite number; Python has errors of several kinds, and complex numbers, where there is none."""
+        """Return a finite number; ProblemError if Python raises an error or returns a complex or infinite number."""
         try:
             value = compute()
         except (ArithmeticError, ValueError):
@@ -166,7 +167,7 @@ class _Reader:
         return compute(left, right)
 
     def _call(self, name: str, arguments: Sequence[Formula | float]) -> Formula | float:
-        numbers = [one for one in arguments if isinstance(one, float)]
+        numbers = [argument for argument in arguments if isinstance(argument, float)]
         constant, functions = len(numbers) == len(arguments), scalar_functions()
         if name in ("max", "min") and len(arguments) > 1:
             if constant:
@@ -177,19 +178,19 @@ class _Reader:
         if len(arguments) == 1 and name == "abs":
             return abs(arguments[0])
         if len(arguments) == 1 and name in functions:
-            (one,) = arguments
-            if isinstance(one, Formula):
-                return one.node(name, (one,))
-            return self._number(lambda: float(functions[name].function(np.array(one))))
+            (argument,) = arguments
+            if isinstance(argument, Formula):
+                return argument.node(name, (argument,))
+            return self._number(lambda: float(functions[name].function(np.array(argument))))
         raise self._other()
 
 
-def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
-    """Return signals and named formulas, each of which may use those before it; errors call the table ``field``."""
-    if not isinstance(given, Mapping):
-        raise ProblemError(field, brief(given), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
+def read_definitions(field: str, table: object, dimensions: tuple[int, int]) -> dict[str, Formula]:
+    """Return signals and named formulas, each of which may use the earlier ones; errors name the field of the table."""
+    if not isinstance(table, Mapping):
+        raise ProblemError(field, brief(table), 'a table of formulas by name, as let = {drag = "x_1 * abs(x_1)"}')
     known = known_signals(dimensions)
-    for name, text in given.items():
+    for name, text in table.items():
         entry = f"{field}.{name}"
         if not isinstance(name, str) or not name.isidentifier() or not name.isascii() or keyword.iskeyword(name):
             raise ProblemError(field, brief(name), "names of letters, digits and _, which begin with no digit")
@@ -201,80 +202,80 @@ def defined(field: str, given: object, dimensions: tuple[int, int]) -> dict[str,
     return known
 
 
-def require_formula(one: Formula, field: str = "formula") -> None:
-    """Raise ProblemError if a node is a function that is no formula."""
-    if one.function is not None:
-        raise ProblemError(field, f"the function {one.function.title}", "formulas, which are text in a file")
+def require_formula(node: Formula, field: str = "formula") -> None:
+    """Raise ProblemError if a node is an external function."""
+    if node.function is not None:
+        raise ProblemError(field, f"the function {node.function.title}", "formulas, which are text in a file")
 
 
 LONGEST_TEXT = 1000  # characters of a formula that is written in full, even if parts of it repeat
-SHORTEST_NAMED = 12  # characters: a shorter shared part is repeated, as a name would save nothing
-DEEPEST = 20  # brackets within brackets of one text: parsers take some hundred
-MOST_TERMS = 50  # terms of a sum in one text: parsers nest them
+SHORTEST_NAMED = 12  # characters of a shared part from which a name makes the text shorter
+DEEPEST = 20  # depth of brackets in one text: parsers accept some hundred
+MOST_TERMS = 50  # terms of a sum in one text: parsers nest sums
 EXACT = Notation(repr)  # numbers to the last bit
 
 
 def with_definitions(formulas: Sequence[Formula]) -> tuple[list[str], dict[str, str]]:
     """Return the texts of formulas, and the named formulas that they use, each after those that it uses.
 
-    Formulas of up to ``LONGEST_TEXT`` characters are written as they stand; as soon as one is longer, what stands in
-    several of them is written once. So the length of all texts grows with the number of nodes.
+    If no formula has more than ``LONGEST_TEXT`` characters, all are written in full. Otherwise a part of several
+    formulas gets a name, so that the length of all texts is proportional to the number of nodes.
 
-    Formulas are those of ``signals``, without other functions.
+    The formulas have no external functions.
     """
-    order = nodes.in_order(formulas)
-    uses = Counter(argument for one in order for argument in one.arguments) + Counter(formulas)
+    order = nodes.nodes_in_order(formulas)
+    uses = Counter(argument for node in order for argument in node.arguments) + Counter(formulas)
 
-    def length(one: Formula, arguments: list[int]) -> int:
+    def length(node: Formula, arguments: list[int]) -> int:
         """Return the approximate number of characters of a formula in full."""
-        numbers = 0 if one.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in one.data)
+        numbers = 0 if node.kind == VARIABLE else sum(len(f"{value!r}") + 3 for value in node.data)
         return 4 + numbers + sum(arguments) + 2 * len(arguments)
 
-    long = max(nodes.evaluated(formulas, length), default=0) > LONGEST_TEXT
-    shared = {one for one, count in uses.items() if count > 1} if long else set()
+    long = max(nodes.evaluate(formulas, length), default=0) > LONGEST_TEXT
+    shared = {node for node, count in uses.items() if count > 1} if long else set()
     writer = _Writer(shared)
-    for one in order:
-        writer.add(one)
-    return [writer.part(one)[0] for one in formulas], writer.definitions
+    for node in order:
+        writer.add(node)
+    return [writer.part(node)[0] for node in formulas], writer.definitions
 
 
 class _Writer:
-    """Writes nodes, arguments before what is made of them."""
+    """Writes nodes, arguments first."""
 
     def __init__(self, shared: set[Formula]):
         self.definitions: dict[str, str] = {}
         self._shared = shared
         self._written: dict[Formula, tuple[str, int]] = {}
 
-    def add(self, one: Formula) -> None:
+    def add(self, node: Formula) -> None:
         """Write one node."""
-        parts = [self.part(argument) for argument in one.arguments]
+        parts = [self.part(argument) for argument in node.arguments]
         texts = [text for text, _ in parts]
-        if one.kind == SUM and len(texts) > MOST_TERMS:
-            self._written[one] = self._long_sum(one, texts), 1
+        if node.kind == SUM and len(texts) > MOST_TERMS:
+            self._written[node] = self._long_sum(node, texts), 1
             return
         whole = {i for i, (_, depth) in enumerate(parts) if depth == 0}
-        depth = 0 if one.kind == VARIABLE else 1 + max((depth for _, depth in parts), default=0)
-        self._written[one] = OPERATIONS[one.kind].text(one, texts, EXACT, whole), depth
+        depth = 0 if node.kind == VARIABLE else 1 + max((depth for _, depth in parts), default=0)
+        self._written[node] = OPERATIONS[node.kind].text(node, texts, EXACT, whole), depth
 
-    def part(self, one: Formula) -> tuple[str, int]:
-        """Return how a node stands in another text, and how deeply it is nested: 0 for a name."""
-        text, depth = self._written[one]
+    def part(self, node: Formula) -> tuple[str, int]:
+        """Return the text of a node within another one, and its depth of nesting: 0 for a name."""
+        text, depth = self._written[node]
         large = len(text) > LONGEST_TEXT or depth > DEEPEST
-        if depth and (large or (one in self._shared and len(text) >= SHORTEST_NAMED)):
-            self._written[one] = self._short(text), 0
-        return self._written[one]
+        if depth and (large or (node in self._shared and len(text) >= SHORTEST_NAMED)):
+            self._written[node] = self._short(text), 0
+        return self._written[node]
 
-    def _long_sum(self, one: Formula, texts: Sequence[str]) -> str:
-        """Return the names of parts of a sum, added up: what is read makes one sum of them again."""
+    def _long_sum(self, node: Formula, texts: Sequence[str]) -> str:
+        """Return the sum of the names of its parts, from which reading makes one sum again."""
         names: list[str] = []
         for first in range(0, len(texts), MOST_TERMS):
-            chosen = slice(first, first + MOST_TERMS)
+            terms = slice(first, first + MOST_TERMS)
             last = first + MOST_TERMS >= len(texts)
-            factors = (*one.data[:-1][chosen], one.data[-1] if last else 0.0)
-            some = Formula(one.dimensions, SUM, one.arguments[chosen], factors)
-            whole = {i for i, argument in enumerate(some.arguments) if not self._written[argument][1]}
-            names.append(self._short(OPERATIONS[SUM].text(some, texts[chosen], EXACT, whole)))
+            factors = (*node.data[:-1][terms], node.data[-1] if last else 0.0)
+            partial_sum = Formula(node.dimensions, SUM, node.arguments[terms], factors)
+            whole = {i for i, argument in enumerate(partial_sum.arguments) if not self._written[argument][1]}
+            names.append(self._short(OPERATIONS[SUM].text(partial_sum, texts[terms], EXACT, whole)))
         while len(names) > MOST_TERMS:
             names = [
                 self._short(" + ".join(names[first : first + MOST_TERMS])) for first in range(0, len(names), MOST_TERMS)

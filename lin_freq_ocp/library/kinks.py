@@ -7,7 +7,7 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import positive_integer, positive_number, to_shape
 from lin_freq_ocp.library.common import Spectrum, control_band, flag, sum_of_squares, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.piecewise_affine import AffineMode, PiecewiseAffineDynamics
@@ -71,8 +71,8 @@ def absolute_value(
     """
     T = positive_integer("horizon", horizon)
     limit = positive_number("control_bound", control_bound)
-    preferred = float(shaped("preferred_control", preferred_control, ()))
-    reach = float(np.abs(shaped("initial_state", initial_state, (1,)))[0]) + T * limit
+    preferred = float(to_shape("preferred_control", preferred_control, ()))
+    reach = float(np.abs(to_shape("initial_state", initial_state, (1,)))[0]) + T * limit
     return OptimalControlProblem(
         dynamics=PiecewiseAffineDynamics(
             [
@@ -153,7 +153,7 @@ def max_min_network(
     2
     """
     T, limit = positive_integer("horizon", horizon), positive_number("control_bound", control_bound)
-    weight = float(shaped("control_weight", control_weight, ()))
+    weight = float(to_shape("control_weight", control_weight, ()))
     sums = np.full((T, 1), STATE_WEIGHT)
     sums[0] = 0.0
     load = flag("load_first", load_first)

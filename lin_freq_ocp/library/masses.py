@@ -7,7 +7,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import positive_integer, positive_number, to_shape
 from lin_freq_ocp.library.common import low_pass_at, notch_at, sampled_plant, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -222,7 +222,7 @@ def mass_chain(
     A, B = np.zeros((2 * MASSES, 2 * MASSES)), np.zeros((2 * MASSES, 2))
     A[:MASSES, MASSES:] = np.eye(MASSES)
     A[MASSES:, :MASSES] = -positive_number("stiffness", stiffness) * coupling
-    A[MASSES:, MASSES:] = -shaped("damping", damping, ()) * coupling
+    A[MASSES:, MASSES:] = -to_shape("damping", damping, ()) * coupling
     B[MASSES, 0] = B[-1, 1] = 1
     names = [
         f"{what} {i} [{unit}]" for what, unit in (("position", "m"), ("speed", "m/s")) for i in range(1, MASSES + 1)
@@ -238,7 +238,7 @@ def mass_chain(
         control_spectrum=None
         if cutoffs_hz is None
         else [
-            low_pass(cutoff_hz=cutoff, component=j) for j, cutoff in enumerate(shaped("cutoffs_hz", cutoffs_hz, (2,)))
+            low_pass(cutoff_hz=cutoff, component=j) for j, cutoff in enumerate(to_shape("cutoffs_hz", cutoffs_hz, (2,)))
         ],
         name="mass_chain",
     )

@@ -11,7 +11,7 @@ from math import exp, log, tanh
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number, to_shape
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.library.common import Spectrum, control_band, sum_of_squares
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -142,7 +142,7 @@ def buck_error(
 
 def _voltages(bounds: Sequence[float]) -> tuple[float, float]:
     """Return the bounds on the voltage, both above the pole."""
-    lowest, highest = (float(bound) for bound in shaped("voltage_bounds", bounds, (2,)))
+    lowest, highest = (float(bound) for bound in to_shape("voltage_bounds", bounds, (2,)))
     if not POLE < lowest < highest:
         expected = f"a lower bound above {POLE:g} V, where the second mode has its pole, and a larger upper one"
         raise ProblemError("voltage_bounds", brief(bounds), expected)

@@ -8,7 +8,7 @@ from math import pi
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import Array, positive_integer, positive_number, to_shape
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.common import low_pass_at, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -84,7 +84,7 @@ def elliptic_rendezvous(
     180
     """
     T, step = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
-    e, start = float(shaped("eccentricity", eccentricity, ())), float(shaped("first_anomaly", first_anomaly, ()))
+    e, start = (float(to_shape("eccentricity", eccentricity, ())), float(to_shape("first_anomaly", first_anomaly, ())))
     if not 0 <= e < 1:
         raise ProblemError("eccentricity", f"{e:g}", "0 (a circle) or more, and below 1")
     perigee = positive_number("perigee_radius", perigee_radius)
@@ -246,11 +246,11 @@ def quadcopter(
     >>> lfo.library.quadcopter().horizon
     60
     """
-    lowest, highest = shaped("rotor_bounds", rotor_bounds, (2,)) - HOVER
+    lowest, highest = to_shape("rotor_bounds", rotor_bounds, (2,)) - HOVER
     tilt, lower, upper = symmetric("tilt_bound", tilt_bound), np.full(len(A), -np.inf), np.full(len(A), np.inf)
     lower[:2], upper[:2] = tilt.lower, tilt.upper
     if lowest_height is not None:
-        lower[5] = shaped("lowest_height", lowest_height, ())
+        lower[5] = to_shape("lowest_height", lowest_height, ())
     return OptimalControlProblem(
         dynamics=LinearDynamics(
             A,
@@ -268,7 +268,7 @@ def quadcopter(
             Q=2 * STATE_WEIGHTS,
             R=2 * CONTROL_WEIGHT,
             P=2 * STATE_WEIGHTS,
-            x_ref=shaped("reference", reference, (len(A),)),
+            x_ref=to_shape("reference", reference, (len(A),)),
         ),
         control_set=Box(lowest, highest),
         state_set=Box(lower, upper),
@@ -339,7 +339,7 @@ def quarter_car(
     300
     """
     T, step = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
-    height = float(shaped("bump_height", bump_height, ()))
+    height = float(to_shape("bump_height", bump_height, ()))
     A = np.array(
         [
             [0, 1, 0, -1],
@@ -352,7 +352,7 @@ def quarter_car(
     B = np.array([[0, 0.0], [1000 / BODY_MASS, 0.0], [0, -1.0], [-1000 / WHEEL_MASS, 0.0]])
     comfort = None
     if stop_band_hz is not None:
-        low, high = shaped("stop_band_hz", stop_band_hz, (2,))
+        low, high = to_shape("stop_band_hz", stop_band_hz, (2,))
         comfort = notch(centre_hz=(low + high) / 2, width_hz=high - low, component="body speed")
     t = step * np.arange(T + 1)
     on_bump = (t >= BUMP_START) & (t <= BUMP_END)

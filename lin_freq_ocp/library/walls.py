@@ -7,7 +7,7 @@ from math import pi
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import brief, positive_integer, positive_number, shaped
+from lin_freq_ocp.base.arrays import brief, positive_integer, positive_number, to_shape
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.common import Spectrum, control_band, sum_of_squares, symmetric
 from lin_freq_ocp.problem.hybrid.piecewise_affine import AffineMode, PiecewiseAffineDynamics
@@ -155,7 +155,7 @@ def cart_between_walls(
     60
     """
     T, h = positive_integer("horizon", horizon), positive_number("sampling_time", sampling_time)
-    kept = float(shaped("restitution", restitution, ()))
+    kept = float(to_shape("restitution", restitution, ()))
     if not 0 <= kept <= 1:
         raise ProblemError("restitution", brief(restitution), "a number from 0 to 1")
     reach = WALL - HALF_WIDTH

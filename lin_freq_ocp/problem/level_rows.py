@@ -1,4 +1,4 @@
-"""How few samples of an optimum stand between the levels of their component.
+"""Optima with few samples between the levels of their component, and a bound on how few.
 
 Let the cost be one of each sample alone, convex and piecewise linear with its kinks at levels, and let the rest be r
 independent linear rows in u: R u = c, or between limits. Of an optimum u with more than r entries between two levels
@@ -23,8 +23,8 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-AT_LEVEL = 1e-6  # share of a sample up to which it counts as at a level: solvers leave less, and the judge allows it
-INDEPENDENT = 1e-10  # singular value of rows of size 1, over the largest, from which they are independent: no rounding
+AT_LEVEL = 1e-6  # smallest share of a second level that is more than the error of a solver, which the judge allows
+INDEPENDENT = 1e-10  # smallest relative singular value of rows of size 1 that is no rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,8 @@ class LevelUse:
     fractional : int
         Samples between two levels, over all components.
     rows : int or None
-        Where the cost is one of each sample alone and the rest are linear rows: how many of them are independent.
-        Then some optimum has at most as many samples between levels. None where that was not found to hold.
+        The number of independent linear rows, if the cost is a sum over single samples and all constraints are linear
+        rows: some optimum has at most as many samples between levels. None for other problems.
     means : bool
         Whether samples lie between levels and the cost is quadratic in u. It then counts the means over these samples,
         whose squares are below the means of the squared levels.
@@ -70,20 +70,20 @@ class LevelUse:
 
 def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
     """Return how controls (T, m) use the levels of a problem; None without levels."""
-    given = _set_of_levels(problem)
-    if given is None:
+    control_set = _set_of_levels(problem)
+    if control_set is None:
         return None
-    shares = given.shares(u)
-    between = sum(int(np.count_nonzero(one.max(axis=1) < 1 - AT_LEVEL)) for one in shares)
+    shares = control_set.shares(u)
+    between = sum(int(np.count_nonzero(share.max(axis=1) < 1 - AT_LEVEL)) for share in shares)
     rows, cost = level_rows(problem), problem.quadratic
-    needed = None if rows is None else _rank(_of_spans(rows, _spans(given, u)))
+    needed = None if rows is None else _rank(_of_spans(rows, _spans(control_set, u)))
     return LevelUse(tuple(shares), between, needed, between > 0 and bool(cost.R.any() or cost.S.any()))
 
 
 def level_rows(problem: OptimalControlProblem) -> Array | None:
-    """Return R, (rows, T, m), of everything beside levels that u must satisfy; None where that is not linear rows.
+    """Return R, (rows, T, m), of all constraints on u but its levels; None if some are no linear rows.
 
-    None, too, where the cost is not one of each sample alone, or the initial state is free.
+    None, too, if the cost is no sum over single samples, or the initial state is free.
     """
     if _set_of_levels(problem) is None:
         return None
@@ -112,21 +112,26 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
         if term.hard:
             rows = term.map.rows(T, n, m)[0].toarray()
             parts.append((rows[:, : (T + 1) * n].reshape(-1, T + 1, n), rows[:, (T + 1) * n :].reshape(-1, T, m)))
-    of_x, of_u = (np.concatenate(given) for given in zip(*parts, strict=True))
+    of_x, of_u = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
     return of_u + _through_states(problem, of_x)
 
 
 class FewBetweenLevels(Inverse):
-    """The way from any optimum to one with few samples between levels; multipliers are normals to their common face."""
+    """The way from any optimum to one with few samples between levels, at which its multipliers are normals, too."""
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:
-        """Return an optimum with as few entries between levels as there are rows, or the given one if it has."""
-        rows, given, u = level_rows(self.given), _set_of_levels(self.given), reduced.u
-        if rows is None or given is None:
+        """Return an optimum with at most as many entries between levels as there are rows."""
+        rows, control_set, u = level_rows(self.given), _set_of_levels(self.given), reduced.u
+        if rows is None or control_set is None:
             return reduced
-        spans, (*levels, between) = _spans(given, u), _neighbours(given, u)
+        spans, shares, levels = _spans(control_set, u), control_set.shares(u), control_set.levels_of(u.shape[1])
+        between = np.stack([share.max(axis=1) < 1 - AT_LEVEL for share in shares], axis=1)
+        columns = [(share.argmax(axis=1), *np.sort(np.argpartition(-share, 1, axis=1)[:, :2]).T) for share in shares]
+        nearest, lower, upper = (  # the nearest level of each entry, and those below and above it
+            (np.stack([values[i] for values, i in zip(levels, chosen, strict=True)], axis=1) / spans).ravel()
+            for chosen in zip(*columns, strict=True)
+        )
         R, at, free = _of_spans(rows, spans), (u / spans).ravel(), np.flatnonzero(between)
-        nearest, lower, upper = ((part / spans).ravel() for part in levels)
         moved = np.where(between.ravel(), at, nearest)
         if len(free) <= _rank(R):
             return reduced
@@ -138,9 +143,10 @@ class FewBetweenLevels(Inverse):
             if rank == len(free):
                 break
             z = directions[rank]  # R maps it to zero
-            room = np.where(z > 0, upper[free] - moved[free], moved[free] - lower[free]) / np.maximum(np.abs(z), 1e-300)
-            first = int(np.argmin(room))
-            moved[free] += room[first] * z
+            margin = np.where(z > 0, upper[free] - moved[free], moved[free] - lower[free])
+            steps = margin / np.maximum(np.abs(z), 1e-300)
+            first = int(np.argmin(steps))
+            moved[free] += steps[first] * z
             moved[free[first]] = upper[free[first]] if z[first] > 0 else lower[free[first]]
             free = np.delete(free, first)
         return simulate(self.given, moved.reshape(u.shape) * spans, reduced.x[0])
@@ -151,29 +157,29 @@ def few_between_levels(problem: OptimalControlProblem) -> FewBetweenLevels | Non
     return None if _set_of_levels(problem) is None else FewBetweenLevels(problem, problem)
 
 
-def _spans(given: ConvexSet, u: Array) -> Array:
+def _spans(control_set: ConvexSet, u: Array) -> Array:
     """Return the unit of each component, (m,): the distance of its outermost levels."""
-    return np.array([np.ptp(values) for values in given.levels_of(u.shape[1])])
+    return np.array([np.ptp(values) for values in control_set.levels_of(u.shape[1])])
 
 
 def _of_spans(rows: Array, spans: Array) -> Array:
-    """Return rows on controls over their spans, (rows, T m), each of size 1 or zero: their units say nothing."""
-    given = (rows * spans).reshape(len(rows), rows.shape[1] * rows.shape[2])
-    largest = np.abs(given).max(axis=1, keepdims=True, initial=0.0)
-    given = given / np.where(largest > 0, largest, 1.0)
-    size = np.linalg.norm(given, axis=1, keepdims=True)
-    return given / np.where(size > 0, size, 1.0)
+    """Return rows on controls in units of their spans, (rows, T m), scaled to length 1 unless they are zero."""
+    matrix = (rows * spans).reshape(len(rows), rows.shape[1] * rows.shape[2])
+    largest = np.abs(matrix).max(axis=1, keepdims=True, initial=0.0)
+    matrix = matrix / np.where(largest > 0, largest, 1.0)
+    size = np.linalg.norm(matrix, axis=1, keepdims=True)
+    return matrix / np.where(size > 0, size, 1.0)
 
 
 def _removed_rows(stop: Mask, times: int) -> Array:
     """Return the rows of the bins removed from a signal, (rows, times, components): real and imaginary parts."""
-    found, angle = [np.zeros((0, times, stop.shape[1]))], 2 * np.pi * np.arange(times) / times
+    families, angle = [np.zeros((0, times, stop.shape[1]))], 2 * np.pi * np.arange(times) / times
     for k, i in np.argwhere(stop):
         waves = [np.cos(k * angle)] if k in (0, times / 2) else [np.cos(k * angle), np.sin(k * angle)]
         rows = np.zeros((len(waves), times, stop.shape[1]))
         rows[:, :, i] = waves
-        found.append(rows)
-    return np.concatenate(found)
+        families.append(rows)
+    return np.concatenate(families)
 
 
 def _through_states(problem: OptimalControlProblem, of_x: Array) -> Array:
@@ -187,23 +193,11 @@ def _through_states(problem: OptimalControlProblem, of_x: Array) -> Array:
     return rows
 
 
-def _neighbours(given: ConvexSet, u: Array) -> tuple[Array, Array, Array, Array]:
-    """Return, each (T, m), the nearest levels, those below and above, and which entries are between."""
-    shares, levels = given.shares(u), given.levels_of(u.shape[1])
-    pairs = [np.sort(np.argpartition(-one, 1, axis=1)[:, :2], axis=1) for one in shares]
-    low, high = (
-        np.stack([values[pair[:, side]] for values, pair in zip(levels, pairs, strict=True)], axis=1) for side in (0, 1)
-    )
-    between = np.stack([one.max(axis=1) < 1 - AT_LEVEL for one in shares], axis=1)
-    nearest = np.stack([values[one.argmax(axis=1)] for values, one in zip(levels, shares, strict=True)], axis=1)
-    return nearest, low, high, between
-
-
 def _rank(R: Array) -> int:
     return int(np.linalg.matrix_rank(R, rtol=INDEPENDENT)) if len(R) else 0
 
 
 def _set_of_levels(problem: OptimalControlProblem) -> ConvexSet | None:
-    """Return the control set where it is one set of levels for all times."""
-    given = problem.control_set
-    return given if isinstance(given, ConvexSet) and len(given.levels_of(problem.control_dim)) else None
+    """Return the control set if it is one set of levels for all times, else None."""
+    control_set, m = problem.control_set, problem.control_dim
+    return control_set if isinstance(control_set, ConvexSet) and len(control_set.levels_of(m)) else None

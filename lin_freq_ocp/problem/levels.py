@@ -15,14 +15,14 @@ LEVELS: dict[type, Callable[[LinearDynamics, ConvexSet], Dynamics]] = {}
 
 
 def with_levels(dynamics: Dynamics, control_set: SetOrSets) -> tuple[Dynamics, SetOrSets]:
-    """Return the dynamics and the convex control set of a problem: a set of finitely many points becomes modes."""
+    """Return dynamics and convex control set of a problem; points of a finite control set become modes."""
     if not isinstance(control_set, ConvexSet):
-        several = control_set if isinstance(control_set, Iterable) else ()  # others are refused with the sets
-        if any(isinstance(one, ConvexSet) and _finite(one, dynamics) for one in several):
+        sets = control_set if isinstance(control_set, Iterable) else ()  # others are refused with the sets
+        if any(isinstance(member, ConvexSet) and _finite(member, dynamics) for member in sets):
             raise ProblemError("control_set", "levels at single times", "one FiniteSet for all times")
         return dynamics, control_set
     if control_set.points(dynamics.control_dim) is None:
-        if any(_finite(one, dynamics) for one in control_set.members):
+        if any(_finite(member, dynamics) for member in control_set.members):
             advice = "State other constraints as stage_rows, or take duty_cycles=True."
             raise ProblemError("control_set", "levels in an intersection", "a FiniteSet alone", advice)
         return dynamics, control_set
@@ -33,5 +33,5 @@ def with_levels(dynamics: Dynamics, control_set: SetOrSets) -> tuple[Dynamics, S
     return entry_for(LEVELS, linear)(linear, control_set), control_set.hull
 
 
-def _finite(one: ConvexSet, dynamics: Dynamics) -> bool:
-    return any(member.points(dynamics.control_dim) is not None for member in one.members)
+def _finite(convex_set: ConvexSet, dynamics: Dynamics) -> bool:
+    return any(member.points(dynamics.control_dim) is not None for member in convex_set.members)

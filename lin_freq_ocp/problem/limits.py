@@ -1,13 +1,12 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``Limit``)
-"""The limits of a problem: everything of its constraints that can be moved, as one list.
+# ruff: noqa: D102
+"""The limits of a problem: all constraints that can be relaxed, and all numbers of them that can be changed.
 
-Explanations, live pages, sweeps and proofs move a problem by what it says of itself here. A ``Limit`` is a constraint
-that gives way by an amount: bounds, joint rows, stop bands, sets, frequency constraints. Its ``numbers`` are the values
-that a user may choose, each with key, unit and the direction in which the problem gets easier.
+Explanations, live pages, sweeps and proofs change a problem by this list. A ``Limit`` is a constraint that can be
+relaxed by an amount: bounds, joint rows, stop bands, sets, frequency constraints. Its ``numbers`` are the values that a
+user may choose. Methods without a docstring are described by ``Limit``.
 
-The classes that own the numbers move them: ``Box`` its bounds, ``StageRows`` its limits, a ``ConvexSet`` what
-``widened`` says, a ``FrequencyConstraint`` its ``levels`` and its other ``numbers``. A class of a user's own takes part
-by these methods.
+The classes that own the numbers change them: ``Box`` its bounds, ``StageRows`` its limits, a ``ConvexSet`` by
+``relaxed``, a ``FrequencyConstraint`` its ``levels`` and its other ``numbers``. A class of your own overrides these.
 """
 
 from __future__ import annotations
@@ -43,42 +42,41 @@ BOXES = {  # the fields that hold sets, and where a problem has their bounds
 # First words of the keys of numbers, but for those of ends, which are fields of a problem
 NUMBER_WORDS = ("bound", "lower", "upper", "state_bound", "state_lower", "state_upper", "rows", "level", "edge")
 CUTOFFS = "cutoff", "cutoff_hz"  # of low passes in place of a control_spectrum; in rad/sample, and in Hz
-
 LEAST_PART, LARGEST_PART = 0.1, 3.0  # of bounds and limits, to which they are moved
 
 
 @dataclass(frozen=True, eq=False)
 class Limit(ABC):
-    """A constraint of a problem that can give way by an amount. A soft one constrains nothing, and has numbers."""
+    """A constraint of a problem that can be relaxed by an amount. A soft one has numbers, but no problem without it."""
 
     problem: OptimalControlProblem
-    name: str  # as conflicts and cures have it
+    name: str  # in conflicts and cures
     field: str  # of the problem
     index: int  # of a component; or of rows or an entry in their field
     whole: ClassVar[bool] = False  # whether amounts are numbers of bins
-    moves: ClassVar[str] = "wider"  # in words
-    before: ClassVar[str] = ""  # what is said before its values
+    moves: ClassVar[str] = "wider"  # the change in words
+    before: ClassVar[str] = ""  # the text before its values
 
     @property
     @abstractmethod
     def constrains(self) -> bool:
-        """Whether anything must hold because of it."""
+        """Whether it is a hard constraint."""
 
     @property
     @abstractmethod
     def size(self) -> float:
-        """The size of what is limited, by which an amount is measured."""
+        """The size of the limited quantity, the unit of amounts."""
 
     @abstractmethod
     def relaxed(self, problem: OptimalControlProblem, amount: float) -> OptimalControlProblem:
-        """Return a problem with it moved outwards by an amount, or without it if the amount is infinite."""
+        """Return a problem with this limit relaxed by an amount, or without it if the amount is infinite."""
 
     @abstractmethod
     def shown(self, relaxed: OptimalControlProblem, amount: float) -> tuple[str, str] | None:
-        """Return its values before and after in words; None if they are not the same at all times."""
+        """Return its values before and after in words; None if they depend on time."""
 
     def words(self, relaxed: OptimalControlProblem, amount: float, reached: Array) -> str:
-        """Return from what to what it moves; ``reached`` is the end of a trajectory of the relaxed problem, (n,)."""
+        """Return the change in words; ``reached``, (n,), is the end of a trajectory of the relaxed problem."""
         shown = self.shown(relaxed, amount)
         if shown is None:
             return f"{self.moves} by {amount:.6g}"
@@ -87,25 +85,25 @@ class Limit(ABC):
 
     @property
     def end(self) -> int | None:
-        """The place of the state that a cure of it reaches, 0 or -1; None if it is no end."""
+        """The index of the end in a trajectory, 0 or -1; None if the limit is no end."""
         return None
 
     @property
     def order(self) -> int:
-        """In which order limits are dropped, the highest first: the removal of an entry shifts others."""
+        """The rank in which limits are dropped, the highest first: the removal of an entry shifts the later ones."""
         return 0
 
     @property
     def parts(self) -> Sequence[Limit]:
-        """The limits that can give way one without the other."""
+        """The limits that can be relaxed one by one."""
         return (self,)
 
     def rows(self) -> StageRows | None:
-        """Return its rows on (x_t, delta) and u_t, relaxed by an amount delta; None if it is more than rows."""
+        """Return its rows on (x_t, delta) and u_t, relaxed by an amount delta; None if it has other constraints."""
         return None
 
     def numbers(self) -> Iterator[Number]:
-        """Yield its values."""
+        """Yield the values that a user may choose."""
         return iter(())
 
 
@@ -121,7 +119,7 @@ class BoundLimit(Limit):
 
     @property
     def sizes(self) -> Mapping[int, float]:
-        """Its components, and by how much each moves for an amount of 1."""
+        """Its components, and the relaxation of each for an amount of 1."""
         return {self.index: 1.0}
 
     @property
@@ -147,7 +145,7 @@ class BoundLimit(Limit):
             lower, upper = tube.lower[:, i], tube.upper[:, i]
             if len(lower) == T:
                 sides = [(np.zeros(n), np.eye(m)[i], lower, upper)]
-            else:  # those on x_T as rows on A x + B u of the step before
+            else:  # bounds on x_T are rows on A x + B u of the step before
                 (A, B, d), last = problem.linear.at(T - 1), np.arange(T) == T - 1
                 before = np.where(last, lower[T] - d[i], -np.inf), np.where(last, upper[T] - d[i], np.inf)
                 sides = [(np.eye(n)[i], np.zeros(m), lower[:T], upper[:T]), (A[i], B[i], *before)]
@@ -163,7 +161,7 @@ class BoundLimit(Limit):
         return (before, after) if all((side == side[0]).all() for side in sides[0]) else None
 
     def numbers(self) -> Iterator[Number]:
-        """Yield bounds that are the same at all times: one number if they are symmetric, else one for each."""
+        """Yield constant bounds: one number if they are symmetric, else one for each side."""
         problem, given, tube, i = self.problem, getattr(self.problem, self.field), self.tube, self.index
         (low, high), n = (float(side[0, i]) for side in (tube.lower, tube.upper)), tube.lower.shape[1]
         constant = (tube.lower[:, i] == low).all() and (tube.upper[:, i] == high).all()
@@ -237,7 +235,7 @@ class EndLimit(BoundLimit):
 
 @dataclass(frozen=True, eq=False)
 class RowLimit(Limit):
-    """A family of joint rows, or one row of it, at all times; a family gives way row by row."""
+    """A family of joint rows, or one row of it, at all times; a family is relaxed row by row."""
 
     chosen: Sequence[int] = ()  # rows of the family
     moves = "limits higher"
@@ -280,23 +278,18 @@ class RowLimit(Limit):
         return (f"{limit:.6g}", f"{limit + amount:.6g}") if np.ptp(limits) == 0 else None
 
     def numbers(self) -> Iterator[Number]:
-        """Yield the limit of the family: a number where all are the same, else a part of the own."""
-        own, name = self.family, self.family.name
-        limits = own.e[np.isfinite(own.e)]
+        """Yield the limit of the family: a value if all are the same, else a percentage of the given ones."""
+        name, limits = self.family.name, self.family.e[np.isfinite(self.family.e)]
         if not limits.size or limits.min() < 0 or not limits.any():
             return
-        same = bool((limits == limits[0]).all())
-        value, unit = (float(limits[0]), self._unit()) if same else (100.0, "%")
-        label = f"{name} {AT_MOST}" if same else f"limits of {name}"
-
-        def set_limits(families: Sequence[StageRows], new: float) -> list[StageRows]:
-            return [one.with_limits(one.e * (new / value)) if one.name == name else one for one in families]
-
-        ends = LEAST_PART * value, LARGEST_PART * value
-        yield Number(f"rows.{self.index}", label, unit, value, *ends, 1, set_limits, field=self.field)
+        label, value, unit = f"limits of {name}", 100.0, "%"
+        if (limits == limits[0]).all():
+            label, value, unit = f"{name} {AT_MOST}", float(limits[0]), self._unit()
+        key, ends = f"rows.{self.index}", (LEAST_PART * value, LARGEST_PART * value)
+        yield Number(key, label, unit, value, *ends, 1, partial(_scale_limits, name, value), field=self.field)
 
     def _unit(self) -> str:
-        """Return the unit of the rows' values: of sums of components in the same unit; else empty."""
+        """Return the unit of the rows if they are sums of components in the same unit; else an empty text."""
         parts = [matrix.reshape(-1, matrix.shape[-1]) for matrix in (self.family.C, self.family.D)]
         used = np.concatenate([np.abs(part).max(axis=0) > 0 for part in parts])
         names = zip((*self.problem.state_names, *self.problem.control_names), used, strict=True)
@@ -306,7 +299,7 @@ class RowLimit(Limit):
 
 
 class BandLimit(Limit):
-    """The removed bins of a state or a control; an amount is the number of outermost bins that are passed."""
+    """The stop band of a state or a control; an amount is the number of outermost bins that become free."""
 
     whole = True
 
@@ -325,13 +318,13 @@ class BandLimit(Limit):
         return replace(problem, **{self.field: [*bands_of(stop), *others]})
 
     def shown(self, relaxed: OptimalControlProblem, amount: float) -> tuple[str, str]:
-        stopped, later = (self._removed_bins(one)[:, self.index] for one in (self.problem, relaxed))
+        stopped, later = (self._removed_bins(problem)[:, self.index] for problem in (self.problem, relaxed))
         before, after = np.flatnonzero(~stopped), np.flatnonzero(~later)
         if not len(before) or stopped[: before.max()].any() or not stopped[before.max() + 1 :].all():
             return f"{len(before)}", f"{len(after)} passed bins of {len(stopped)}"
-        step, of_states = self.problem.sampling_time, self.field == "state_spectrum"  # a low pass
-        factor, unit = (2 * np.pi, "rad/sample") if step is None else (1 / step, "Hz")
-        factor /= self.problem.state_samples if of_states else self.problem.horizon
+        problem, step = self.problem, self.problem.sampling_time  # the stop band of a low pass
+        samples = problem.state_samples if self.field == "state_spectrum" else problem.horizon
+        factor, unit = (2 * np.pi / samples, "rad/sample") if step is None else (1 / (step * samples), "Hz")
         return f"cut-off {factor * before.max():.6g}", f"{factor * after.max():.6g} {unit}"
 
     def _removed_bins(self, problem: OptimalControlProblem) -> Mask:
@@ -339,14 +332,14 @@ class BandLimit(Limit):
 
 
 class TermLimit(Limit):
-    """What an entry of a field limits by terms; an amount is what its limits rise by, of an energy its root."""
+    """The terms of an entry of a field; an amount raises their limits, of an energy the root of its limit."""
 
     before = "limit "
-    power = 1  # of a limit, that is given
+    power = 1  # of a limit, in its stated value
 
     @property
     def constrains(self) -> bool:
-        return bool(self.name)  # that of its hard terms
+        return bool(self.name)  # the names of its hard terms
 
     @property
     def limit(self) -> float:
@@ -364,7 +357,7 @@ class TermLimit(Limit):
 
 
 class SetLimit(TermLimit):
-    """What the sets of a field require beyond bounds."""
+    """The sets of a field, bounds apart."""
 
     def relaxed(self, problem: OptimalControlProblem, amount: float) -> OptimalControlProblem:
         dimension = problem.control_dim if self.field == "control_set" else problem.state_dim
@@ -372,7 +365,7 @@ class SetLimit(TermLimit):
         def relax(given: ConvexSet) -> ConvexSet:
             if np.isinf(amount):
                 return intersection(box_of(given), [member for member in given.members if member.soft])
-            return intersection(box_of(given), [member.widened(amount, dimension) for member in given.members])
+            return intersection(box_of(given), [member.relaxed(amount, dimension) for member in given.members])
 
         return replace(problem, **{self.field: map_sets(getattr(problem, self.field), relax)})
 
@@ -401,7 +394,7 @@ class EntryLimit(TermLimit):
         return replace(problem, **{self.field: entries or None})
 
     def numbers(self) -> Iterator[Number]:
-        """Yield the edges of its bands, and its levels in dB of the problem's own."""
+        """Yield the edges of its bands, and its levels in dB relative to those of the problem."""
         problem, axis = self.problem, Axis.of(self.problem.horizon, self.problem.sampling_time)
         names = {"control_spectrum": problem.control_names, "state_spectrum": problem.state_names}.get(self.field)
         for j, one in enumerate(self.given.constraints):
@@ -446,7 +439,7 @@ def of_source(problem: OptimalControlProblem, source: tuple[str, int], name: str
 
 
 def constraints(problem: OptimalControlProblem) -> list[Limit]:
-    """Return what must hold, in parts that can give way one without the other, apart from the dynamics."""
+    """Return the hard constraints, dynamics apart, in parts that can be relaxed one by one."""
     return [part for limit in limits(problem) if limit.constrains for part in limit.parts]
 
 
@@ -458,16 +451,17 @@ def drop_limits(problem: OptimalControlProblem, dropped: Collection[Limit]) -> O
 
 
 def numbers(problem: OptimalControlProblem) -> dict[str, Number]:
-    """Return every number of the limits of a problem that can be moved, by its key."""
-    found = [number for limit in limits(problem) for number in limit.numbers()]
+    """Return all numbers of the limits of a problem by their keys."""
+    found = {number.key: number for limit in limits(problem) for number in limit.numbers()}
     cutoff = _cutoff(problem)
-    if cutoff is not None:  # which is the edge of the one low pass
-        found = [cutoff, *(one for one in found if one.key != "edge.control_spectrum.0.1")]
-    return {one.key: one for one in found}
+    if cutoff is None:
+        return found
+    found.pop("edge.control_spectrum.0.1", None)  # the edge of the one low pass, which is the cut-off
+    return {cutoff.key: cutoff} | found
 
 
 def changed_fields(problem: OptimalControlProblem, values: Mapping[str, float]) -> dict[str, object]:
-    """Return the fields of a problem in which numbers are moved to values; ProblemError if there is no such number."""
+    """Return the changed fields of a problem for new values of its numbers; ProblemError if a number is unknown."""
     known, fields = numbers(problem) if values else {}, dict[str, object]()
     for key, value in values.items():
         if key not in known:
@@ -480,7 +474,7 @@ def changed_fields(problem: OptimalControlProblem, values: Mapping[str, float]) 
 
 
 def _cutoff(problem: OptimalControlProblem) -> Number | None:
-    """Return the cut-off of the one low pass of the controls, or of none; its highest value stands for none."""
+    """Return the cut-off of the one low pass of the controls, at most one; its highest value stands for none."""
     axis, entries = Axis.of(problem.horizon, problem.sampling_time), entries_of(problem.control_spectrum)
     band = entries[0] if len(entries) == 1 and entries[0].removes_bins else None
     if entries and (band is None or band.kind != "low_pass"):
@@ -508,13 +502,13 @@ def map_sets(given: SetOrSets, change: Callable[[ConvexSet], ConvexSet]) -> SetO
 def map_constraints(
     given: object, change: Callable[[FrequencyConstraint], FrequencyConstraint | None]
 ) -> list[object] | None:
-    """Return the entries of a spectrum with changed constraints, without those that become None; None without any."""
-    pairs = [(entry, [new for one in entry.constraints if (new := change(one))]) for entry in entries_of(given)]
+    """Return the entries of a spectrum with changed constraints, without those that become None; None if all do."""
+    pairs = [(entry, [new for old in entry.constraints if (new := change(old))]) for entry in entries_of(given)]
     return [entry.with_constraints(changed) for entry, changed in pairs if changed] or None
 
 
 def replace_bounds(given: SetOrSets, bounds: Box) -> SetOrSets:
-    """Return a set, or one per time, with other bounds and the same other members."""
+    """Return a set, or one per time, with other bounds and the same members."""
     if isinstance(given, Sequence):
         boxes = [bounds.at(t) if bounds.lower.ndim > 1 else bounds for t in range(len(given))]
         return [intersection(box, one.members if one else ()) for one, box in zip(given, boxes, strict=True)]
@@ -522,8 +516,13 @@ def replace_bounds(given: SetOrSets, bounds: Box) -> SetOrSets:
 
 
 def intersection(bounds: Box, members: Sequence[ConvexSet]) -> ConvexSet:
-    """Return the set of bounds and of sets beyond these."""
+    """Return the set with these bounds and members."""
     return Intersection([bounds, *members]) if members else bounds
+
+
+def _scale_limits(name: str, value: float, families: Sequence[StageRows], new: float) -> list[StageRows]:
+    """Return families of rows, that of a name with its limits times new / value."""
+    return [rows.with_limits(rows.e * (new / value)) if rows.name == name else rows for rows in families]
 
 
 def _move_bounds(dimension: int, index: int, signs: tuple[int, int], given: ConvexSet, value: float) -> SetOrSets:

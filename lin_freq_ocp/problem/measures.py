@@ -1,4 +1,4 @@
-"""Figures of a trajectory: distances from bounds and ends, energy in bands, and how far a replay can be trusted."""
+"""Figures of a trajectory: distances from bounds and ends, energy in bands, amplification of errors."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 ZERO_PADDING = 16  # length of the zero-padded DFT over that of the signal
-REPLAY_LIMIT = 1e-3  # machine precision times the open-loop growth above which a replay shows only amplified rounding
+REPLAY_LIMIT = 1e-3  # machine precision times the amplification, above which a simulation is amplified rounding
 
 
 @dataclass(frozen=True)
 class Measures:
-    """What a comparison shows of a trajectory; None where there is nothing to measure.
+    """The figures of a trajectory in a comparison; None if there is nothing to measure.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Measures:
     stopband_peak, state_stopband_peak : float or None
         Largest magnitude of the zero-padded spectrum between the first and last bin of each stopped run.
     amplification : float
-        Spectral norm of A_{T-1} ... A_0; with modes, of those that the trajectory is in.
+        Spectral norm of A_{T-1} ... A_0; with modes, of the modes along the trajectory.
     """
 
     cost: float | None
@@ -59,17 +59,16 @@ def measure(problem: OptimalControlProblem, trajectory: Trajectory) -> Measures:
     x, u = trajectory.x, trajectory.u
     terminal = problem.terminal_box
     periods = x[: problem.state_samples]
-    bounds = problem.state_boxes  # the ends apart
     has_end = bool(np.isfinite(np.stack([terminal.lower, terminal.upper])).any())
-    missed = terminal.violation(x[-1])
+    errors = terminal.violation(x[-1])
     return Measures(
         cost=problem.value(x, u),
         max_control=float(np.abs(u).max()),
         control_violation=float(problem.control_tube.violation(u).max()),
-        state_violation=float(bounds.violation(x).max()),
+        state_violation=float(problem.state_boxes.violation(x).max()),  # without the ends
         stage_violation=max((float(rows.violation(x, u).max()) for rows in problem.stage_rows), default=None),
-        terminal_error=float(missed.max()) if has_end else None,
-        terminal_errors=tuple(float(miss) for miss in missed) if has_end else None,
+        terminal_error=float(errors.max()) if has_end else None,
+        terminal_errors=tuple(errors.tolist()) if has_end else None,
         stopband_energy=stopband_energy(u, problem.control_band),
         stopband_peak=stopband_peak(u, problem.control_band),
         state_stopband_energy=stopband_energy(periods, problem.state_band),
@@ -98,7 +97,7 @@ def stopped_runs(stopped: Mask) -> list[tuple[int, int]]:
 
 
 def stopband_peak(signal: Array, stopped: Mask) -> float | None:
-    """Return the largest zero-padded spectrum magnitude within the stopped runs: it is not zero between the bins."""
+    """Return the largest magnitude of the zero-padded spectrum within the stopped runs, between the bins, too."""
     if not stopped.any():
         return None
     magnitude, top = padded_spectrum(signal)[1], len(stopped) - 1
@@ -110,14 +109,14 @@ def stopband_peak(signal: Array, stopped: Mask) -> float | None:
 
 
 def one_step_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
-    """Return x_{t+1} - f_t(x_t, u_t), shape (T, n): meaningful however unstable the dynamics are."""
+    """Return x_{t+1} - f_t(x_t, u_t), shape (T, n); unstable dynamics do not amplify it."""
     recursion = problem.dynamics.response(problem.horizon) is None
     dynamics = problem.dynamics_along(trajectory) if recursion else problem.equations
     return trajectory.x[1:] - dynamics.successors(trajectory.x, trajectory.u)
 
 
 def growth_along(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return the amplification of the dynamics along a trajectory; 0 where no state follows from another."""
+    """Return the ``amplification`` of the dynamics along a trajectory; 0 of a frequency response, without recursion."""
     if problem.dynamics.response(problem.horizon) is not None:
         return 0.0
     return amplification(problem.dynamics_along(trajectory), problem.horizon)
@@ -138,5 +137,5 @@ def amplification(dynamics: LinearDynamics, horizon: int) -> float:
 
 
 def replay_is_meaningful(growth: float) -> bool:
-    """Whether an open-loop replay of dynamics with this amplification shows more than rounding errors."""
+    """Whether an open-loop simulation of dynamics with this amplification shows more than rounding errors."""
     return bool(np.finfo(float).eps * growth <= REPLAY_LIMIT)

@@ -12,10 +12,10 @@ MOST_BINS = 200  # of a range of frequencies that are steps of their own: horizo
 
 @dataclass(frozen=True, eq=False)
 class Number:
-    """A value of a limit, from ``low`` to ``high`` as a rule, in steps if these are given.
+    """A value of a limit, usually from ``low`` to ``high``, in steps if these are given.
 
-    ``put`` returns its owner with another value of it: a set, rows, a frequency constraint, or, of ``limits.numbers``,
-    the field of a problem. In the key of a frequency constraint's own number, {} stands for the constraint's place.
+    ``put`` returns its owner with another value: a set, rows, a frequency constraint, or, of ``limits.numbers``, the
+    field of a problem. In the key of a number of a frequency constraint, {} stands for the position of the constraint.
     """
 
     key: str
@@ -32,7 +32,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Axis:
-    """Frequencies as they are moved: their unit, in Hz with a sampling time, the Nyquist frequency, and a step."""
+    """The scale of frequencies: their unit (Hz with a sampling time), the Nyquist frequency, and a step."""
 
     unit: str
     nyquist: float

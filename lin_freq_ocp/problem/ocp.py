@@ -1,4 +1,4 @@
-"""The optimal control problem (paper, eq. (DTOCPNSD)): convex costs and sets."""
+"""The optimal control problem (paper, eq. (DTOCPNSD)) with convex costs and sets."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, require_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.levels import with_levels
-from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, changed, terms_of
+from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, replace_fields, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets, end_set
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
@@ -30,12 +30,12 @@ OF_MODES = "problem.with_modes(sequence) is the linear problem of one mode seque
 
 
 class OptimalControlProblem(ProblemData):
-    """Minimise a cost over x_{t+1} = f_t(x_t, u_t), with x_t in X_t, u_t in U_t, and DFT bins of x and u set to zero.
+    """Minimise a cost over x_{t+1} = f_t(x_t, u_t), x_t in X_t, u_t in U_t, with constraints on the DFT of x and u.
 
     Parameters
     ----------
     dynamics : LinearDynamics, FrequencyResponse, PiecewiseAffineDynamics or PiecewiseSmoothDynamics
-        The map f_t, with names, units and sampling time. Outside the regions of all modes nothing is feasible.
+        The map f_t, with names, units and sampling time. Points outside the regions of all modes are infeasible.
     horizon : int
         T: number of controls u_0 .. u_{T-1}; there are T+1 states.
     cost : QuadraticCost, L1Cost, LInfCost, or a sum of them
@@ -44,8 +44,8 @@ class OptimalControlProblem(ProblemData):
         One set (Box, Polyhedron, Ball, ...) for all times, or one per time (T for controls, T+1 for states). A
         control_set may be a FiniteSet.
     initial_state, terminal_state : (n,), set, or None
-        A point (a number, for a single state), a set, or free; taken together with the state set of that time. Outside
-        that set, the problem is infeasible. A terminal_state may be Periodic(), x_T = x_0, or LinkedEnds.
+        A point (a number, for a single state), a set, or free. The state set of that time holds, too: the problem is
+        infeasible if they have no common point. A terminal_state may be Periodic(), x_T = x_0, or LinkedEnds.
     control_spectrum, state_spectrum : Band, MagnitudeBound, EnergyBound, LinearConstraint, sequence of them, or None
         Frequency constraints, on the DFT of length T for controls and T+1 for states (T with Periodic()).
     stage_rows : StageRows, sequence of StageRows, or None
@@ -58,7 +58,7 @@ class OptimalControlProblem(ProblemData):
     Raises
     ------
     ProblemError
-        Saying which field, what was got and what was expected.
+        Naming the field, its value and the expected value.
     UnsupportedError
         If the signals do not fit into memory.
 
@@ -132,12 +132,12 @@ class OptimalControlProblem(ProblemData):
     def with_ends(
         self, initial_state: ConvexSet | ArrayLike | None = None, terminal_state: ConvexSet | ArrayLike | None = None
     ) -> OptimalControlProblem:
-        """Return the same problem with other ends; nothing else is checked again.
+        """Return the same problem with other ends; only these are checked.
 
         Parameters
         ----------
         initial_state, terminal_state : (n,) or set, optional
-            None keeps what the problem has; a free end is Everything().
+            None keeps the end of the problem; a free end is Everything().
 
         Raises
         ------
@@ -146,11 +146,11 @@ class OptimalControlProblem(ProblemData):
         """
         given = {"initial_state": initial_state, "terminal_state": terminal_state}
         ends = {field: end_set(field, end, self.state_dim) for field, end in given.items() if end is not None}
-        problem = changed(self, **ends)
+        problem = replace_fields(self, **ends)
         boxes = not problem.initial_state.members and not problem.terminal_state.members
-        outside = any(beyond.any() for _, beyond in problem.met_ends)
+        unmet = any(outside.any() for _, outside in problem.met_ends)
         of_ends = TermKind.STATE_SET, TermKind.LINKED_ENDS
-        if not boxes or outside or any(term.kind in of_ends for term in self.terms):  # other terms: no ends
+        if not boxes or unmet or any(term.kind in of_ends for term in self.terms):  # other terms have no ends
             problem.__dict__.pop("terms", None)
             _ = problem.terms
         return problem
@@ -161,19 +161,19 @@ class OptimalControlProblem(ProblemData):
         Parameters
         ----------
         references : mapping
-            "x_ref" and "u_ref", as in QuadraticCost; what is absent stays.
+            "x_ref" and "u_ref", as in QuadraticCost; an absent reference stays.
 
         Raises
         ------
         ProblemError
             If a key is unknown, a reference does not fit the problem, or no part of the cost is quadratic.
         """
-        given = known_entries("references", references, ("x_ref", "u_ref"))
+        replaced = known_entries("references", references, ("x_ref", "u_ref"))
         if self.quadratic.zero:
             raise ProblemError("references", f"some for {brief(self.cost)}", "a problem with a quadratic cost")
-        quadratic = replace(self.quadratic, **given)
+        quadratic = replace(self.quadratic, **replaced)
         cost = CostSum([quadratic, *self.cost.norms]) if self.cost.norms else quadratic
-        return changed(self, cost=cost.at_dimensions(self.state_dim, self.control_dim, self.horizon))
+        return replace_fields(self, cost=cost.at_dimensions(self.state_dim, self.control_dim, self.horizon))
 
     @cached_property
     def linear(self) -> LinearDynamics:
@@ -188,10 +188,10 @@ class OptimalControlProblem(ProblemData):
     def affine_at(
         self, trajectory: Trajectory, selections: Mapping[Formula, Array] | None = None
     ) -> OptimalControlProblem:
-        """Return the problem with smooth modes linearised along a trajectory; of affine dynamics, the problem itself.
+        """Return the problem with smooth modes linearised along a trajectory; affine dynamics stay.
 
-        To first order at the trajectory, both problems are the same: they have the same states there, and the same
-        multipliers. The linearised regions need not cover the sets.
+        Both problems agree to first order at the trajectory: its states and its multipliers are the same in both. The
+        linearised regions need not cover the sets.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class OptimalControlProblem(ProblemData):
         """
         if self.dynamics.affine:
             return self
-        problem = changed(self, dynamics=self.dynamics.affine_at(trajectory.x, trajectory.u, selections))
+        problem = replace_fields(self, dynamics=self.dynamics.affine_at(trajectory.x, trajectory.u, selections))
         problem.__dict__.update(borders=(), gap=None)  # smooth pieces meet continuously, and cover the sets
         return problem
 
@@ -215,7 +215,7 @@ class OptimalControlProblem(ProblemData):
         Raises
         ------
         ProblemError
-            If it is no sequence of modes.
+            If the sequence is invalid.
         UnsupportedError
             If the dynamics have no modes.
         """
@@ -223,17 +223,17 @@ class OptimalControlProblem(ProblemData):
         return replace(self, dynamics=dynamics, stage_rows=(*self.stage_rows, rows))
 
     def dynamics_along(self, trajectory: Trajectory) -> LinearDynamics:
-        """Return the linear dynamics along a trajectory: those of the modes that it is in, linearised if smooth."""
+        """Return the linear dynamics along a trajectory: those of its modes, linearised if smooth."""
         return require_form(self.dynamics.linear_at(trajectory.x, trajectory.u), LinearDynamics)
 
     @cached_property
     def borders(self) -> tuple[SwitchingBoundary, ...]:
-        """Where regions of affine modes meet within the sets, and whether the map jumps there; else empty."""
+        """The switching boundaries of affine modes within the sets, and whether the map jumps there; else empty."""
         return self.dynamics.borders(self.stage_sets) if self.dynamics.mode_names else ()
 
     @cached_property
     def gap(self) -> str | None:
-        """A place in the sets, as text, that the regions of affine modes leave out; None if they cover the sets."""
+        """A point of the sets, as text, outside the regions of all affine modes; None if they cover the sets."""
         return self.dynamics.gap(self.stage_sets) if self.dynamics.mode_names else None
 
     @property
@@ -243,7 +243,7 @@ class OptimalControlProblem(ProblemData):
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """Everything beyond the quadratic cost, boxes and stop bands: constraints, soft ones, and nonsmooth costs."""
+        """All constraints and costs but the quadratic cost, boxes and stop bands."""
         return terms_of(self)
 
     def value(self, x: Array, u: Array) -> float:
@@ -252,12 +252,12 @@ class OptimalControlProblem(ProblemData):
 
     @cached_property
     def control_band(self) -> Mask:
-        """Which bins of which control are removed or bounded by a mask or an energy: shape (T//2 + 1, m)."""
+        """The bins of each control that a stop band, a mask or an energy limits: shape (T//2 + 1, m)."""
         return self.control_stop | bounded_bins(self.terms, TermKind.CONTROL_SPECTRUM, self.control_stop.shape)
 
     @cached_property
     def state_band(self) -> Mask:
-        """Which bins of which state are removed or bounded by a mask or an energy: shape (state_samples//2 + 1, n)."""
+        """The bins of each state that a stop band, a mask or an energy limits: shape (state_samples//2 + 1, n)."""
         return self.state_stop | bounded_bins(self.terms, TermKind.STATE_SPECTRUM, self.state_stop.shape)
 
     def require(self, trajectory: Trajectory) -> None:

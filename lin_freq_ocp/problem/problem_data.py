@@ -1,24 +1,24 @@
-"""The fields of a problem, and what follows from them: dimensions, bounds, stopped bins, and its terms.
+"""The fields of a problem, and dimensions, bounds, stopped bins and terms that follow from them.
 
-The terms are made of the sets, rows, costs and frequency constraints that the problem was given.
+Terms are made of sets, rows, costs and frequency constraints.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, sealed, with_fields
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, seal, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
-from lin_freq_ocp.problem.sets.box import END_TOLERANCE, Box, SetOrSets, box_of, end_within, stacked
+from lin_freq_ocp.problem.sets.box import END_TOLERANCE, Box, SetOrSets, bounds_over_time, box_of, end_within
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stopped_bins, time_signal
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, named_entries
@@ -47,7 +47,7 @@ class ProblemData:
 
     @property
     def origin(self) -> Array | None:
-        """Return where zero states lie in the coordinates that they were given in (``Translation``); None: there."""
+        """Return the position of zero states in the coordinates of the user (``Translation``); None for zero."""
         return self.__dict__.get("_origin")
 
     @cached_property
@@ -114,7 +114,7 @@ class ProblemData:
     @cached_property
     def state_boxes(self) -> Box:
         """The bounds of the state set of each time, (T+1, n), without the initial and the terminal set."""
-        return stacked("state_set", self.state_set, self.state_dim, self.horizon + 1)
+        return bounds_over_time("state_set", self.state_set, self.state_dim, self.horizon + 1)
 
     @property
     def ends(self) -> tuple[Box, Box]:
@@ -123,9 +123,9 @@ class ProblemData:
 
     @cached_property
     def met_ends(self) -> tuple[tuple[Box, Mask], tuple[Box, Mask]]:
-        """The bounds of both ends, and in which components, (n,), no point of an end is in the state set of its time.
+        """The bounds of both ends, and the components, (n,), in which an end lies outside the state set of its time.
 
-        There the bounds are those of the end, and the bounds of the state set are terms.
+        In these components the bounds are those of the end, and the bounds of the state set are terms.
         """
         boxes = self.state_boxes
         return end_within(self.initial_box, boxes.at(0)), end_within(self.terminal_box, boxes.at(-1))
@@ -141,7 +141,7 @@ class ProblemData:
     @cached_property
     def control_tube(self) -> Box:
         """U_0 .. U_{T-1}, bounds of shape (T, m)."""
-        return stacked("control_set", self.control_set, self.control_dim, self.horizon)
+        return bounds_over_time("control_set", self.control_set, self.control_dim, self.horizon)
 
     @cached_property
     def control_stop(self) -> Mask:
@@ -155,7 +155,7 @@ class ProblemData:
         return self.horizon + 1 - any(one.repeats for one in self.links)
 
     def in_time(self, rho_x: ComplexArray) -> Array:
-        """Return (R' rho_x)_t, (T+1, n), for rho_x (N//2 + 1, n); it is zero where a state is in no spectrum."""
+        """Return (R' rho_x)_t, (T+1, n), for rho_x (N//2 + 1, n); zero at a last state that spectra leave out."""
         signal = time_signal(rho_x, self.state_samples)
         last = np.zeros((self.horizon + 1 - len(signal), self.state_dim), dtype=signal.dtype)
         return np.concatenate([signal, last])
@@ -168,22 +168,22 @@ class ProblemData:
 
 
 Data = TypeVar("Data", bound=ProblemData)
-# The cached properties that depend on a field, where not on everything
+# The cached properties that depend on a field and not on all of them
 DEPENDENT = {
     "dynamics": ("linear", "equations", "borders", "gap"),
     "cost": ("quadratic",),
     "state_set": ("state_boxes", "met_ends", "state_tube", "terms"),
-    "initial_state": ("met_ends", "state_tube"),  # and of some, the terms: see ``with_ends``
+    "initial_state": ("met_ends", "state_tube"),  # and the terms, in the cases that ``with_ends`` names
     "terminal_state": ("met_ends", "state_tube"),
 }
 
 
-def changed(problem: Data, **fields: object) -> Data:
-    """Return a problem with other fields, which fit: nothing is checked again, and what depends on them not kept."""
-    other = with_fields(problem, **fields)
+def replace_fields(problem: Data, **fields: object) -> Data:
+    """Return a problem with other fields, unchecked, and without the cached properties that depend on them."""
+    copy = with_fields(problem, **fields)
     for name in (name for field in fields for name in DEPENDENT.get(field, ())):
-        other.__dict__.pop(name, None)
-    return other
+        copy.__dict__.pop(name, None)
+    return copy
 
 
 def terms_of(problem: ProblemData) -> tuple[Term, ...]:
@@ -192,6 +192,17 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     fixed = problem.fixed_ends
     states = Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, problem.state_samples, step)
     controls = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, T, step)
+    boxes, identity = problem.state_boxes, np.eye(n)
+    unmet_bounds = [  # bounds of the state set that no point of an end satisfies, a term for each end and component
+        Term(
+            f"state bound on {problem.state_names[i]}",
+            TermKind.STATE_SET,
+            StageMap(np.array([t]), np.stack([identity[i], -identity[i]]), None, np.zeros(2)),
+            HalfSpaces(np.array([[boxes.upper[t, i], -boxes.lower[t, i]]]), HARD),
+        )
+        for t, (_, outside) in zip((0, T), problem.met_ends, strict=True)
+        for i in np.flatnonzero(outside)
+    ]
     stated = len(problem.terminal_state.links(n, T))  # of the links: the others follow from the dynamics
     sources = [("terminal_state", 0) if i < stated else None for i in range(len(problem.links))]
     found = [
@@ -204,7 +215,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
             )
             for rows in problem.stage_rows
         ),
-        *unmet_bounds(problem),
+        *unmet_bounds,
         *set_terms("state_set", problem.state_set, n, np.arange(T + 1), fixed),
         *set_terms("initial_state", problem.initial_state, n, np.array([0]), fixed),
         *set_terms("terminal_state", problem.terminal_state, n, np.array([T]), fixed),
@@ -226,7 +237,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
         found += outputs.terms(n, m, T, step, where, i)
     found += problem.cost.terms(n, m, T)
     counts, seen = Counter(term.name for term in found), Counter[str]()
-    for k, term in enumerate(found):  # names that would stand twice get their band, or a number
+    for k, term in enumerate(found):  # a name that occurs again gets its band, or a number
         if term.band and counts[term.name] > 1:
             term = found[k] = replace(term, name=f"{term.name} at {term.band}")
         seen[term.name] += 1
@@ -235,21 +246,10 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     return tuple(found)
 
 
-def unmet_bounds(problem: ProblemData) -> Iterator[Term]:
-    """Yield the bounds of the state set that no point of an end keeps, one term for each end and component."""
-    boxes, identity = problem.state_boxes, np.eye(problem.state_dim)
-    for t, (_, beyond) in zip((0, problem.horizon), problem.met_ends, strict=True):
-        for i in np.flatnonzero(beyond):
-            limits = np.array([boxes.upper[t, i], -boxes.lower[t, i]])
-            rows = StageMap(np.array([t]), np.stack([identity[i], -identity[i]]), None, np.zeros(2))
-            name = f"state bound on {problem.state_names[i]}"
-            yield Term(name, TermKind.STATE_SET, rows, HalfSpaces(limits[None], HARD))
-
-
 def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixed: dict[int, Array]) -> list[Term]:
     """Return the terms of the sets of one signal, of one field of the problem, beyond their boxes.
 
-    Where the signal is ``fixed`` (time to value), a hard set is made a constraint only if the value lies outside.
+    Where the signal is ``fixed`` (time to value), a hard part that the value satisfies, up to rounding, has no term.
     """
     per_time = isinstance(given, Sequence)
     sets = given if per_time else [given] * len(times)
@@ -268,24 +268,20 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
                 raise ProblemError(field, links[0].name, "a set of one state or control", advice)
             parts_of[id(one)] = one.parts(dimension)
         for k, part in enumerate(parts_of[id(one)]):
-            if t in fixed and part.penalty.hard and _satisfies(part, fixed[t]):
-                continue
+            if t in fixed and part.penalty.hard:
+                violation = float(part.penalty.violation(part.values(fixed[t][None])).max())
+                if violation <= END_TOLERANCE * float((np.abs(part.F) @ np.abs(fixed[t]) + np.abs(part.c)).max()):
+                    continue
             parts.setdefault((k, part.F.shape, part.penalty.signature), []).append((int(t), part))
     of_state, name, terms = field != "control_set", field.replace("_", " "), list[Term]()
     kind = TermKind.STATE_SET if of_state else TermKind.CONTROL_SET
-    for i, found in enumerate(parts.values()):  # the same part of a set at several times is one term
-        several = [part for _, part in found]
-        F, c = _merge_equal([part.F for part in several]), _merge_equal([part.c for part in several])
-        rows = StageMap(np.array([t for t, _ in found]), F if of_state else None, None if of_state else F, c)
-        penalty = several[0].penalty.stacked([part.penalty for part in several])
+    for i, timed in enumerate(parts.values()):  # the same part of a set at several times is one term
+        same = [part for _, part in timed]
+        F, c = _merge_equal([part.F for part in same]), _merge_equal([part.c for part in same])
+        rows = StageMap(np.array([t for t, _ in timed]), F if of_state else None, None if of_state else F, c)
+        penalty = same[0].penalty.stacked([part.penalty for part in same])
         terms.append(Term(name if i == 0 else f"{name} {i + 1}", kind, rows, penalty, (field, 0)))
     return terms
-
-
-def _satisfies(part: Part, value: Array) -> bool:
-    """Whether a value satisfies a part of a set, up to rounding."""
-    excess = float(part.penalty.violation(part.values(value[None])).max())
-    return excess <= END_TOLERANCE * float((np.abs(part.F) @ np.abs(value) + np.abs(part.c)).max())
 
 
 def _merge_equal(arrays: list[Array]) -> Array:
@@ -295,12 +291,12 @@ def _merge_equal(arrays: list[Array]) -> Array:
 
 
 def bounded_bins(terms: Sequence[Term], kind: TermKind, shape: tuple[int, int]) -> Mask:
-    """Return which bins of which component the magnitude and energy bounds of a spectrum are about, (bins, components).
+    """Return the bins, (bins, components), that the magnitude and energy bounds of a spectrum limit.
 
-    A point of a finer grid belongs to the nearest bin.
+    A point of a finer grid counts as its nearest bin.
     """
     bounded = np.zeros(shape, dtype=bool)
     for term in terms:
         if term.kind == kind:
             bounded[term.map.nearest_bins, term.map.component] = True
-    return sealed(bounded)
+    return seal(bounded)

@@ -1,12 +1,12 @@
-"""Reductions: a problem is solved as another one, and its inverse leads from answers of that one back.
+"""Reductions: a problem is replaced by another one, and an inverse recovers answers of the given problem.
 
-As in CVXPY, a reduction says which problems it accepts, and ``apply`` returns another problem with the inverse, which
-recovers trajectory, multipliers, rays and directions of descent. A method names its reductions in a tuple: they are
-applied from left to right, each where it accepts, and recovered from right to left. The recovered answer is a claim
-about the given problem, which the judge checks there.
+As in CVXPY, a reduction accepts some problems, and ``apply`` returns another problem with the inverse, which recovers
+trajectory, multipliers, rays and directions of descent. A method has a tuple of reductions: those that accept the
+problem are applied from left to right, and recovered from right to left. The judge checks the recovered answer, a claim
+about the given problem, on that problem.
 
-A new reduction is a subclass of ``Inverse`` that overrides what differs, and a function that makes it of a problem.
-Its cases stand in the table of ``tests/helpers/reductions.py``.
+A new reduction is a subclass of ``Inverse`` that overrides some methods, and a function from a problem to this class.
+Its cases are in the table of ``tests/helpers/reductions.py``.
 
 References: Agrawal, Verschueren, Diamond and Boyd, Journal of Control and Decision 5, 2018 (a rewriting system for
 convex optimization problems).
@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
 class _Answer(Protocol):
-    """A point with multipliers, a ray, or a direction (dx, du) of descent, as a dataclass; None for what is absent."""
+    """A point with multipliers, a ray, or a direction (dx, du) of descent, as a dataclass; absent parts are None."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[object]]]
 
@@ -57,9 +57,9 @@ class Inverse:
         return reduced
 
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
-        """Return multipliers at a recovered trajectory; those of a ray or of a bound have none.
+        """Return multipliers at a recovered trajectory; without one, those of a ray or of a bound.
 
-        UnsupportedError if the answer of the reduced problem is none of the given one.
+        UnsupportedError if the answer of the reduced problem has no counterpart in the given problem.
         """
         return reduced
 
@@ -90,11 +90,11 @@ class Reduction:
     inverse: Callable[[OptimalControlProblem], Inverse | None]
 
     def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether a problem has what is reduced."""
+        """Whether the reduction changes a problem."""
         return self.inverse(problem) is not None
 
     def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, Inverse]:
-        """Return the reduced problem and the way back: the problem itself, with no change, if it is not accepted."""
+        """Return the reduced problem and the way back; without change if the problem is not accepted."""
         inverse = self.inverse(problem) or Inverse(problem, problem)
         return inverse.problem, inverse
 

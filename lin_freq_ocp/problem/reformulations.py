@@ -1,8 +1,8 @@
-"""Reductions of any problem: states counted from another origin, states added, rates limited, sampled frequencies.
+"""Reductions of any problem: another origin of the states, added states, rate limits, sampled frequencies.
 
-A far origin costs digits, so that states are counted from where they move. Where a constraint has a memory, the memory
-becomes a state; a limit on the change of a control is joint rows on (x_t, u_{t-1}). Semi-infinite constraints have
-terms at finitely many points, and ``at_frequencies`` chooses these.
+A far origin costs digits: ``translation_of`` moves it to the trajectory. The memory of a constraint becomes a state; a
+limit on the change of a control is joint rows on (x_t, u_{t-1}). Semi-infinite constraints have terms at finitely many
+points, which ``at_frequencies`` chooses.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array, with_columns, with_rows
+from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array, with_columns
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.problem_data import changed
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
@@ -32,18 +32,17 @@ from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-# Distances between the data of a state beyond which its origin is moved; nearer, a digit is lost at most
-FAR_FROM_ZERO = 10.0
-ROUNDING = 1e-12  # of a bin that a constant leaves at zero, relative to its terms
+FAR_FROM_ZERO = 10.0  # distance of an origin, in distances between the data of a state, that costs more than a digit
+ROUNDING = 1e-12  # largest value of a bin, relative to its terms, that a constant does not change
 
 
 @dataclass(frozen=True, eq=False)
 class Translation(Inverse):
-    """A problem, and the same problem with its states counted from an origin, (n,): x = origin + y.
+    """A problem, and the same problem in y = x - origin, (n,).
 
-    A, B, control sets, multipliers and costs stay; offsets, ends, state sets, references, rows, guards and regions move
-    along. A move of 1 m at a northing of 5 000 000 m is badly posed in double precision, as every solver and every
-    relative tolerance sees numbers of 5e6; counted from the start of the move, it is the same problem as anywhere else.
+    A, B, control sets, multipliers and costs stay; offsets, ends, state sets, references, rows, guards and regions are
+    translated. A move of 1 m at a northing of 5 000 000 m is badly posed in double precision, as every solver and every
+    relative tolerance sees numbers of 5e6. With the start of the move as origin, its position makes no difference.
     """
 
     origin: Array
@@ -73,12 +72,12 @@ class Translation(Inverse):
 
 
 def translation_of(problem: OptimalControlProblem) -> Translation:
-    """Return a problem with its states counted from where they move; itself where they move near zero."""
+    """Return the translation of a problem to its ``far_origin``; without change if that is zero."""
     return translated_by(problem, far_origin(problem))
 
 
 def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
-    """Return a problem with its states counted from an origin (n,), where its classes allow that.
+    """Return the translation of a problem to an origin (n,); no change if dynamics or cost cannot be translated.
 
     Nothing is checked again.
     """
@@ -88,7 +87,7 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
     dynamics, cost = problem.dynamics.translated(origin), problem.cost.translated(origin)
     if dynamics is None or cost is None:
         return none
-    moved = changed(
+    moved = replace_fields(
         problem,
         dynamics=dynamics,
         cost=cost.at_dimensions(problem.state_dim, problem.control_dim, problem.horizon),
@@ -99,7 +98,7 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
         _origin=origin if problem.origin is None else problem.origin + origin,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", BandWarning)  # the given problem has said so
+        warnings.simplefilter("ignore", BandWarning)  # the given problem has warned
         _ = moved.ends, moved.terms
     return Translation(problem, moved, origin)
 
@@ -112,19 +111,19 @@ def translated_set(given: SetOrSets, origin: Array) -> SetOrSets:
 
 
 def far_origin(problem: OptimalControlProblem) -> Array:
-    """Return the origin from which states are to be counted, (n,); zero in components that are near it.
+    """Return the origin for a translation, (n,); zero in components whose data are near zero.
 
-    A state lies where its ends are fixed, else at its references, else in the middle of its bounds. It is far from zero
-    if it lies FAR_FROM_ZERO times farther than these values differ, and than it drifts from there over the horizon
-    without control, going on as in the first step. Spectra of a state that depend on its mean keep its zero.
+    The position of a state is that of its fixed ends, else its reference, else the middle of its bounds. It is far from
+    zero if it exceeds FAR_FROM_ZERO times the differences of these values, and FAR_FROM_ZERO times the drift over the
+    horizon without control at the rate of the first step. A spectrum that limits the mean of a state keeps its zero.
     """
-    places = _fixed_places(problem)
-    centre, highest, lowest = places[0], places[0], places[0]
-    for place in places[1:]:
-        centre = np.where(np.isnan(centre), place, centre)
-        highest, lowest = np.fmax(highest, place), np.fmin(lowest, place)
+    positions = _known_positions(problem)
+    centre, highest, lowest = positions[0], positions[0], positions[0]
+    for position in positions[1:]:
+        centre = np.where(np.isnan(centre), position, centre)
+        highest, lowest = np.fmax(highest, position), np.fmin(lowest, position)
     spread, unknown = highest - lowest, np.isnan(centre)
-    if unknown.any():  # the first set that bounds a state on both sides says where its middle is
+    if unknown.any():  # of the first set that bounds the state on both sides
         middle = half = np.full(problem.state_dim, np.nan)
         for box in (problem.state_boxes.at(0), *reversed(problem.ends)):
             bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
@@ -135,34 +134,34 @@ def far_origin(problem: OptimalControlProblem) -> Array:
     if not far.any():
         return np.zeros(problem.state_dim)
     centre, drift = np.nan_to_num(centre), np.zeros(problem.state_dim)
-    with suppress(LinFreqOCPError):  # no mode holds there, or there are no steps
+    with suppress(LinFreqOCPError):  # outside all modes, or without a recursion
         step = problem.dynamics.given[0].stepper(problem.horizon)
         drift = problem.horizon * np.nan_to_num(np.abs(step(0, centre, np.zeros(problem.control_dim)) - centre))
     far &= np.abs(centre) > FAR_FROM_ZERO * drift
     return np.where(far & ~_limited_about_zero(problem), centre, 0.0)
 
 
-def _fixed_places(problem: OptimalControlProblem) -> list[Array]:
-    """Return where the data say that states are, (n,) each, in order of preference; nan where they do not."""
+def _known_positions(problem: OptimalControlProblem) -> list[Array]:
+    """Return fixed ends and references of the states, (n,) each, in order of preference; nan where there is none."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
-    found = [np.where(end.fixed, end.lower, np.nan) for end in problem.ends]
+    positions = [np.where(end.fixed, end.lower, np.nan) for end in problem.ends]
     references = [cost.x_ref]
     if cost.x_ref.ndim == 2:
         references = [cost.x_ref[0], cost.x_ref.max(0), cost.x_ref.min(0)]
-    found += [np.where(cost.weighs, reference, np.nan) for reference in references]
+    positions += [np.where(cost.weighs, reference, np.nan) for reference in references]
     for norm in problem.cost.norms:
         for i in range(n):
-            given = norm.references(i, True, T)
-            if given is not None and given[1].any():
-                values = np.broadcast_to(given[0] if given[0].ndim == 0 else given[0][..., i], T + 1)[given[1]]
-                found += [np.where(np.arange(n) == i, value, np.nan) for value in (values.max(), values.min())]
-    return found
+            reference, weighted = norm.references(i, True, T) or (np.zeros(()), np.zeros(T + 1, dtype=bool))
+            if weighted.any():
+                values = np.broadcast_to(reference if reference.ndim == 0 else reference[..., i], T + 1)[weighted]
+                positions += [np.where(np.arange(n) == i, value, np.nan) for value in (values.max(), values.min())]
+    return positions
 
 
 def _limited_about_zero(problem: OptimalControlProblem) -> Mask:
-    """Return which states a frequency constraint limits by their distance from zero, (n,)."""
+    """Return the states whose mean a frequency constraint limits, (n,)."""
     n, none = problem.state_dim, np.zeros((problem.horizon, problem.control_dim))
-    found = problem.state_stop[0].copy()
+    limited = problem.state_stop[0].copy()
     rest = np.zeros((problem.horizon + 1, n))
     for term in problem.terms:
         if not term.kind.is_spectrum:
@@ -171,10 +170,10 @@ def _limited_about_zero(problem: OptimalControlProblem) -> Mask:
             steady = rest + (np.arange(n) == i)
             moved = term.map.values(steady, none) - term.map.values(rest, none)
             sizes = term.map.sizes(steady, none)
-            found[i] |= bool((np.abs(moved) > ROUNDING * sizes).any())
+            limited[i] |= bool((np.abs(moved) > ROUNDING * sizes).any())
             if term.semi_infinite is not None:
-                found[i] |= bool(term.semi_infinite.map.signal(steady, none).any())
-    return found
+                limited[i] |= bool(term.semi_infinite.map.signal(steady, none).any())
+    return limited
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +188,8 @@ class AddedStates:
     terminal: Box | None = None  # of w_T
 
 
-def extended(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
-    """Return the problem in the states (x, w); its own constraints and cost are as they were."""
+def add_states(problem: OptimalControlProblem, added: AddedStates) -> OptimalControlProblem:
+    """Return the problem in the states (x, w), with the same constraints and cost."""
     dynamics = problem.dynamics.augmented(added.A, added.B, added.names, problem.horizon)
     return augment_states(problem, dynamics, added.initial, added.lower, problem.quadratic, terminal=added.terminal)
 
@@ -220,7 +219,7 @@ def augment_states(
     return replace(
         problem,
         dynamics=dynamics,
-        cost=CostSum([_augmented_cost(quadratic, k, weight), *(one.extended(n, k) for one in problem.cost.norms)]),
+        cost=CostSum([quadratic.augmented(k, weight), *(one.augmented(n, k) for one in problem.cost.norms)]),
         state_set=augmented_set,
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, terminal or Box(-free, free)),
@@ -232,33 +231,17 @@ def augment_states(
     )
 
 
-def _augmented_cost(cost: QuadraticCost, k: int, weight: float) -> QuadraticCost:
-    """Return a cost of x, with weight/2 |w_t|^2 for w in R^k besides."""
-    n, m = cost.S.shape[-2:]
-    return QuadraticCost(
-        Q=with_rows(with_columns(cost.Q, k), weight * np.eye(k, n + k, n)),
-        R=cost.R,
-        S=with_rows(cost.S, np.zeros((k, m))),
-        q=with_columns(cost.q, k),
-        r=cost.r,
-        P=with_rows(with_columns(cost.P, k), np.zeros((k, n + k))),
-        p=with_columns(cost.p, k),
-        x_ref=with_columns(cost.x_ref, k),
-        u_ref=cost.u_ref,
-    )
-
-
 def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
-    """Return the set of (x, w) with x in the given set, whose bounds these are, and w within the added ones."""
+    """Return the set of (x, w) with x in the given set, which has these bounds, and w in the added box."""
     box = Box(np.hstack([bounds.lower, added.lower]), np.hstack([bounds.upper, added.upper]))
     n, k = bounds.lower.shape[-1], added.lower.shape[-1]
     members = () if given is None else given.members
-    return Intersection([box, *(one.extended(n, k) for one in members)]) if members else box
+    return Intersection([box, *(member.augmented(n, k) for member in members)]) if members else box
 
 
 @dataclass(frozen=True, eq=False)
 class OwnStates(Inverse):
-    """The way back from a problem in the states (x, w) to the one in x, where w has no cost at a trajectory."""
+    """The way back from a problem in the states (x, w), w without cost, to the one in x."""
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return the trajectory without w."""
@@ -269,7 +252,7 @@ class OwnStates(Inverse):
         return self.trajectory(reduced)
 
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
-        """Return the multipliers without those of w; what limits x and w together keeps them under its name."""
+        """Return the multipliers without those of w; rows on x and w keep theirs."""
         n, stage = self.given.state_dim, dict(reduced.stage)
         sizes = {term.name: term.shape[1] for term in self.given.terms}
         for term in self.problem.terms:
@@ -354,7 +337,7 @@ def rate_limit(
     labels = [split_unit(problem.control_names[j]) for j in limited]
     names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
     added = AddedStates(np.zeros((k, k)), chosen, before, np.full(k, -np.inf), names, after)
-    remembering = extended(problem, added)
+    remembering = add_states(problem, added)
     of_x = np.zeros((k, problem.state_dim))
     rows = StageRows(
         np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
@@ -377,26 +360,26 @@ Kind = TypeVar("Kind", bound=SemiInfiniteConstraint)
 
 
 def semi_infinite_terms(problem: OptimalControlProblem, kind: type[Kind]) -> list[tuple[Term, Kind]]:
-    """Return the terms whose infinitely many constraints are of a kind, and these."""
-    return [(term, found) for term in problem.terms if isinstance(found := term.semi_infinite, kind)]
+    """Return the terms with semi-infinite constraints of a kind, and these constraints."""
+    return [(term, constraint) for term in problem.terms if isinstance(constraint := term.semi_infinite, kind)]
 
 
 def at_frequencies(
     problem: OptimalControlProblem, frequencies: Mapping[str, Array], points_only: bool = False
 ) -> OptimalControlProblem:
-    """Return the problem whose terms stand at these points, (groups,) in rad/sample or (groups, 2), by their name.
+    """Return the problem with semi-infinite terms at these points, (groups,) in rad/sample or (groups, 2), by name.
 
-    Others stay where they are. ``points_only``: nothing is required at other points.
+    Terms without an entry keep their points. ``points_only``: nothing is required at other points.
     """
-    found = [term for term in problem.terms if term.semi_infinite is not None]
-    if not found or not (frequencies or points_only):
+    semi_infinite = [term for term in problem.terms if term.semi_infinite is not None]
+    if not semi_infinite or not (frequencies or points_only):
         return problem
-    pending = iter([frequencies.get(term.name, term.map.locations) for term in found])
+    pending = iter([frequencies.get(term.name, term.map.locations) for term in semi_infinite])
 
-    def placed(given: object, names: Sequence[str]) -> list[FrequencyConstraint]:
+    def set_points(entries: object, names: Sequence[str]) -> list[FrequencyConstraint]:
         """Return the entries of a field; those at every frequency take the next points, one array a component."""
         constraints: list[FrequencyConstraint] = []
-        for constraint in entries_of(given):
+        for constraint in entries_of(entries):
             if constraint.every_frequency:
                 count = len(component_indices("spectrum", constraint.component, names))
                 constraint = constraint.at_frequencies([next(pending) for _ in range(count)], points_only)
@@ -405,18 +388,20 @@ def at_frequencies(
 
     return replace(
         problem,
-        state_spectrum=placed(problem.state_spectrum, problem.state_names),
-        control_spectrum=placed(problem.control_spectrum, problem.control_names),
+        state_spectrum=set_points(problem.state_spectrum, problem.state_names),
+        control_spectrum=set_points(problem.control_spectrum, problem.control_names),
         output_spectrum=[
-            OutputSpectrum(one.C, one.D, placed(one.constraints, one.output_names), one.output_names)
-            for one in entries_of(problem.output_spectrum)
+            OutputSpectrum(
+                outputs.C, outputs.D, set_points(outputs.constraints, outputs.output_names), outputs.output_names
+            )
+            for outputs in entries_of(problem.output_spectrum)
         ],
     )
 
 
 @dataclass(frozen=True, eq=False)
 class SampledMasks(Inverse):
-    """The relaxed problem whose semi-infinite constraints hold at points, by the names of their terms.
+    """The relaxed problem with semi-infinite constraints at points only, by the names of their terms.
 
     At all other points their multipliers are zero.
     """
@@ -424,7 +409,7 @@ class SampledMasks(Inverse):
     points: Mapping[str, Array]
 
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
-        """Return the multipliers with the points that they stand at; those of zero are left out."""
+        """Return the multipliers that are not zero, with their points."""
         stage, frequencies = dict(reduced.stage), dict[str, Array]()
         for name, points in self.points.items():
             weights = reduced.stage.get(name, np.zeros((len(points), 2)))

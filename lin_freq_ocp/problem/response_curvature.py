@@ -26,7 +26,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 @dataclass(frozen=True, eq=False)
 class BinCurvature:
-    """H_k (bins, m, m), and which controls may use bin k, (bins, m)."""
+    """H_k (bins, m, m), and the controls that may use bin k, (bins, m)."""
 
     hessians: ComplexArray
     passed: Mask
@@ -38,10 +38,10 @@ class BinCurvature:
 
     @cached_property
     def smallest(self) -> Array:
-        """The smallest eigenvalue at each bin, (bins,); 0 where it is rounding, or where no control may use the bin."""
-        found = np.linalg.eigvalsh(self.within)
-        rounding = CONVEXITY_TOLERANCE * np.abs(found).max(initial=0.0)
-        return np.where(found[:, 0] < -rounding, found[:, 0], np.maximum(found[:, 0], 0.0))
+        """The smallest eigenvalue at each bin, (bins,); 0 if it is rounding, or if no control may use the bin."""
+        eigenvalues = np.linalg.eigvalsh(self.within)
+        rounding = CONVEXITY_TOLERANCE * np.abs(eigenvalues).max(initial=0.0)
+        return np.where(eigenvalues[:, 0] < -rounding, eigenvalues[:, 0], np.maximum(eigenvalues[:, 0], 0.0))
 
     @property
     def failing(self) -> Indices:
@@ -66,10 +66,10 @@ def require_convex_bins(problem: OptimalControlProblem, response: Response) -> N
     """Raise UnsupportedError, with the bins, unless the cost is convex in the controls that the bands allow."""
     if problem.quadratic.nonconvexity() is None:
         return
-    found, P = bin_curvature(problem, response), np.linalg.eigvalsh(problem.quadratic.P)
+    curvature, P = bin_curvature(problem, response), np.linalg.eigvalsh(problem.quadratic.P)
     if P[0] < -CONVEXITY_TOLERANCE * np.abs(P).max():
         raise UnsupportedError(f"cost: P has the eigenvalue {P[0]:g}; a convex method needs it positive semidefinite.")
-    if found is None:
+    if curvature is None:
         raise UnsupportedError(
             "cost: [[Q, S], [S', R]] depends on time and is not positive semidefinite at all times; with a "
             "FrequencyResponse, a constant one is enough if it is convex at every bin."
@@ -78,19 +78,19 @@ def require_convex_bins(problem: OptimalControlProblem, response: Response) -> N
         Q = np.linalg.eigvalsh(problem.quadratic.Q)
         if Q[0] < -CONVEXITY_TOLERANCE * np.abs(Q).max():
             raise UnsupportedError(f"cost: Q has the eigenvalue {Q[0]:g}; zero-padded, it must not be below zero.")
-    k = found.failing
+    k = curvature.failing
     if not len(k):
         return
     step = problem.sampling_time
     unit = "Hz" if step is not None else "cycles/sample"
     frequencies = k / (response.record * (step or 1.0))
     listed = first_few([f"{i} ({f:.6g} {unit})" for i, f in zip(k, frequencies, strict=True)], 8)
-    worst = int(np.argmin(found.smallest))
-    what = "bin" if len(k) == 1 else "bins"
+    worst = int(np.argmin(curvature.smallest))
+    noun = "bin" if len(k) == 1 else "bins"
     stopped = "remove these bins by a stop band of the controls, " if response.closed else ""
     raise UnsupportedError(
-        f"cost: not convex in the controls at {len(k)} {what} of the frequency response: {listed}. "
-        f"G^*Q G + G^*S + S'G + R has the eigenvalue {found.smallest[worst]:g} at bin {worst}; a convex method needs "
-        "it positive semidefinite. "
+        f"cost: not convex in the controls at {len(k)} {noun} of the frequency response: {listed}. "
+        f"G^*Q G + G^*S + S'G + R has the eigenvalue {curvature.smallest[worst]:g} at bin {worst}; a convex method "
+        "needs it positive semidefinite. "
         f"What helps: {stopped}raise the real part of G there (for instance, a floor for a measured damping), or R."
     )

@@ -21,7 +21,7 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
     Parameters
     ----------
     problem : OptimalControlProblem
-        Its sets and bands are not looked at.
+        Its sets and bands play no part.
     u : (T, m)
         Controls.
     initial_state : (n,), optional
@@ -36,7 +36,7 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
     ProblemError
         If a shape is wrong or there is no single initial state.
     NumericalError
-        If the state overflows, or no mode holds where it leads.
+        If the state overflows, or leaves the regions of all modes.
 
     Examples
     --------

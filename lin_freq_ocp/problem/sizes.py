@@ -1,4 +1,4 @@
-"""Sizes of states and controls as the data state them, and scales of a search. The judge has its own."""
+"""Sizes of states and controls from the data of a problem, and the scale of a search. The judge has its own."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 SOLVER_ROUNDING = 1e-12  # deviations relative to sizes that the search does not distinguish from zero
-FINEST_GAP = 1e-6  # a gap that costs no more than SOLVER_ROUNDING counts as this
-WEIGHTY = 0.1  # part of a row's largest coefficient below which the row's limit says nothing of a component
+FINEST_GAP = 1e-6  # smallest relative gap of a search: what SOLVER_ROUNDING costs is this part of the scale
+WEIGHTY = 0.1  # a row limits a component whose coefficient is at least this part of the row's largest
 NO_GAIN = 1e-14  # entries of a row of [A, B] below this part of its largest are rounding
-FAR_BEYOND = 1e4  # factor between a bound and other sizes of a component from which the bound stands for none
+FAR_BEYOND = 1e4  # a bound that exceeds the other sizes of its component by this factor counts as none
 
 
 def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return the sum of the absolute terms of the cost, or what rounding errors cost, over FINEST_GAP."""
+    """Return the sum of the absolute terms of the cost, at least the cost of rounding errors over FINEST_GAP."""
     cost, (x, u) = problem.quadratic, (trajectory.x, trajectory.u)
     total = cost.sum_of_terms(x, u) + sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
     sizes = zip(stated_sizes(problem), (x, u), strict=True)
-    moved = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)
-    return max(total, cost.magnitudes().value(*moved) / FINEST_GAP)
+    rounding = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)
+    return max(total, cost.magnitudes().value(*rounding) / FINEST_GAP)
 
 
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
-    """Return sizes of states, (n,), and controls, (m,), as the data state them, before anything is solved.
+    """Return sizes of states, (n,), and controls, (m,), from the data alone, before anything is solved.
 
-    A component is as large as its ends, references and levels, else its bounds, else (a control) what other sets and
-    rows allow, else what the others make of it within the horizon, else what makes the others as large as they are,
-    else what other sets and rows allow, else 1. Bounds far beyond what ends, references and dynamics imply stand for
-    none. States count from where they move.
+    The first of these that a component has is its size: the largest of its ends, references and levels; its bounds; of
+    a control, the limits of other sets and rows; what the other components cause in it within the horizon; what it must
+    be to cause the sizes of the others; the limits of other sets and rows; 1. A bound far above what ends, references
+    and dynamics imply counts as none. States are measured from the origin of ``translation_of``.
     """
-    near = translation_of(problem).problem
-    return completed_sizes(near, given_sizes(near))
+    translated = translation_of(problem).problem
+    return completed_sizes(translated, given_sizes(translated))
 
 
 def completed_sizes(problem: OptimalControlProblem, given: Array) -> tuple[Array, Array]:
@@ -58,31 +58,32 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
     ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
     references = np.maximum(np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0), problem.dynamics.level_sizes)
     stated = np.concatenate([ends, references])
-    bounds = np.concatenate([_bounded_sizes(tube) for tube in (problem.state_tube, problem.control_tube)])
+    sides = [_median_size(np.stack([tube.lower, tube.upper], 1)) for tube in (problem.state_tube, problem.control_tube)]
+    # Of a lower and an upper bound that are far apart, the larger one may stand for none
+    smaller, larger = (np.concatenate([extreme(side, axis=0) for side in sides]) for extreme in (np.min, np.max))
+    bounds = np.where((smaller > 0) & (larger > FAR_BEYOND * smaller), smaller, larger)
     others = np.where(stated > 0, stated, bounds)
-    followed = _complete_sizes(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
-    bounds = np.where((followed > 0) & (bounds > FAR_BEYOND * followed), followed, bounds)
+    implied = _complete_sizes(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
+    bounds = np.where((implied > 0) & (bounds > FAR_BEYOND * implied), implied, bounds)
     return np.where(stated > 0, stated, bounds)
 
 
-def _bounded_sizes(tube: Box) -> Array:
-    """Return how large bounds (times, k) are at most times; of two that are far apart, the smaller; 0: none."""
-    lower, upper = _middle_size(tube.lower), _middle_size(tube.upper)
-    smaller, larger = np.minimum(lower, upper), np.maximum(lower, upper)
-    return np.where((smaller > 0) & (larger > FAR_BEYOND * smaller), smaller, larger)
-
-
-def _middle_size(bounds: Array) -> Array:
-    """Return the median |bound| of each component, bounds (times, k), where it is finite and not 0; 0: nowhere."""
-    sizes = np.sort(np.where(np.isfinite(bounds), np.abs(bounds), 0.0), axis=0)
-    count, last = np.count_nonzero(sizes, axis=0), len(sizes) - 1
-    column, middle = np.arange(sizes.shape[1]), (last - count // 2, last - np.maximum(count - 1, 0) // 2)
-    below, above = (sizes[row, column] for row in middle)
+def _median_size(bounds: Array) -> Array:
+    """Return the median of the finite |bound| > 0 over axis 0, times; 0 without any."""
+    constant = len(bounds) > 5 and bool((bounds[1:-1] == bounds[1]).all())
+    chosen = bounds[[0, 1, -1]] if constant else bounds
+    sizes = np.where(np.isfinite(chosen), np.abs(chosen), 0.0)
+    if constant:  # two ends do not outweigh more equal bounds
+        first, between, last = sizes
+        return np.where(between > 0, between, (first + last) / np.where((first > 0) & (last > 0), 2, 1))
+    sizes.sort(axis=0)
+    count, end = np.count_nonzero(sizes, axis=0)[None], len(sizes) - 1
+    below, above = (np.take_along_axis(sizes, end - i // 2, 0)[0] for i in (count, np.maximum(count - 1, 0)))
     return (below + above) / 2
 
 
 def _limited_sizes(problem: OptimalControlProblem) -> Array:
-    """Return the least value that a limit of a set or row allows a component that weighs in it, 0 where none does."""
+    """Return the smallest value to which a set or row limits each component, (n+m,); 0 where none does."""
     n, m = problem.state_dim, problem.control_dim
     least = np.full(n + m, np.inf)
     for term in problem.terms:
@@ -99,7 +100,7 @@ def _limited_sizes(problem: OptimalControlProblem) -> Array:
 
 
 def _complete_sizes(problem: OptimalControlProblem, sizes: Array, chosen: Callable[..., Array] = np.min) -> Array:
-    """Return sizes with those that follow from others filled in: np.min or np.max of what makes others as large."""
+    """Return the sizes, unknown ones (0) from known ones by ``_implied_sizes``, over and over."""
     for _ in range(len(sizes)):  # at least another component is known after each pass
         if sizes.all():
             break
@@ -108,10 +109,14 @@ def _complete_sizes(problem: OptimalControlProblem, sizes: Array, chosen: Callab
 
 
 def _implied_sizes(problem: OptimalControlProblem, known: Array, chosen: Callable[..., Array]) -> Array:
-    """Return what |x_i| <= T (|A| |x| + |B| |u| + |d|)_i says of the components that are not known (0) yet."""
+    """Return sizes of unknown components (0) from |x_i| <= T (|A| |x| + |B| |u| + |d|)_i, (n+m,).
+
+    A state gets the right side from the known components; if that is zero, or it is a control, the value with which it
+    alone causes a known x_i, ``chosen`` (np.min or np.max) over i.
+    """
     n, m = problem.state_dim, problem.control_dim
     A, B, d = problem.dynamics.gains()
-    gain = problem.horizon * np.hstack([A * (1 - np.eye(n)), B])  # what a component makes of itself says nothing
+    gain = problem.horizon * np.hstack([A * (1 - np.eye(n)), B])  # a component says nothing of its own size
     gain = np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     caused = gain @ known + problem.horizon * d
     useful = (known[:n, None] > 0) & (gain > 0)

@@ -20,44 +20,44 @@ class Start:
     """A start of a search over modes."""
 
     sequence: Indices  # (T,): the modes of the trajectory, or those given
-    trajectory: Trajectory | None  # None where only modes are given
+    trajectory: Trajectory | None  # None if only modes are given
 
     @property
     def saved(self) -> object:
-        """Return what a file can hold, and ``start_of`` takes: modes, or the table of x and u."""
+        """Return the start as file content, which ``start_of`` reads: modes, or a table of x and u."""
         if self.trajectory is None:
             return self.sequence.tolist()
         return {"x": self.trajectory.x.tolist(), "u": self.trajectory.u.tolist()}
 
 
-def start_of(problem: OptimalControlProblem, given: object) -> Start:
+def start_of(problem: OptimalControlProblem, start: object) -> Start:
     """Return the start of a search.
 
-    ``given`` is a trajectory, also that of a result or a table of x and u; controls (T, m), which are replayed from
-    the initial state; or the mode at every time, (T,) integers.
+    ``given`` is a trajectory (also of a result, or a table of x and u), controls (T, m), which are simulated from the
+    initial state, or the mode at every time, (T,) integers.
     """
     if not problem.dynamics.mode_names:
         raise UnsupportedError("start: got one for linear dynamics, which have no modes to search; leave it out.")
-    given = given if isinstance(given, Trajectory) else getattr(given, "trajectory", given)
+    start = start if isinstance(start, Trajectory) else getattr(start, "trajectory", start)
     T, m = problem.horizon, problem.control_dim
-    if isinstance(given, Mapping):
-        if set(given) != {"x", "u"}:
+    if isinstance(start, Mapping):
+        if set(start) != {"x", "u"}:
             expected = f"x {(T + 1, problem.state_dim)} and u {(T, m)}"
-            raise ProblemError("start", f"a table of {', '.join(map(str, given)) or 'nothing'}", expected)
+            raise ProblemError("start", f"a table of {', '.join(map(str, start)) or 'nothing'}", expected)
         with located_at("start", "mode"):
-            given = Trajectory(given["x"], given["u"])
-    if isinstance(given, Trajectory):
+            start = Trajectory(start["x"], start["u"])
+    if isinstance(start, Trajectory):
         with located_at("start", "trajectory"):
-            problem.require(given)
-        return Start(problem.dynamics.sequence_of(given.x, given.u), given)
+            problem.require(start)
+        return Start(problem.dynamics.sequence_of(start.x, start.u), start)
     expected = f"a Trajectory, controls of shape {(T, m)}, or {T} mode numbers"
     try:
-        array = np.asarray(given)
+        array = np.asarray(start)
     except ValueError:
-        raise ProblemError("start", brief(given), expected) from None
+        raise ProblemError("start", brief(start), expected) from None
     whole = array.shape == (T,) and array.dtype.kind in "iu"
     if not whole and (array.shape != (T, m) or array.dtype.kind not in "iuf"):
-        got = brief(given) if array.dtype.kind not in "iuf" or not array.ndim else f"shape {array.shape}"
+        got = brief(start) if array.dtype.kind not in "iuf" or not array.ndim else f"shape {array.shape}"
         advice = "Mode numbers are integers." if array.shape == (T,) and array.dtype.kind == "f" else ""
         raise ProblemError("start", got, expected, advice)
     if whole:

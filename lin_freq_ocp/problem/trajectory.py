@@ -14,7 +14,7 @@ from lin_freq_ocp.base.phrases import html_table, shape_and_range
 
 @dataclass(frozen=True, eq=False, init=False)
 class Trajectory:
-    """States and controls over the horizon; nothing says that they satisfy any dynamics.
+    """States and controls over the horizon; whether they satisfy any dynamics is not checked.
 
     Parameters
     ----------
@@ -63,17 +63,17 @@ class Multipliers:
         Normals to the state and control sets: positive at an active upper bound, negative at a lower one.
     rho_u : complex (T//2 + 1, m), rho_x : complex ((T+1)//2 + 1, n), (T//2 + 1, n) with periodic ends
         Frequency multipliers per DFT bin, zero where a bin is free; -rho is the derivative of the optimal
-        cost with respect to that bin (its conjugate moving with it).
+        cost with respect to that bin (and its conjugate).
     stage : mapping from name to (groups, dim)
-        Multipliers of everything else under its name. Of joint rows C x_t + D u_t <= e_t: (T, rows), zero or above,
-        zero where a row is not active. Of a term h(L(x, u)): a subgradient of h at each value of L; of a mask, the
-        (Re, Im) of each bin's multiplier in the units of rho. What is not there has zeros.
+        Multipliers of all other constraints and costs by name. Of joint rows C x_t + D u_t <= e_t: (T, rows), zero or
+        above, zero where a row is not active. Of a term h(L(x, u)): a subgradient of h at each value of L; of a mask,
+        the (Re, Im) of each bin's multiplier in the units of rho. A name that is absent has zeros.
     frequencies : mapping from name to (groups,) or (groups, 2), optional
-        Of masks at every frequency: where, in rad/sample, their multipliers in ``stage`` stand, which are zero at all
-        other frequencies. Of a residual vibration: natural frequency in Hz and damping ratio of the modes.
+        Of masks at every frequency: the frequencies, in rad/sample, of their multipliers in ``stage``; at all others
+        they are zero. Of a residual vibration: natural frequency in Hz and damping ratio of the modes.
     weights : (T, modes), optional
-        Of piecewise-affine dynamics: how much of each mode's derivatives stands in those of f_t, the same for states
-        and controls. None for linear dynamics, or where the judge is to find them.
+        Of piecewise-affine dynamics: the share of each mode's derivatives in those of f_t, the same for states and
+        controls. None for linear dynamics, or if the judge shall find them.
 
     Examples
     --------
@@ -131,23 +131,20 @@ class Multipliers:
         shares = None if weights is None else real_array("multipliers.weights", weights)
         if shares is not None and (shares.ndim != 2 or len(shares) != T or not shares.shape[1]):
             raise ProblemError("multipliers.weights", f"shape {shares.shape}", f"({T}, modes): one per time and mode")
-        places = _frequencies({} if frequencies is None else frequencies, families)
-        assign(self, stage=families, weights=shares, frequencies=places)
-
-
-def _frequencies(given: Mapping[str, ArrayLike], stage: Mapping[str, Array]) -> dict[str, Array]:
-    frequencies = {name: real_array(f"multipliers.frequencies[{name!r}]", value) for name, value in given.items()}
-    for name, found in frequencies.items():
-        count, field = len(stage.get(name, found)), f"multipliers.frequencies[{name!r}]"
-        if found.shape not in ((count,), (count, 2)):
-            expected = f"({count},) or, for plants, ({count}, 2): one per row of its multipliers"
-            raise ProblemError(field, f"shape {found.shape}", expected)
-        if found.ndim == 1 and (found < 0).any():
-            raise ProblemError(field, brief(found.tolist()), "frequencies from 0 rad/sample on")
-        if found.ndim == 2 and ((found[:, 0] <= 0) | (found[:, 1] < 0) | (found[:, 1] >= 1)).any():
-            expected = "a frequency above 0 Hz and a damping ratio from 0 to below 1, in each row"
-            raise ProblemError(field, brief(found.tolist()), expected)
-    return frequencies
+        points = dict[str, Array]()
+        for name, value in (frequencies or {}).items():
+            field = f"multipliers.frequencies[{name!r}]"
+            points[name] = values = real_array(field, value)
+            count = len(families.get(name, values))
+            if values.shape not in ((count,), (count, 2)):
+                expected = f"({count},) or, for plants, ({count}, 2): one per row of its multipliers"
+                raise ProblemError(field, f"shape {values.shape}", expected)
+            if values.ndim == 1 and (values < 0).any():
+                raise ProblemError(field, brief(values.tolist()), "frequencies from 0 rad/sample on")
+            if values.ndim == 2 and ((values[:, 0] <= 0) | (values[:, 1] < 0) | (values[:, 1] >= 1)).any():
+                expected = "a frequency above 0 Hz and a damping ratio from 0 to below 1, in each row"
+                raise ProblemError(field, brief(values.tolist()), expected)
+        assign(self, stage=families, weights=shares, frequencies=points)
 
 
 def _require_matrix(field: str, array: Array) -> None:

@@ -93,7 +93,7 @@ def certify(
     if not isinstance(trajectory, Trajectory):
         trajectory = simulate(problem, real_array("u", trajectory))
     problem.require(trajectory)
-    translation = translation_of(problem)
+    translation, subject = translation_of(problem), (problem, trajectory)
     problem, at = translation.judged_at(trajectory)
     if multipliers is None:
         problem = at_frequencies(problem, peak_points(problem, at.x, at.u, NEAR_LIMIT))
@@ -102,7 +102,7 @@ def certify(
         certificate = judge(problem, at, multipliers, allowed)
         if evidence is not None:
             certificate = replace(certificate, bound=evidence.verified(problem))
-    return certificate.raised(translation.cost)
+    return replace(certificate.raised(translation.cost), subject=subject)
 
 
 def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allowed: float) -> Certificate:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProof
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -210,6 +212,11 @@ class Outcome:
         """Return how the control uses its levels; None where it has none, or there is no trajectory."""
         return None if self.trajectory is None else level_use(self.problem, self.trajectory.u)
 
+    @cached_property
+    def between_samples(self) -> BetweenSamples | None:
+        """The state bounds between the samples; None without a continuous plant, state bounds or a trajectory."""
+        return None if self.trajectory is None else between_samples(self.problem, self.trajectory)
+
     @property
     def solver(self) -> str:
         """Return the method, with its backend if it has one."""
@@ -226,6 +233,7 @@ class Outcome:
         lines += [] if self.evidence is None else [str(self.evidence)]
         levels = self.level_use
         lines += [] if levels is None else [f"levels    {levels}"]
+        lines += [] if self.between_samples is None else [f"between   {self.between_samples}"]
         lines.append(f"method    {self.solver}" + (f": {self.reason}" if self.reason else ""))
         lines.append("time      " + ", ".join(f"{phase} {seconds:.3g} s" for phase, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.formulas.nodes import Formula, evaluated
+from lin_freq_ocp.formulas.nodes import Formula, evaluate
 from lin_freq_ocp.formulas.operations import POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -87,4 +87,4 @@ def _expression(casadi: Any, formulas: tuple[Formula, ...], y: Any) -> Any:
             return a[0] ** int(node.data[0])
         return getattr(casadi, functions.get(node.kind, node.kind))(a[0])
 
-    return casadi.vertcat(*evaluated(formulas, rule))
+    return casadi.vertcat(*evaluate(formulas, rule))

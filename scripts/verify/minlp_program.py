@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.formulas.intervals import Interval
 from lin_freq_ocp.formulas.jets import interval_jets
-from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
 from lin_freq_ocp.formulas.operations import QUOTIENT
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -157,7 +157,7 @@ def _interned(problem: OptimalControlProblem) -> tuple[ModeFormulas, ...]:
     made: dict[Formula, Formula] = {}
     found: list[ModeFormulas] = []
     for mode in piecewise_smooth(problem).modes:
-        for one in in_order((*mode.f, *mode.region, *mode.domain)):
+        for one in nodes_in_order((*mode.f, *mode.region, *mode.domain)):
             arguments = tuple(made[argument] for argument in one.arguments)
             key = one.kind, one.data, one.function, *(id(argument) for argument in arguments)
             made[one] = table.setdefault(key, replace(one, arguments=arguments))
@@ -197,7 +197,7 @@ def _reach(problem: OptimalControlProblem, modes: Sequence[ModeFormulas]) -> tup
 
 def _nowhere(mode: ModeFormulas, lower: Array, upper: Array) -> bool:
     """Whether something in a mode is defined nowhere in a box."""
-    nodes = [one for one in in_order(mode.all) if one.kind in ("sqrt", "log", QUOTIENT)]
+    nodes = [one for one in nodes_in_order(mode.all) if one.kind in ("sqrt", "log", QUOTIENT)]
     low, high = enclosures([one.arguments[-1] for one in nodes], lower, upper)
     return any(
         a == b == 0 if one.kind == QUOTIENT else b < 0 or (b == 0 and one.kind == "log")

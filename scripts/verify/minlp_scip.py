@@ -20,7 +20,7 @@ from pyscipopt import cos, exp, log, quicksum, sin, sqrt
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
 from lin_freq_ocp.formulas.operations import NORM, POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
 from lin_freq_ocp.program.backends.base import CONTRADICTION, NO_POINT, Solution
 from lin_freq_ocp.program.backends.scip_ import convex_model, decide_claim, run_scip, set_objective
@@ -108,7 +108,7 @@ class _Stage:
     def of(cls, model: Any, program: SmoothProgram, signals: list[Any], t: int) -> _Stage:
         """Return the stage of time t, to which nothing was added."""
         now, then = program.stage(t), program.state(t + 1)
-        formulas = in_order([one for mode in program.modes for one in mode.all])
+        formulas = nodes_in_order([one for mode in program.modes for one in mode.all])
         lower, upper = enclosures(formulas, program.lower[now], program.upper[now])
         ranges = {one: (float(a), float(b)) for one, a, b in zip(formulas, lower, upper, strict=True)}
         bounds = [(float(program.lower[j]), float(program.upper[j])) for j in then]
@@ -157,7 +157,7 @@ class _Stage:
 
     def _expression(self, formula: Formula, mode: int, delta: Any) -> Any:
         """Return a formula of a mode as a linear expression of variables; with other modes it has the mode's binary."""
-        for one in in_order([formula]):
+        for one in nodes_in_order([formula]):
             if self._key(one, mode) not in self.made:
                 self.made[self._key(one, mode)] = self._node(one, mode, delta)
         return self.made[self._key(formula, mode)]

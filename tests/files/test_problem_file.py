@@ -187,6 +187,7 @@ def test_a_continuous_model_is_sampled_with_a_zero_order_hold(tmp_path):
     problem = read_problem(file_with(tmp_path, text.replace("[dynamics]", "[dynamics]\ncontinuous = true")))
     np.testing.assert_allclose(problem.dynamics.A, [[1, 0.1], [0, 1]], rtol=1e-14)
     np.testing.assert_allclose(problem.dynamics.B, [[0.005], [0.1]], rtol=1e-14)
+    assert problem.dynamics.plant is not None
 
 
 def test_a_rate_limit_of_a_file_is_that_of_rate_limited(tmp_path):

@@ -18,7 +18,7 @@ from lin_freq_ocp.batch.grid import fingerprint
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.dynamics import SmoothMode
 from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, in_order
+from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
 from lin_freq_ocp.formulas.text import formula_from_text
 
 X, U = lfo.signals(2, 1)
@@ -115,7 +115,7 @@ def test_functions_of_formulas_have_the_derivatives_of_the_whole_formula(seed):
     outer = random_formula(rng, 4, [*X, *U])
     inner = [random_formula(rng, 3, [*X, *U]) for _ in range(3)]
     made = {variable: part for variable, part in zip((*X, *U), inner, strict=True)}
-    for node in in_order([outer]):
+    for node in nodes_in_order([outer]):
         parts = tuple(made[argument] for argument in node.arguments)
         made.setdefault(node, replace(node, arguments=parts))
     y = rng.uniform(-1, 1, (4, 3))
@@ -337,7 +337,7 @@ def test_functions_of_casadi_become_formulas_where_these_have_its_operations(cas
 
     made = lfo.from_casadi(f, 2, 1)
     formulas = list(made(X, U))
-    assert {one.kind for one in in_order(formulas)} >= {"norm", "tanh", "arctan", "sqrt"}
+    assert {one.kind for one in nodes_in_order(formulas)} >= {"norm", "tanh", "arctan", "sqrt"}
     y = np.random.default_rng(0).uniform(0.5, 2, (6, 3))
     np.testing.assert_allclose(values_of(formulas, y), [made(row[:2], row[2:]) for row in y], rtol=1e-14)
     again = [formula_from_text("f", exact_text(one), (2, 1)) for one in formulas]
@@ -404,7 +404,7 @@ def test_the_converter_by_casadi_has_the_optimum_of_the_converter_by_formulas(ca
          "from_casadi.states: got 2; expected 1, as the function has"),
         (lambda c: lfo.from_casadi(lambda x, u: x.T, 2, 1), "a matrix 1 x 2; expected columns"),
         (lambda c: lfo.from_casadi(c.Function("f", [c.SX.sym("x")], [c.SX(1)])), "1 inputs and 1 outputs"),
-        (lambda c: lfo.from_casadi(lambda x, u: c.sinh(x) + c.fmax(u, 0), 1, 1), "got fmax, beside .* smooth=True"),
+        (lambda c: lfo.from_casadi(lambda x, u: c.sinh(x) + c.fmax(u, 0), 1, 1), "got fmax, with .* smooth=True"),
         (lambda c: lfo.from_casadi(lambda x, u: c.if_else(x[0] > 0, x[0], u[0]), 1, 1), "got if_else_zero"),
         (lambda c: lfo.from_casadi(lambda x, u: c.sinh(x), 2, 1)(X[:1], U), r"x \(1,\).*expected x \(2,\)"),
         (lambda c: lfo.from_casadi(lambda x, u: x, 2, 1)([1], [1]), r"expected x \(2,\)"),

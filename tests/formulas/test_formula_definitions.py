@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 import lin_freq_ocp as lfo
 from helpers.schemas import PROBLEM
 from lin_freq_ocp.formulas.jets import values_of
-from lin_freq_ocp.formulas.nodes import in_order
+from lin_freq_ocp.formulas.nodes import nodes_in_order
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 
 SCHEMA = Draft202012Validator(PROBLEM)
@@ -34,7 +34,7 @@ def written(dynamics, folder):
 
 
 def nodes(dynamics):
-    return len(in_order([one for mode in dynamics.modes for one in (*mode.f, *mode.region)]))
+    return len(nodes_in_order([one for mode in dynamics.modes for one in (*mode.f, *mode.region)]))
 
 
 def shared(levels, branched=False):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
 from lin_freq_ocp.formulas.jets import jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, in_order, text_of
+from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order, text_of
 from lin_freq_ocp.formulas.text import formula_from_text
 
 N, M = 2, 1
@@ -66,7 +66,7 @@ def test_arrays_and_functions_of_numpy_make_formulas():
 
 def test_a_formula_that_occurs_twice_is_one_node():
     common = X[0] * U[0]
-    assert len(in_order([common + common * X[1], np.sin(common)])) == 3 + 4
+    assert len(nodes_in_order([common + common * X[1], np.sin(common)])) == 3 + 4
 
 
 @pytest.mark.parametrize(

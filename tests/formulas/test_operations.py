@@ -11,7 +11,7 @@ from lin_freq_ocp.formulas.intervals import add, exponential, inverse, multiply,
 from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.formulas.operations import OPERATIONS, ScalarFunction
-from lin_freq_ocp.formulas.text import defined, formula_from_text
+from lin_freq_ocp.formulas.text import formula_from_text, read_definitions
 
 X, U = lfo.signals(1, 1)
 
@@ -46,7 +46,7 @@ def test_an_added_function_is_text(softplus):
     np.testing.assert_array_equal(values_of([again], y), values_of([softplus], y))
     assert formula_from_text("f", "softplus(0)", (1, 1)).constant == np.log(2)
     with pytest.raises(lfo.errors.ProblemError, match="a signal or a function"):
-        defined("let", {"softplus": "x_0"}, (1, 1))
+        read_definitions("let", {"softplus": "x_0"}, (1, 1))
 
 
 def test_an_added_function_has_derivatives_and_enclosures(softplus):

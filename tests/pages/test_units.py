@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.pages import double_integrator
-from lin_freq_ocp.base.phrases import NOTHING, listed, number, runs_in_words, split_unit
+from lin_freq_ocp.base.phrases import NOTHING, join_words, number, runs_in_words, split_unit
 from lin_freq_ocp.pages.units import align, frequency_scale, quantity, rough, time_scale
 from lin_freq_ocp.problem.spectrum.bands import notch
 
@@ -44,6 +44,6 @@ def test_numbers_read_well():
     assert split_unit("angular speed [rad/s]") == ("angular speed", "rad/s")
     assert split_unit("x_0") == ("x_0", "")
     assert quantity(0.85752, "force [N]") == "0.858 N"
-    assert listed(["a"]) == "a"
-    assert listed(["a", "b", "c"]) == "a, b and c"
+    assert join_words(["a"]) == "a"
+    assert join_words(["a", "b", "c"]) == "a, b and c"
     assert runs_in_words([(3, 3), (7, 9)]) == "3 and 7 to 9"

@@ -83,7 +83,7 @@ def test_it_keeps_the_protocols():
     assert check_terms(problem(state_set=ROUND, initial_state=[2.0, 1.0])) == []
 
 
-def test_it_is_widened_where_a_conflict_is_explained():
+def test_it_is_relaxed_where_a_conflict_is_explained():
     impossible = problem(control_set=SET, terminal_state=[10.0, 0.0])
     assert lfo.solve(impossible, throw=False).status == "infeasible"
     assert "control set" in str(lfo.explain(impossible))

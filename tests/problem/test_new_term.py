@@ -78,7 +78,7 @@ class WorstThrust(NonsmoothCost):
     def describe(self):
         return "the largest weighted thrust"
 
-    def extended(self, n, k):
+    def augmented(self, n, k):
         return self
 
 

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import runs_in_words, runs_of
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
@@ -40,7 +40,7 @@ from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet, meets_gap
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import held
+from lin_freq_ocp.problem.sets.box import fix_values
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 SHOWN_FLIPS = 4  # flips in the text; all are in the data
@@ -256,7 +256,7 @@ def switching_stages(
 
 def required_slopes(extremal: Extremal) -> Array:
     """Return p_t, (T, n + m), the derivative of <eta_t, f_t> that an extremal of any dynamics requires."""
-    through_x, through_u = extremal.problem.linear.pull_back(extended(extremal.multipliers.eta))
+    through_x, through_u = extremal.problem.linear.pull_back(to_long_double(extremal.multipliers.eta))
     in_x = (extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] + through_x
     return np.hstack([in_x, extremal.multipliers.nu - extremal.in_u + through_u]).astype(np.float64)
 
@@ -461,4 +461,4 @@ def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, size
 def _averaged_problem(problem: OptimalControlProblem, weights: Array, sequence: Indices) -> OptimalControlProblem:
     """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
     dynamics, fixed = piecewise_affine(problem).averaged(weights), problem.dynamics.controls_of(sequence)
-    return replace(problem, dynamics=dynamics, control_set=held(problem.control_set, fixed))
+    return replace(problem, dynamics=dynamics, control_set=fix_values(problem.control_set, fixed))

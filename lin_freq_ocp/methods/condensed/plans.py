@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, sealed
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, seal
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
@@ -42,7 +42,7 @@ class Plan:
         """Return the states and controls of the plan, in the user's units."""
         loop, units = self.tables.loop, self.units
         x, u = loop.simulate((self.start / units.x)[None], loop.plans(self.v[:, None]), np.ones(1))
-        return Trajectory(sealed(x[:, 0] * units.x), sealed(u[:, 0] * units.u))
+        return Trajectory(seal(x[:, 0] * units.x), seal(u[:, 0] * units.u))
 
     def candidate(self, problem: OptimalControlProblem) -> Candidate:
         """Return the plan with its multipliers, for the judge of the problem that it solves."""
@@ -51,7 +51,7 @@ class Plan:
         none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
         stationarity = float(found.stationarity[0])
         duals = LtiMultipliers(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
-        trajectory = Trajectory(sealed(found.x[:, 0] * units.x), sealed(found.u[:, 0] * units.u))
+        trajectory = Trajectory(seal(found.x[:, 0] * units.x), seal(found.u[:, 0] * units.u))
         return Candidate(Status.OPTIMAL, trajectory, in_units(problem, lti, units, duals))
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, sealed
+from lin_freq_ocp.base.arrays import Array, ComplexArray, seal
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
@@ -33,7 +33,7 @@ def trajectory(outcome: ExchangeOutcome, units: LtiUnits) -> Trajectory:
     x = np.empty((at.y.shape[1] + 1, n))
     np.multiply(at.y[:n].T, units.x, out=x[:-1])
     x[-1] = at.last * units.x
-    return Trajectory(sealed(x), sealed(at.y[n:].T * units.u))
+    return Trajectory(seal(x), seal(at.y[n:].T * units.u))
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,15 +199,15 @@ def in_units(problem: OptimalControlProblem, lti: Lti, units: LtiUnits, scaled: 
         at_end = np.where(mu[0] > 0, tube.upper[-1] < tube.upper[0], tube.lower[-1] > tube.lower[0])
         mu[-1] = np.where(at_end, mu[0], 0.0)
         mu[0] -= mu[-1]
-        on_ends[Periodic.name] = sealed((-(scaled.eta[:, -1] * x) - mu[-1])[None])
+        on_ends[Periodic.name] = seal((-(scaled.eta[:, -1] * x) - mu[-1])[None])
     weights = scaled.on_rows[n + m :, :-1] * (units.cost / units.rows)[:, None]
     splits = np.cumsum([rows.e.shape[-1] for rows in problem.stage_rows])[:-1]
     on_stage_rows = np.split(weights, splits) if problem.stage_rows else []
     multipliers = Multipliers(
         scaled.eta_C,
-        sealed(scaled.eta.T * x),
-        sealed(forces[:, :n]),
-        sealed(forces[:-1, n:]),
+        seal(scaled.eta.T * x),
+        seal(forces[:, :n]),
+        seal(forces[:-1, n:]),
         (scaled.band * (bin_weights(problem.horizon) / problem.horizon)).T * u,
         scaled.rho_x * x,
         {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_ends,

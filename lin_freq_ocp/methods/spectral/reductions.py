@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, sealed, with_rows
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, with_rows
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -139,7 +139,7 @@ class SoftSet:
         paid = np.where(self.violation > 0, eta_C * self.price, 0.0)
         weights = np.where(self.constant, paid, np.where(np.isfinite(self.limit), on_bounds, 0.0))
         np.subtract.at(forces, (self.times[:, None], self.f[None]), self.sign * weights)
-        return sealed(weights / self.size)
+        return seal(weights / self.size)
 
 
 def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
@@ -279,8 +279,8 @@ class SoftBins(Inverse):
                 )
             forces[bins, component] -= on_bins
             paid = np.asarray(on_bins if reduced.eta_C else np.zeros_like(on_bins), dtype=np.complex128)
-            stage[term.name] = sealed(np.stack([paid.real, paid.imag], axis=1))
-        rho_u, rho_x = (sealed(forces) for forces, *_ in rho.values())
+            stage[term.name] = seal(np.stack([paid.real, paid.imag], axis=1))
+        rho_u, rho_x = (seal(forces) for forces, *_ in rho.values())
         return replace(reduced, rho_u=rho_u, rho_x=rho_x, stage=stage)
 
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.base.phrases import combination, listed, short_name, split_unit
+from lin_freq_ocp.base.phrases import combination, join_words, short_name, split_unit
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, ProblemSignal, controls_of, outputs_of, states_of
 from lin_freq_ocp.pages.figures.look import AXIS_MARGIN, Note, Style
 from lin_freq_ocp.pages.units import Scale, frequency_scale, quantity, rough, time_scale
@@ -152,10 +152,10 @@ class PlotData:
                 missed = [] if end is None else [signal for signal in signals if end.bounded[signal.index]]
                 if end is not None and missed:
                     sizes = [quantity(float(end.values[signal.index]), signal.name) for signal in missed]
-                    text = f"leaves the picture; ends {listed(sizes)} away"
+                    text = f"leaves the picture; ends {join_words(sizes)} away"
                 else:
                     sizes = [quantity(measured.largest(signal), signal.name) for signal in signals]
-                    text = f"leaves the picture; goes as far as {listed(sizes)}"
+                    text = f"leaves the picture; goes as far as {join_words(sizes)}"
             if text:
                 notes.append(Note(f"{trace.label}: {text}", trace.style.color))
         return notes

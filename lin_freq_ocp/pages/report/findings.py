@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.phrases import listed, number, plural, runs_in_words, short_name
+from lin_freq_ocp.base.phrases import join_words, number, plural, runs_in_words, short_name
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
@@ -73,7 +73,7 @@ def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[st
 
     def bound_text(name: str, size: str, j: int) -> str:
         times = replay.peak_times(controls[j])
-        where = listed([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
+        where = join_words([f"t = {t}" for t in times]) if len(times) <= NAMED else f"first at t = {times[0]}"
         peak = quantity(replay.largest(controls[j]), controls[j].name)
         return f"the {name} bound by {size} (peaks at {peak}, {where})"
 
@@ -107,7 +107,7 @@ def _violations(
     violated = np.flatnonzero(~violation.passed).tolist()
     parts = [text(short_name(names[i]), quantity(float(violation.values[i]), names[i]), i) for i in violated[:NAMED]]
     others = f" (and {plural(len(violated) - NAMED, noun)})" if len(violated) > NAMED else ""
-    return [f"{verb} {listed(parts)}{others}"]
+    return [f"{verb} {join_words(parts)}{others}"]
 
 
 def _with_constraint(comparison: ComparisonOutcome) -> str:
@@ -151,7 +151,11 @@ def _constraints_in_words(comparison: ComparisonOutcome) -> str:
                 f"the spectrum of the {kind} peaks at {number(peak, 3)} between the bins of its band, above the "
                 f"{number(before, 3)} without the constraint"
             )
-    return f"every constraint holds at the bins, but {listed(larger)}" if larger else "all constraints hold"
+    between = result.between_samples
+    samples = "" if between is None or between.holds else f" at the samples (between them {between})"
+    if larger:
+        return f"every constraint holds at the bins, but {join_words(larger)}"
+    return f"all constraints hold{samples}"
 
 
 def _proof_in_words(result: Outcome) -> str:
@@ -186,8 +190,8 @@ def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
         parts = list[str]()
         for runs, components in sharing.items():
             spans = [tuple(number(scale.factor * 2 * np.pi * k / length, 4) for k in run) for run in runs]
-            frequencies = listed([low if low == high else f"{low} to {high}" for low, high in spans])
-            parts.append(f"{runs_in_words(runs)} of {listed(components)} ({frequencies} {scale.unit})")
+            frequencies = join_words([low if low == high else f"{low} to {high}" for low, high in spans])
+            parts.append(f"{runs_in_words(runs)} of {join_words(components)} ({frequencies} {scale.unit})")
         if not parts:
             continue
         sentences.append(
@@ -201,6 +205,6 @@ def stop_band_meaning(comparison: ComparisonOutcome) -> list[str]:
         peaks += [] if filtered is None else [f"{number(filtered, 3)} after filtering"]
         sentences.append(
             "Zero at these bins does not mean zero between them: the zero-padded spectrum between the bins still peaks "
-            f"at {listed(peaks)}."
+            f"at {join_words(peaks)}."
         )
     return sentences

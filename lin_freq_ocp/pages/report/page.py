@@ -20,7 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from lin_freq_ocp.base.atomic import write_each, writing
+from lin_freq_ocp.base.atomic import report_write_errors, write_each
 from lin_freq_ocp.base.phrases import number, plural
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
@@ -251,7 +251,7 @@ def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
 
 def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
     """Write index.html and its figures, each as .svg and .png, into a folder; return the page's path."""
-    with writing(folder):
+    with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     contents = {folder / f"{drawing.name}.svg": drawing.svg.encode() for drawing in drawings}
     contents |= {folder / f"{drawing.name}.png": drawing.png for drawing in drawings}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
-from lin_freq_ocp.base.phrases import listed, number, plural
+from lin_freq_ocp.base.phrases import join_words, number, plural
 from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, facts_where_modes_meet
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.comparison.trajectories import NO_MODE
@@ -39,7 +39,7 @@ def verdict(certificate: Certificate, problem: OptimalControlProblem | None = No
             f"The maximum principle is satisfied: every condition holds within its tolerance. The extremal is {kind}."
         )
     elif certificate.pmp == "violated":
-        failed = listed([f"{condition.label} ({condition.name})" for condition in certificate.failed])
+        failed = join_words([f"{condition.label} ({condition.name})" for condition in certificate.failed])
         first = f"The maximum principle is violated. Violated conditions: {failed}."
     elif certificate.borders is not None:
         first = "The maximum principle does not apply: it needs dynamics without jumps."
@@ -111,7 +111,7 @@ def switching_sentences(borders: SwitchingFacts) -> list[str]:
         places.append(f"modes meet{' or end' if borders.gaps else ''} at {_times(borders.times)}")
     for norm in dict.fromkeys(kink.norm for kink in borders.norms):
         places.append(f"{norm} is zero at {_times([kink.time for kink in borders.norms if kink.norm == norm])}")
-    where = listed(places)
+    where = join_words(places)
     where = f"{where[0].upper() if borders.times else where[0]}{where[1:]}"
     chosen = "; ".join(_choices(borders))
     joint = (  # Clarke's joint inclusion, with the elements that were chosen
@@ -198,7 +198,7 @@ def _choices(borders: SwitchingFacts) -> list[str]:
     parts = list[str]()
     for t, alpha in zip(borders.times, borders.weights, strict=True):  # nonzero weights with their modes
         used = [f"{number(float(alpha[i]), 3)} {_quote(borders.mode_names[i])}" for i in np.flatnonzero(alpha)]
-        parts.append(f"at t = {t}: {ALPHA} = {listed(used or ['0'])}")
+        parts.append(f"at t = {t}: {ALPHA} = {join_words(used or ['0'])}")
     for kink in borders.norms:
         selection = ", ".join(number(part, 3) for part in kink.selection)
         parts.append(f"at t = {kink.time}, {kink.norm} = 0: {XI} = ({selection})")
@@ -240,4 +240,4 @@ def _quote(name: str) -> str:
 
 
 def _times(times: Sequence[int]) -> str:
-    return f"t = {listed([str(t) for t in times])}" if len(times) <= 2 * NAMED_TIMES else plural(len(times), "time")
+    return f"t = {join_words([str(t) for t in times])}" if len(times) <= 2 * NAMED_TIMES else plural(len(times), "time")

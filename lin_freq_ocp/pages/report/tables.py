@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from lin_freq_ocp.base.phrases import NOTHING, listed, number, plural, short_name, split_unit
+from lin_freq_ocp.base.phrases import NOTHING, join_words, number, plural, short_name, split_unit
 from lin_freq_ocp.batch.sweep import SweepOutcome
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -261,7 +261,7 @@ def moves_sentence(moves: Moves) -> str:
         optimum = f"{ours.samples} samples are enough" + (
             f", and {ours.samples - 1} are proven not to be" if moves.proof and ours.samples > 1 else ""
         )
-    lengths = listed(known + unknown)
+    lengths = join_words(known + unknown)
     return f"with the profiles tried, input shapers of the same robustness need {lengths} samples; {optimum}"
 
 
@@ -279,4 +279,6 @@ def moves_caption(moves: Moves) -> str:
 def moves_title(moves: Moves) -> str:
     """Return the title of the figure, which is also its description for screen readers."""
     within = [move.name for move in moves.all if move.keeps_everything]
-    return f"Residual vibration over the natural frequency: {listed(within)} stay below the limit over the whole box"
+    return (
+        f"Residual vibration over the natural frequency: {join_words(within)} stay below the limit over the whole box"
+    )

@@ -8,9 +8,9 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, real_array, shaped, with_columns
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, real_array, to_shape, with_columns
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import datum, listed, span, vector
+from lin_freq_ocp.base.phrases import datum, join_words, span, vector
 from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
@@ -19,7 +19,7 @@ from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 @dataclass(frozen=True, eq=False, init=False)
 class _NormCost(NonsmoothCost):
-    """What L1Cost and LInfCost share: weights of deviations from references."""
+    """The base of L1Cost and LInfCost: weights of deviations from references."""
 
     x: Array
     u: Array
@@ -37,11 +37,11 @@ class _NormCost(NonsmoothCost):
         x_ref: ArrayLike = 0.0,
         u_ref: ArrayLike = 0.0,
     ):
-        given = {"x": x, "u": u, "terminal": terminal, "x_ref": x_ref, "u_ref": u_ref}
-        arrays = {field: real_array(f"{type(self).__name__}.{field}", value) for field, value in given.items()}
+        values = {"x": x, "u": u, "terminal": terminal, "x_ref": x_ref, "u_ref": u_ref}
+        arrays = {field: real_array(f"{type(self).__name__}.{field}", value) for field, value in values.items()}
         for field in ("x", "u", "terminal"):
             if (arrays[field] < 0).any():
-                raise ProblemError(f"{type(self).__name__}.{field}", brief(given[field]), "weights of zero or above")
+                raise ProblemError(f"{type(self).__name__}.{field}", brief(values[field]), "weights of zero or above")
         assign(self, **arrays)
 
     def describe(self) -> str:
@@ -55,12 +55,12 @@ class _NormCost(NonsmoothCost):
         if not parts:
             return ""
         used = {"x_ref": self.x.any() or self.terminal.any(), "u_ref": self.u.any()}
-        given = {"x_ref": self.x_ref, "u_ref": self.u_ref}
-        references = [datum(name, values, 1) for name, values in given.items() if used[name] and values.any()]
-        deviations = f" of deviations from {listed(references)}" if references else ""
-        return f"{self.kind}{deviations} at each time: {listed(parts)}"
+        stated = {"x_ref": self.x_ref, "u_ref": self.u_ref}
+        references = [datum(name, values, 1) for name, values in stated.items() if used[name] and values.any()]
+        deviations = f" of deviations from {join_words(references)}" if references else ""
+        return f"{self.kind}{deviations} at each time: {join_words(parts)}"
 
-    def extended(self, n: int, k: int) -> Self:
+    def augmented(self, n: int, k: int) -> Self:
         x, terminal, x_ref = (
             with_columns(np.full(n, values) if values.ndim == 0 else values, k)
             for values in (self.x, self.terminal, self.x_ref)
@@ -82,12 +82,12 @@ class _NormCost(NonsmoothCost):
         for entry, (size, times) in shapes.items():
             value: Array = getattr(self, entry)
             complete = np.full(size, value) if value.ndim == 0 else value
-            arrays[entry] = shaped(f"{field}.{entry}", complete, (size,), times)
+            arrays[entry] = to_shape(f"{field}.{entry}", complete, (size,), times)
         x, u, terminal, x_ref, u_ref = arrays.values()
         x_ref, u_ref = np.broadcast_to(x_ref, (T + 1, n)), np.broadcast_to(u_ref, (T, m))
         norm, stages = NormBall(self.order, np.zeros(()), np.ones(())), np.arange(T)
-        found: list[Term] = []
-        for weights, reference, times, kind, of_state, what in (
+        terms: list[Term] = []
+        for weights, reference, times, kind, of_state, signal in (
             (x, x_ref[:-1], stages, TermKind.STAGE_COST, True, "states"),
             (u, u_ref, stages, TermKind.STAGE_COST, False, "controls"),
             (terminal, x_ref[-1:], np.array([T]), TermKind.TERMINAL_COST, True, "terminal state"),
@@ -95,8 +95,8 @@ class _NormCost(NonsmoothCost):
             if weights.any():
                 scale = weights[..., None] * np.eye(weights.shape[-1])
                 matrices = (scale, None) if of_state else (None, scale)
-                found.append(Term(f"{name} of {what}", kind, StageMap(times, *matrices, -weights * reference), norm))
-        return found
+                terms.append(Term(f"{name} of {signal}", kind, StageMap(times, *matrices, -weights * reference), norm))
+        return terms
 
 
 class L1Cost(_NormCost):

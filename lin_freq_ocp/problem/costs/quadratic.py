@@ -1,7 +1,7 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``Cost``)
-"""Stage and terminal costs c_t(x_t, u_t) and c_T(x_T) (paper, (DTOCPNSD-a)), and whether they are convex exactly.
+# ruff: noqa: D102
+"""Stage and terminal costs c_t(x_t, u_t) and c_T(x_T) (paper, (DTOCPNSD-a)), and their exact convexity.
 
-A new cost is a subclass of ``NonsmoothCost``; see ``norms``.
+A new cost is a subclass of ``NonsmoothCost``; see ``norms``. Methods without a docstring are described by ``Cost``.
 """
 
 from __future__ import annotations
@@ -23,9 +23,11 @@ from lin_freq_ocp.base.arrays import (
     brief,
     one_component,
     real_array,
-    sealed,
-    shaped,
+    seal,
     times_vectors,
+    to_shape,
+    with_columns,
+    with_rows,
 )
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum
@@ -34,12 +36,12 @@ from lin_freq_ocp.problem.terms.term import Term
 # Of each field, the axes of one time: n states, m controls
 AXES = {"Q": "nn", "R": "mm", "S": "nm", "q": "n", "r": "m", "P": "nn", "p": "n", "x_ref": "n", "u_ref": "m"}
 WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")
-SYMMETRY_TOLERANCE = 1e-12  # relative asymmetry of Q, R or P that is rounding and not a mistake
-CONVEXITY_TOLERANCE = 1e-12  # negative eigenvalue, relative to the largest, that is rounding of a semidefinite matrix
+SYMMETRY_TOLERANCE = 1e-12  # largest relative asymmetry of Q, R or P that is rounding
+CONVEXITY_TOLERANCE = 1e-12  # largest negative eigenvalue, relative to the largest, that is rounding
 
 
 class Cost(ABC):
-    """A convex cost; sums of costs are costs, and ``sum`` of a list of them, too.
+    """A convex cost; sums of costs are costs, ``sum`` of a list included.
 
     A new nonsmooth cost is a subclass of ``NonsmoothCost`` in a file of its own. To be written to problem files it is
     listed in ``files/problem_tables.py``. ``tests/problem/test_new_term.py`` shows a complete one.
@@ -56,25 +58,25 @@ class Cost(ABC):
         """Return the nonsmooth parts."""
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> Cost:
-        """Return the same cost with every term an array of the right shape, checked."""
+        """Return the cost with all weights and references as arrays of the right shape, checked."""
         complete = CostSum(list(self.norms))
         assign(complete, smooth=self.quadratic.at_dimensions(n, m, horizon))
         return complete
 
     def translated(self, origin: Array) -> Cost | None:
-        """Return the cost of x - origin, origin (n,), less a constant; None if a part of it says nothing of that."""
-        norms = [norm.translated(origin) for norm in self.norms]
-        found = [norm for norm in norms if norm is not None]
-        return CostSum([self.quadratic.translated(origin), *found]) if len(found) == len(norms) else None
+        """Return the cost of x - origin, origin (n,), less a constant; None if a summand has no such method."""
+        translated = [norm.translated(origin) for norm in self.norms]
+        norms = [norm for norm in translated if norm is not None]
+        return CostSum([self.quadratic.translated(origin), *norms]) if len(norms) == len(translated) else None
 
     def terms(self, n: int, m: int, horizon: int) -> list[Term]:
         """Return the nonsmooth terms."""
-        found, labels = list[Term](), [cost.label for cost in self.norms]
+        terms, labels = list[Term](), [cost.label for cost in self.norms]
         for i, cost in enumerate(self.norms):
             before = labels[:i].count(cost.label)
             name = f"{cost.label} {before + 1}" if before else cost.label
-            found += cost.own_terms(n, m, horizon, f"cost.norms[{i}]", name)
-        return found
+            terms += cost.own_terms(n, m, horizon, f"cost.norms[{i}]", name)
+        return terms
 
     def __add__(self, other: Cost) -> CostSum:
         return CostSum([self, other])
@@ -99,21 +101,21 @@ class NonsmoothCost(Cost):
 
     @abstractmethod
     def own_terms(self, n: int, m: int, horizon: int, field: str, name: str) -> list[Term]:
-        """Return its terms, checked against the problem's dimensions; errors name the field."""
+        """Return its terms under a name, checked against the problem's dimensions; errors name the field."""
 
     @abstractmethod
     def describe(self) -> str:
         """Return a text of the summands and their weights; empty if all are zero."""
 
     @abstractmethod
-    def extended(self, n: int, k: int) -> NonsmoothCost:
+    def augmented(self, n: int, k: int) -> NonsmoothCost:
         """Return the cost of (x, w), w in R^k without cost."""
 
     def translated(self, origin: Array) -> NonsmoothCost | None:
         return None
 
     def references(self, index: int, is_state: bool, horizon: int) -> tuple[Array, Mask] | None:
-        """Return the references of states or controls, and when the deviation of a component counts; None without."""
+        """Return the references of states or controls, and the times at which component ``index`` has a weight."""
         return None
 
 
@@ -199,7 +201,7 @@ class QuadraticCost(Cost):
         return frozenset(name for name in WEIGHTS if getattr(self, name).any())
 
     def describe(self) -> str:
-        """Return the nonzero terms as a formula; empty if all are zero."""
+        """Return the nonzero terms as a formula; empty if there are none."""
         x = "(x - x_ref)" if self.x_ref.any() else "x"
         u = "(u - u_ref)" if self.u_ref.any() else "u"
         half = "\N{VULGAR FRACTION ONE HALF}"
@@ -236,7 +238,7 @@ class QuadraticCost(Cost):
                 value = np.zeros(shape)
             elif reference:
                 value = one_component(value, shape[0])
-            complete[field] = value = shaped(f"cost.{field}", value, shape, times)
+            complete[field] = value = to_shape(f"cost.{field}", value, shape, times)
             asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max() if square else 0.0
             if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():
                 got = f"a matrix that differs from its transpose by {asymmetry:g}"
@@ -253,6 +255,21 @@ class QuadraticCost(Cost):
     def translated(self, origin: Array) -> QuadraticCost:
         return replace(self, x_ref=np.where(self.weighs, self.x_ref - origin, 0.0))
 
+    def augmented(self, k: int, weight: float) -> QuadraticCost:
+        """Return the cost of (x, w), with weight/2 |w_t|^2 for w in R^k and t < T."""
+        n, m = self.S.shape[-2:]
+        return QuadraticCost(
+            Q=with_rows(with_columns(self.Q, k), weight * np.eye(k, n + k, n)),
+            R=self.R,
+            S=with_rows(self.S, np.zeros((k, m))),
+            q=with_columns(self.q, k),
+            r=self.r,
+            P=with_rows(with_columns(self.P, k), np.zeros((k, n + k))),
+            p=with_columns(self.p, k),
+            x_ref=with_columns(self.x_ref, k),
+            u_ref=self.u_ref,
+        )
+
     def deviations(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return x - x_ref, shape (T+1, n), and u - u_ref, shape (T, m)."""
         return x - self.x_ref, u - self.u_ref
@@ -268,7 +285,7 @@ class QuadraticCost(Cost):
         return values + sum(linear.sum(1) for linear in self._linear_terms(x, u))
 
     def sum_of_terms(self, x: Array, u: Array) -> float:
-        """Return the sum of the absolute values of the terms; of one time, the quadratic part is a single term."""
+        """Return the sum of the absolute values of the terms; the quadratic part of one time is one term."""
         linear = self._linear_terms(x, u)
         quadratic = self.stage_values(x, u) - sum(part.sum(1) for part in linear)
         return float(np.abs(quadratic).sum() + sum(np.abs(part).sum() for part in linear))
@@ -303,10 +320,11 @@ class QuadraticCost(Cost):
 
     @cached_property
     def _magnitudes(self) -> QuadraticCost:
-        other = object.__new__(QuadraticCost)
-        assign(other, **{field: np.abs(getattr(self, field)) for field in WEIGHTS})
-        assign(other, x_ref=np.zeros(()), u_ref=np.zeros(()))
-        return other
+        cost = object.__new__(QuadraticCost)
+        assign(
+            cost, **{field: np.abs(getattr(self, field)) for field in WEIGHTS}, x_ref=np.zeros(()), u_ref=np.zeros(())
+        )
+        return cost
 
     def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of the gradient, in x (T+1, n) and in u (T, m)."""
@@ -325,7 +343,7 @@ class QuadraticCost(Cost):
         hessian = np.empty((times, n + m, n + m))
         hessian[:, :n, :n], hessian[:, n:, n:] = Q, R
         hessian[:, :n, n:], hessian[:, n:, :n] = S, np.swapaxes(S, 1, 2)
-        return sealed(hessian)
+        return seal(hessian)
 
     @cached_property
     def rises(self) -> tuple[Array, float]:
@@ -397,16 +415,16 @@ def _eigenvalues(matrices: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh(matrices), dtype=np.float64)
 
 
-RISES = (0.0, 2.0**-54, 2.0**-52, 2.0**-50, 2.0**-46)  # parts of a diagonal that rounding of a product may lack
-MOST_ROWS = 100  # up to which whole numbers take no more than seconds
+RISES = (0.0, 2.0**-54, 2.0**-52, 2.0**-50, 2.0**-46)  # parts of a diagonal that a rounded product may lack
+MOST_ROWS = 100  # of a matrix whose elimination in whole numbers takes at most seconds
 
 
 def is_semidefinite(matrix: Array, rise: float = 0.0) -> bool:
     """Whether the symmetric part of a matrix, its diagonal times 1 + rise, is positive semidefinite, without rounding.
 
-    A product c c' in floating point has been rounded: its least eigenvalue may be -1e-17 and not 0, and a cost with
-    this Hessian falls below zero far away. Floating point does not tell these apart; whole numbers do, by Bareiss's
-    (1968) elimination, which divides them without remainder.
+    A product c c' in floating point is rounded: its least eigenvalue may be -1e-17 instead of 0, and a cost with this
+    Hessian falls below zero far away. Floating point cannot distinguish the two. Bareiss's (1968) elimination in whole
+    numbers, which divides without remainder, can.
     """
     entries = [[Fraction(x) for x in row] for row in (matrix + 0.0).tolist()]
     unit = max((x.denominator for row in entries for x in row), default=1) * Fraction(rise).denominator
@@ -430,7 +448,7 @@ def is_semidefinite(matrix: Array, rise: float = 0.0) -> bool:
 def least_rise(matrix: Array) -> float:
     """Return the least of RISES with which ``is_semidefinite``: 0 for a sum of squares; inf if there is none.
 
-    The costs v'H v / 2 of states and controls v is at least minus this part of what the diagonal of H alone costs.
+    The cost v'H v / 2 is at least minus this part of sum_i H_ii v_i^2 / 2.
     """
     diagonal = np.diagonal(matrix)
     if np.array_equal(matrix, np.diag(diagonal)):

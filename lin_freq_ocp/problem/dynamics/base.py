@@ -16,11 +16,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, names, positive_number, printable
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, component_names, positive_number, printable
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.kinds import register_all
 from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
@@ -56,6 +57,7 @@ class Dynamics(ABC):
     sampling_time: float | None
     state_names: tuple[str, ...]
     control_names: tuple[str, ...]
+    plant: ContinuousPlant | None = None  # the continuous model whose zero-order hold they are, if it is known
 
     @property
     @abstractmethod
@@ -279,8 +281,8 @@ def signal_labels(
         "state_dim": n,
         "control_dim": m,
         "sampling_time": None if sampling_time is None else positive_number("dynamics.sampling_time", sampling_time),
-        "state_names": names("dynamics.state_names", state_names, n, "x"),
-        "control_names": names("dynamics.control_names", control_names, m, "u"),
+        "state_names": component_names("dynamics.state_names", state_names, n, "x"),
+        "control_names": component_names("dynamics.control_names", control_names, m, "u"),
     }
 
 

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from lin_freq_ocp.base.arrays import (
     Array,
     assign,
-    extended,
     positive_number,
     real_array,
     times_vectors,
+    to_long_double,
     with_columns,
     with_fields,
     with_products,
@@ -26,6 +25,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, clock, linearisation, state_equation
+from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -44,6 +44,9 @@ class LinearDynamics(StateEquations):
         Seconds per step. Needed wherever a frequency is given in Hz.
     state_names, control_names : sequences of str, optional
         One name per component, with its unit in brackets: ``"position [m]"``.
+    plant : ContinuousPlant, optional
+        The continuous model of the first states, as ``from_continuous`` and ``from_statespace`` keep it. It becomes
+        None unless its zero-order hold over the sampling time gives A, B and the offset.
 
     Raises
     ------
@@ -75,6 +78,7 @@ class LinearDynamics(StateEquations):
     sampling_time: float | None
     state_names: tuple[str, ...]
     control_names: tuple[str, ...]
+    plant: ContinuousPlant | None = field(default=None, compare=False, repr=False)
 
     def __init__(
         self,
@@ -84,6 +88,7 @@ class LinearDynamics(StateEquations):
         sampling_time: float | None = None,
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
+        plant: ContinuousPlant | None = None,
     ):
         matrix_A, matrix_B = real_array("dynamics.A", A), real_array("dynamics.B", B)
         if matrix_A.ndim not in (2, 3) or matrix_A.shape[-1] != matrix_A.shape[-2] or matrix_A.shape[-1] == 0:
@@ -99,11 +104,19 @@ class LinearDynamics(StateEquations):
             expected = f"shape ({n},), or (T, {n}) with one per time"
             raise ProblemError("dynamics.offset", f"shape {drift.shape}", expected)
         labels = signal_labels(n, matrix_B.shape[-1], sampling_time, state_names, control_names)
-        assign(self, A=matrix_A, B=matrix_B, offset=drift, **labels)
+        known = plant if plant and plant.agrees(matrix_A, matrix_B, drift, sampling_time) else None
+        assign(self, A=matrix_A, B=matrix_B, offset=drift, plant=known, **labels)
 
     @classmethod
     def from_continuous(
-        cls, A: ArrayLike, B: ArrayLike, sampling_time: float, offset: ArrayLike | None = None, **named: Sequence[str]
+        cls,
+        A: ArrayLike,
+        B: ArrayLike,
+        sampling_time: float,
+        offset: ArrayLike | None = None,
+        *,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
     ) -> LinearDynamics:
         """Sample dx/dt = A x + B u + d by a zero-order hold: u is held constant over each period.
 
@@ -113,22 +126,21 @@ class LinearDynamics(StateEquations):
             The continuous model.
         sampling_time : float
             Seconds per step.
-        named
-            ``state_names`` and ``control_names``.
+        state_names, control_names : sequences of str, optional
+            As for ``LinearDynamics``.
         """
         Ac, Bc = real_array("dynamics.A", A), real_array("dynamics.B", B)
         step = positive_number("dynamics.sampling_time", sampling_time)
         if Ac.ndim != 2 or Bc.ndim != 2 or Ac.shape != (Bc.shape[0], Bc.shape[0]):
             raise ProblemError("dynamics.A, B", f"shapes {Ac.shape} and {Bc.shape}", "shapes (n, n) and (n, m)")
-        n, m = Bc.shape
+        n = len(Bc)
         drift = np.zeros(n) if offset is None else real_array("dynamics.offset", offset)
         if drift.shape != (n,):
             raise ProblemError("dynamics.offset", f"shape {drift.shape}", f"shape ({n},)")
-        generator = np.zeros((n + m + 1, n + m + 1))
-        generator[:n] = np.hstack([Ac, Bc, drift[:, None]])
-        with np.errstate(over="ignore", invalid="ignore"):
-            sampled = expm(generator * step)
-        return cls(sampled[:n, :n], sampled[:n, n : n + m], sampled[:n, -1], sampling_time=step, **named)
+        plant = ContinuousPlant(Ac, Bc, drift)
+        dynamics = cls(*plant.sampled(step), step, state_names, control_names)
+        assign(dynamics, plant=plant)
+        return dynamics
 
     @classmethod
     def from_statespace(
@@ -236,10 +248,10 @@ class LinearDynamics(StateEquations):
 
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
-        for field, array, constant_ndim in (("A", self.A, 2), ("B", self.B, 2), ("offset", self.offset, 1)):
+        for name, array, constant_ndim in (("A", self.A, 2), ("B", self.B, 2), ("offset", self.offset, 1)):
             if array.ndim > constant_ndim and len(array) != horizon:
                 expected = f"one for each of the {horizon} steps of the horizon"
-                raise ProblemError(f"dynamics.{field}", f"{len(array)} times", expected)
+                raise ProblemError(f"dynamics.{name}", f"{len(array)} times", expected)
 
     def at(self, t: int) -> tuple[Array, Array, Array]:
         """Return A_t (n, n), B_t (n, m) and d_t (n,)."""
@@ -288,15 +300,16 @@ class LinearDynamics(StateEquations):
 
     def translated(self, origin: Array) -> LinearDynamics:
         """Return the dynamics of x - origin, whose offset is d + (A - I) origin."""
-        growth = extended(self.A) - np.eye(self.state_dim)
-        return replace(self, offset=with_products(self.offset, (growth, origin)))
+        growth = to_long_double(self.A) - np.eye(self.state_dim)
+        plant = self.plant and self.plant.translated(origin)
+        return replace(self, offset=with_products(self.offset, (growth, origin)), plant=plant)
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> LinearDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
         k = len(A)
         block = with_rows(with_columns(self.A, k), np.hstack([np.zeros((k, self.state_dim)), A]))
         labels = self.sampling_time, [*self.state_names, *names], self.control_names
-        return LinearDynamics(block, with_rows(self.B, B), with_columns(self.offset, k), *labels)
+        return LinearDynamics(block, with_rows(self.B, B), with_columns(self.offset, k), *labels, self.plant)
 
     def magnitudes(self) -> LinearDynamics:
         """Return the dynamics of |A|, |B| and |d|, which bound the sum of the absolute values of all terms."""
@@ -304,4 +317,4 @@ class LinearDynamics(StateEquations):
 
     @cached_property
     def _magnitudes(self) -> LinearDynamics:
-        return with_fields(self, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset))
+        return with_fields(self, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset), plant=None)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, to_long_double
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Response:
 
     def _in_precision(self, dtype: np.dtype[np.floating]) -> ComplexArray:
         """Return G in the precision of a type."""
-        return extended(self.G) if dtype == np.longdouble else self.G
+        return to_long_double(self.G) if dtype == np.longdouble else self.G
 
 
 def _apply_response(G: ComplexArray, spectrum: ComplexArray) -> ComplexArray:

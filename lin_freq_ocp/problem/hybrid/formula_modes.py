@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, brief, names
+from lin_freq_ocp.base.arrays import Array, Mask, brief, component_names
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.polyhedra import (
     SAME_FUNCTION,
@@ -24,7 +24,7 @@ from lin_freq_ocp.base.polyhedra import (
     natural_sizes,
 )
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, rebuilt, text_of
+from lin_freq_ocp.formulas.nodes import Formula, evaluate, kinks, rebuild, text_of
 from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import unique_names
@@ -47,7 +47,7 @@ class FormulaPiece:
 
     def split(self, branching: Formula) -> Iterator[FormulaPiece]:
         """Yield the piece of each argument of a maximum or minimum that can be chosen in this piece."""
-        arguments = rebuilt(branching.arguments, self.arguments)
+        arguments = rebuild(branching.arguments, self.arguments)
         affine = [affine_row(argument) for argument in arguments]
         sign = 1.0 if branching.kind == MAXIMUM else -1.0
         for choice, (chosen, chosen_row) in enumerate(zip(arguments, affine, strict=True)):
@@ -101,7 +101,7 @@ def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[
     long = [", ".join(piece.labels) for piece in pieces]
     names = unique_names(short if len({*short}) == len(short) else long)
     return [
-        replace(piece, formulas=tuple(rebuilt(whole, piece.arguments)), name=name)
+        replace(piece, formulas=tuple(rebuild(whole, piece.arguments)), name=name)
         for piece, name in zip(pieces, names, strict=True)
     ]
 
@@ -120,7 +120,7 @@ def affine_row(formula: Formula) -> Array | None:
             row = value * np.eye(k + 1)[k] if np.isfinite(value) else None
         return row
 
-    return evaluated([formula], row_of)[0]
+    return evaluate([formula], row_of)[0]
 
 
 def _is_above_zero(formulas: Sequence[Formula]) -> bool:
@@ -148,8 +148,9 @@ def modes_of(
     formulas = listed_formulas("f", f, dimensions)
     if len(formulas) != n:
         raise ProblemError("f", f"{len(formulas)} formulas", f"{n}, one for each state")
-    labels = names("dynamics.state_names", state_names, n, "x") + names("dynamics.control_names", control_names, m, "u")
-    labels = [label.split(" [")[0] for label in labels]
+    states = component_names("dynamics.state_names", state_names, n, "x")
+    controls = component_names("dynamics.control_names", control_names, m, "u")
+    labels = [label.split(" [")[0] for label in states + controls]
     pieces = [_affine_piece(piece, labels).irredundant() for piece in formula_pieces(formulas, MOST_PIECES)]
     # pieces of the same map whose union is a polyhedron are one mode
     i = 0

@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, frozen, real_array
+from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, freeze, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural, short_name, vector
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
@@ -179,7 +179,7 @@ class FiniteSet(ConvexSet):
     def bounds(self) -> Bounds:
         ends = np.array([component.values[[0, -1]] for component in self.components]).T
         lower, upper = ends[:, 0] if self.single else ends
-        return frozen(np.asarray(lower)), frozen(np.asarray(upper))
+        return freeze(np.asarray(lower)), freeze(np.asarray(upper))
 
     @property
     def hull(self) -> FiniteSet:
@@ -217,7 +217,7 @@ class FiniteSet(ConvexSet):
         limits, prices = (np.concatenate([hinges[k] for _, hinges in rows]) for k in (1, 2))
         return (Part(F, np.zeros(len(F)), HalfSpaces(limits, prices)),)
 
-    def widened(self, amount: float, dimension: int) -> FiniteSet:
+    def relaxed(self, amount: float, dimension: int) -> FiniteSet:
         return self
 
     def describe(self, names: Sequence[str], signal: str) -> str:
@@ -260,7 +260,7 @@ def _levels(name: str, values: Array, costs: Array | None) -> Levels:
     if (price < 0).any():
         advice = "The same amount added to all of them changes no solution."
         raise ProblemError(f"FiniteSet.costs{name}", f"{price.min():g}", "costs of zero or above", advice)
-    return Levels(frozen(increasing), frozen(price[order]))
+    return Levels(freeze(increasing), freeze(price[order]))
 
 
 @dataclass(frozen=True, eq=False, init=False)

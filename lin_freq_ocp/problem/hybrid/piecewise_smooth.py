@@ -13,7 +13,7 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, positi
 from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import first_few, split_unit
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, text_of, translated
+from lin_freq_ocp.formulas.nodes import Formula, evaluate, kinks, text_of, translate_formulas
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
@@ -258,7 +258,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     def translated(self, origin: Array) -> PiecewiseSmoothDynamics:
         """Return the dynamics of x - origin, with the same modes."""
         formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.domain)]
-        moved = iter(translated(formulas, origin))
+        moved = iter(translate_formulas(formulas, origin))
         modes = list[SmoothMode]()
         for mode in self.modes:
             images = [next(moved) - float(value) for value in origin]
@@ -326,7 +326,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
                 return Formula((n, m + 1), VARIABLE, (), (float(k),))
             return replace(node, dimensions=(n, m + 1), arguments=tuple(arguments))
 
-        f = evaluated(self.modes[mode].f, with_variable)
+        f = evaluate(self.modes[mode].f, with_variable)
         slopes = jets(f, np.append(y, values_of([norm], y[None])[0])[None]).slopes
         return float(eta @ slopes[0, :, k])
 

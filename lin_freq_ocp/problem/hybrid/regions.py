@@ -23,7 +23,7 @@ from lin_freq_ocp.base.polyhedra import (
     ball_centre,
     cell_of,
     natural_sizes,
-    uncovered,
+    uncovered_point,
 )
 from lin_freq_ocp.problem.dynamics.base import SwitchingBoundary
 from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE, ModeArrays
@@ -144,7 +144,7 @@ def meets_gap(arrays: ModeArrays, sets: StageSets, t: int, v: Array, modes: Mask
     cells = [_cone(cell, y).restricted(np.zeros(len(y)), columns) for cell in np.array(pieces.cells)[modes]]
     near = np.eye(len(free))
     ball = Cell(np.vstack([near, -near]), np.ones(2 * len(free)))
-    return uncovered(ball & _cone(pieces.domain, free), [cell for cell in cells if cell is not None]) is not None
+    return uncovered_point(ball & _cone(pieces.domain, free), [cell for cell in cells if cell is not None]) is not None
 
 
 def switching_facets(arrays: ModeArrays, sets: StageSets, time_varying: bool) -> tuple[SwitchingFacet, ...]:
@@ -195,7 +195,7 @@ def _gap(pieces: _Pieces) -> str | None:
     """Return a point of one time that no mode covers, in words."""
     columns = np.eye(len(pieces.free))[:, pieces.free]
     regions = [cell.restricted(np.zeros(len(pieces.free)), columns) for cell in pieces.cells]
-    point = uncovered(pieces.domain, [region for region in regions if region is not None])
+    point = uncovered_point(pieces.domain, [region for region in regions if region is not None])
     return None if point is None else pieces.point_text(point)
 
 

@@ -1,12 +1,12 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
+# ruff: noqa: D102
 """The protocol of convex sets, and their intersections.
 
-A set is bounds on the components and parts {v : F v + c in the set of a penalty}. Solvers, certificates, descriptions
-and the CVXPY export need nothing else of it.
+A set has bounds on the components and parts {v : F v + c in the set of a penalty}. Solvers, certificates, descriptions
+and the CVXPY export need nothing else. Methods without a docstring are described by ``ConvexSet``.
 
-A new set is a subclass of ``ConvexSet`` in a file of its own, with ``dimension``, ``parts`` and ``describe``; a part
-takes any penalty of ``problem/terms``. To be written to problem files it is listed in
-``files/problem_tables.py``. ``tests/problem/test_new_set.py`` shows a complete one.
+A new set is a subclass of ``ConvexSet`` in its own file, with ``dimension``, ``parts`` and ``describe``; a part takes
+any penalty of ``problem/terms``. For problem files it needs an entry in ``files/problem_tables.py``.
+``tests/problem/test_new_set.py`` has a complete one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, frozen, with_columns, with_products
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, freeze, with_columns, with_products
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT
 from lin_freq_ocp.problem.terms.penalty import Penalty
@@ -46,9 +46,9 @@ class Part:
 
 
 class ConvexSet(ABC):
-    """A convex set of vectors: its bounds and its parts beyond them."""
+    """A convex set of vectors: bounds and parts."""
 
-    may_be_soft: ClassVar[bool] = True  # whether ``Soft`` takes it
+    may_be_soft: ClassVar[bool] = True  # whether ``Soft`` accepts it
     soft: ClassVar[bool] = False  # whether it may be violated at a price
 
     @property
@@ -58,11 +58,11 @@ class ConvexSet(ABC):
 
     @abstractmethod
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        """Return what constrains v in R^dimension beyond the bounds."""
+        """Return the constraints on v in R^dimension, bounds apart."""
 
     @abstractmethod
     def describe(self, names: Sequence[str], signal: str) -> str:
-        """Return a text such as "u within 2 of the origin", for components of these names and the signal "x" or "u"."""
+        """Return a text such as "u within 2 of the origin" for a signal "x" or "u" with names of components."""
 
     @property
     def bounds(self) -> Bounds:
@@ -71,47 +71,47 @@ class ConvexSet(ABC):
 
     @property
     def members(self) -> tuple[ConvexSet, ...]:
-        """Return the sets that it is the intersection of, boxes left out."""
+        """Return the sets whose intersection it is, without boxes."""
         return (self,)
 
     def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
-        """Return the equations on both ends that it says as a terminal set."""
+        """Return its equations on both ends, as a terminal set."""
         return ()
 
     @property
     def hull(self) -> ConvexSet:
-        """Return the convex set that its points span; every other set is its own."""
+        """Return the convex hull."""
         return self
 
     def points(self, dimension: int) -> Array | None:
-        """Return the finitely many points that alone are admissible, (points, n); None for the set as it is."""
+        """Return the points of a finite set, (points, n); None for a convex set."""
         return None
 
     def levels_of(self, dimension: int) -> Sequence[Array]:
-        """Return the levels of each of so many components, (levels,); none for a set without levels."""
+        """Return the levels of each of so many components, (levels,); empty for a set without levels."""
         return ()
 
     def shares(self, u: Array) -> Sequence[Array]:
-        """Return the duty cycles of the levels of each component, (T, levels); none for a set without levels."""
+        """Return the duty cycles of the levels of each component, (T, levels); empty for a set without levels."""
         return ()
 
     def soft_parts(self, dimension: int, weight: Array) -> tuple[Part, ...]:
-        """Return the parts with a price per unit of excess."""
+        """Return the parts with a price per unit of violation."""
         return tuple(replace(part, penalty=part.penalty.softened(weight)) for part in self.parts(dimension))
 
-    def extended(self, n: int, k: int) -> ConvexSet:
-        """Return the set of (x, w), w in R^k, with x in R^n in this set, bounds left out."""
+    def augmented(self, n: int, k: int) -> ConvexSet:
+        """Return the set of (x, w), w in R^k, with x in R^n in this set, without bounds."""
         parts = tuple(Part(with_columns(part.F, k), part.c, part.penalty) for part in self.parts(n))
         return PartSet(parts, n + k, self.describe([f"x[{i}]" for i in range(n)], "x"))
 
-    def widened(self, amount: float, dimension: int) -> ConvexSet:
-        """Return the set with limits, bounds apart, that are higher by an amount; a soft set stays as it is."""
+    def relaxed(self, amount: float, dimension: int) -> ConvexSet:
+        """Return the set with limits, bounds apart, that are higher by an amount; a soft set does not change."""
         parts = tuple(Part(part.F, *part.penalty.relaxed(part.c, amount)) for part in self.parts(dimension))
         return PartSet(parts, dimension, f"wider by {amount:g}")
 
     @property
     def hard_members(self) -> tuple[ConvexSet, ...]:
-        """Return its members that must hold."""
+        """Return its hard members."""
         return tuple(member for member in self.members if not member.soft)
 
     def translated(self, origin: Array) -> ConvexSet:
@@ -122,14 +122,14 @@ class ConvexSet(ABC):
         return PartSet(parts, n, text, (lower - origin, upper - origin))
 
     def violation(self, v: Array) -> Array:
-        """Return the largest excess over a constraint of the set, for each v (..., n); 0 inside."""
+        """Return the largest violation of a constraint of the set by each v (..., n); 0 inside."""
         points = np.asarray(v, dtype=float)
         lower, upper = self.bounds
-        excess = np.maximum(np.maximum(lower - points, points - upper), 0.0).max(-1)
+        largest = np.maximum(np.maximum(lower - points, points - upper), 0.0).max(-1)
         flat = points.reshape(-1, points.shape[-1])
         for part in self.parts(flat.shape[1]):
-            excess = np.maximum(excess, part.penalty.violation(part.values(flat)).max(1).reshape(excess.shape))
-        return excess
+            largest = np.maximum(largest, part.penalty.violation(part.values(flat)).max(1).reshape(largest.shape))
+        return largest
 
     def contains(self, v: Array, tolerance: float = 0.0) -> Mask:
         """Whether each v (..., n) violates no constraint of the set by more than ``tolerance``."""
@@ -141,7 +141,7 @@ class ConvexSet(ABC):
 
 @dataclass(frozen=True, eq=False)
 class PartSet(ConvexSet):
-    """A set given by its parts: derived from a set of another class."""
+    """A set that is derived from one of another class, by its parts."""
 
     given: tuple[Part, ...]
     size: int
@@ -201,12 +201,12 @@ class Intersection(ConvexSet):
 
     @property
     def dimension(self) -> int | None:
-        return next((one.dimension for one in self.sets if one.dimension is not None), None)
+        return next((convex_set.dimension for convex_set in self.sets if convex_set.dimension is not None), None)
 
     @property
     def bounds(self) -> Bounds:
         lower, upper = self.sets[0].bounds
-        for low, high in (one.bounds for one in self.sets[1:]):
+        for low, high in (convex_set.bounds for convex_set in self.sets[1:]):
             try:
                 common = np.maximum(lower, low), np.minimum(upper, high)
             except ValueError:
@@ -216,23 +216,23 @@ class Intersection(ConvexSet):
             if apart.any():
                 got = f"bounds {common[0][apart].flat[0]:g} <= v <= {common[1][apart].flat[0]:g} on a component"
                 raise ProblemError("Intersection", got, "a point within the bounds of all sets")
-            lower, upper = frozen(common[0]), frozen(common[1])
+            lower, upper = freeze(common[0]), freeze(common[1])
         return lower, upper
 
     @property
     def members(self) -> tuple[ConvexSet, ...]:
-        return tuple(member for one in self.sets for member in one.members)
+        return tuple(member for convex_set in self.sets for member in convex_set.members)
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        return tuple(part for one in self.sets for part in one.parts(dimension))
+        return tuple(part for convex_set in self.sets for part in convex_set.parts(dimension))
 
     def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
-        return tuple(link for one in self.sets for link in one.links(dimension, horizon))
+        return tuple(link for convex_set in self.sets for link in convex_set.links(dimension, horizon))
 
     def translated(self, origin: Array) -> Intersection:
-        return Intersection([one.translated(origin) for one in self.sets])
+        return Intersection([convex_set.translated(origin) for convex_set in self.sets])
 
     def describe(self, names: Sequence[str], signal: str) -> str:
-        text = "; and ".join(one.describe(names, signal) for one in self.sets)
-        kinds = ", ".join(dict.fromkeys(type(one).__name__ for one in self.sets))
+        text = "; and ".join(convex_set.describe(names, signal) for convex_set in self.sets)
+        kinds = ", ".join(dict.fromkeys(type(convex_set).__name__ for convex_set in self.sets))
         return text if len(text) <= 2 * MOST_TEXT else f"an intersection of {len(self.sets)} sets ({kinds})"

@@ -1,5 +1,8 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
-"""Pointwise constraint sets. A set bound of two dimensions, (times, n), is one set per time."""
+# ruff: noqa: D102
+"""Boxes and points. Bounds of two dimensions, (times, n), are one box per time.
+
+Methods without a docstring are described by ``ConvexSet``.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, frozen, one_component, real_array
+from lin_freq_ocp.base.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, freeze, one_component, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT, intervals, plural, short_name
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
@@ -17,7 +20,7 @@ from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 
 SetOrSets = ConvexSet | Sequence[ConvexSet] | None  # one set for all times, one per time, or no constraint
 
-END_TOLERANCE = 1e-9  # how far, relative to its size, an end may lie outside the set of its time: rounding
+END_TOLERANCE = 1e-9  # largest relative distance of an end from the set of its time that is rounding
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -27,9 +30,9 @@ class Box(ConvexSet):
     Parameters
     ----------
     lower, upper : float, (n,) or (times, n)
-        Bounds; None, the default, or -inf and inf, where there is none. A single number holds for every component. A
-        bound of 1e20 or more in absolute value stands for none, and becomes infinite; two that are equal are a point,
-        however large.
+        Bounds; None, the default, -inf and inf stand for no bound. A single number holds for every component. A bound
+        of 1e20 or more in absolute value stands for none, and becomes infinite; two equal bounds are a point, however
+        large.
 
     Raises
     ------
@@ -46,7 +49,7 @@ class Box(ConvexSet):
     contains(v)
         Whether points lie in the box.
     violation(v)
-        By how much each component lies outside.
+        The distance of each component from the box.
     project(v)
         The nearest point of the box.
     support(y)
@@ -71,7 +74,7 @@ class Box(ConvexSet):
             entry = "".join(f"[{k}]" for k in i)
             got = f"{low[i]:g} above upper{entry} = {high[i]:g}"
             raise ProblemError(f"Box.lower{entry}", got, "lower <= upper", "Exchange them?")
-        if ((np.abs(low) >= NO_BOUND) | (np.abs(high) >= NO_BOUND)).any():  # these stand for none
+        if ((np.abs(low) >= NO_BOUND) | (np.abs(high) >= NO_BOUND)).any():  # for no bound
             apart = low < high
             low = np.where(apart & (low <= -NO_BOUND), -np.inf, low)
             high = np.where(apart & (high >= NO_BOUND), np.inf, high)
@@ -79,9 +82,9 @@ class Box(ConvexSet):
                 impossible = apart & (sign * bound >= NO_BOUND)
                 if impossible.any():
                     expected = f"a number below {NO_BOUND:g} in absolute value"
-                    advice = "That is beyond what stands for no bound at all; choose other units."
+                    advice = "A number of that size stands for no bound; choose other units."
                     raise ProblemError(f"Box.{side}", f"{bound[impossible][0]:g}", expected, advice)
-        assign(self, lower=frozen(low), upper=frozen(high))
+        assign(self, lower=freeze(low), upper=freeze(high))
 
     @property
     def dimension(self) -> int | None:
@@ -103,7 +106,7 @@ class Box(ConvexSet):
         limits = np.concatenate([box.upper, -box.lower], axis=-1)
         return (Part(np.vstack([identity, -identity]), np.zeros(2 * dimension), HalfSpaces(limits, weight)),)
 
-    def extended(self, n: int, k: int) -> Box:
+    def augmented(self, n: int, k: int) -> Box:
         box, free = self.at_dimension(n, "Box"), np.full(k, np.inf)
         return Box(np.append(box.lower, -free), np.append(box.upper, free))
 
@@ -128,7 +131,7 @@ class Box(ConvexSet):
         return self.lower == self.upper
 
     def violation(self, v: Array) -> Array:
-        """Return by how much v lies outside, per component (0 inside); same shape as v."""
+        """Return the distance of each component of v from the box (0 inside); same shape as v."""
         return np.maximum(np.maximum(self.lower - v, v - self.upper), 0.0)
 
     def contains(self, v: Array, tolerance: float = 0.0) -> Mask:
@@ -152,13 +155,13 @@ class Box(ConvexSet):
         box = self.at_dimension(len(names), "names")
         bounds = np.atleast_2d(box.lower), np.atleast_2d(box.upper)
         parts = {name: intervals(*(bound[:, i] for bound in bounds)) for i, name in enumerate(names)}
-        found = {name: words for name, words in parts.items() if words != "no bound"}
-        if not found:
+        bounded = {name: words for name, words in parts.items() if words != "no bound"}
+        if not bounded:
             return "no constraint"
-        if len(found) == len(names) and len(set(found.values())) == 1:
-            return f"every component {next(iter(found.values()))}"
-        text = ", ".join(f"{short_name(name)} {words}" for name, words in found.items())
-        return text if len(text) <= MOST_TEXT else f"bounds on {plural(len(found), 'component')}"
+        if len(bounded) == len(names) and len(set(bounded.values())) == 1:
+            return f"every component {next(iter(bounded.values()))}"
+        text = ", ".join(f"{short_name(name)} {words}" for name, words in bounded.items())
+        return text if len(text) <= MOST_TEXT else f"bounds on {plural(len(bounded), 'component')}"
 
 
 class Point(Box):
@@ -179,7 +182,7 @@ class Point(Box):
         point = one_component(real_array("Point", value), 1)
         if point.ndim != 1:
             raise ProblemError("Point", f"shape {point.shape}", "one number per component")
-        assign(self, lower=frozen(point), upper=frozen(point))
+        assign(self, lower=freeze(point), upper=freeze(point))
 
     @property
     def value(self) -> Array:
@@ -200,16 +203,16 @@ class Everything(Box):
         super().__init__(None, None)
 
 
-def stacked(field: str, given: SetOrSets, dimension: int, times: int) -> Box:
+def bounds_over_time(field: str, given: SetOrSets, dimension: int, times: int) -> Box:
     """Return the bounds of each time, (times, dimension), of one set, a sequence of sets, or None."""
     if isinstance(given, Sequence) and not isinstance(given, str):
         expected = f"one set, or a sequence of {times} sets, one per time"
         if len(given) != times:
             raise ProblemError(field, f"a sequence of {len(given)}", expected)
-        for t, one in enumerate(given):
-            if not isinstance(one, ConvexSet):
-                raise ProblemError(field, f"{brief(one)} at place {t}", expected)
-        boxes = [box_of(one).at_dimension(dimension, f"{field}[{t}]") for t, one in enumerate(given)]
+        for t, convex_set in enumerate(given):
+            if not isinstance(convex_set, ConvexSet):
+                raise ProblemError(field, f"{brief(convex_set)} at place {t}", expected)
+        boxes = [box_of(convex_set).at_dimension(dimension, f"{field}[{t}]") for t, convex_set in enumerate(given)]
         return Box(np.array([box.lower for box in boxes]), np.array([box.upper for box in boxes]))
     given = Everything() if given is None else given
     if not isinstance(given, ConvexSet):
@@ -242,30 +245,30 @@ def end_set(field: str, given: ConvexSet | ArrayLike | None, dimension: int) -> 
 
 
 def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
-    """Return the box of an end within the bounds of its time, both (n,), and where no point is in both.
+    """Return the box of an end within the bounds of its time, both (n,), and the components in which they are disjoint.
 
-    There, and where only rounding is between them, the box is that of the end alone.
+    In these, and in those that only rounding separates, the box is that of the end alone.
     """
     lower, upper = np.maximum(end.lower, bounds.lower), np.minimum(end.upper, bounds.upper)
-    excess = np.maximum(lower - upper, 0.0)
-    if excess.any():
-        beyond = excess > END_TOLERANCE * np.maximum(np.abs(lower), np.abs(upper))
-        lower, upper = np.where(excess > 0, end.lower, lower), np.where(excess > 0, end.upper, upper)
+    distance = np.maximum(lower - upper, 0.0)
+    if distance.any():
+        outside = distance > END_TOLERANCE * np.maximum(np.abs(lower), np.abs(upper))
+        lower, upper = np.where(distance > 0, end.lower, lower), np.where(distance > 0, end.upper, upper)
     else:
-        beyond = np.zeros(lower.shape, dtype=bool)
-    return _box_of_checked(frozen(lower), frozen(upper)), beyond
+        outside = np.zeros(lower.shape, dtype=bool)
+    return _box_of_checked(freeze(lower), freeze(upper)), outside
 
 
-def held(given: SetOrSets, values: Array | None) -> SetOrSets:
-    """Return a set, for all times, with the values (times, n) as its bounds; the set itself without values."""
+def fix_values(given: SetOrSets, values: Array | None) -> SetOrSets:
+    """Return a set, for all times, whose bounds are the values (times, n); without values, the given set."""
     if values is None:
         return given
     return given & Box(values, values) if isinstance(given, ConvexSet) else Box(values, values)
 
 
-def box_of(one: ConvexSet) -> Box:
-    """Return a box as it is, and the bounds of any other set."""
-    return one if isinstance(one, Box) else _box_of_checked(*one.bounds)
+def box_of(convex_set: ConvexSet) -> Box:
+    """Return a box itself, and the bounds of any other set."""
+    return convex_set if isinstance(convex_set, Box) else _box_of_checked(*convex_set.bounds)
 
 
 def _box_of_checked(lower: Array, upper: Array) -> Box:

@@ -1,5 +1,8 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
-"""Convex sets beyond boxes: polyhedra, balls, ellipsoids, second-order cones, and soft sets."""
+# ruff: noqa: D102
+"""Convex sets other than boxes: polyhedra, balls, ellipsoids, second-order cones, and soft sets.
+
+Methods without a docstring are described by ``ConvexSet``.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from lin_freq_ocp.base.arrays import (
     real_array,
     require_rows_hold,
     row_matrix,
-    shaped,
+    to_shape,
     upper_limits,
     with_columns,
 )
@@ -72,7 +75,7 @@ class Polyhedron(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(self.F, np.zeros(len(self.F)), HalfSpaces(self.g, HARD)),)
 
-    def extended(self, n: int, k: int) -> Polyhedron:
+    def augmented(self, n: int, k: int) -> Polyhedron:
         return Polyhedron(with_columns(self.F, k), self.g)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
@@ -118,7 +121,7 @@ class Ellipsoid(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(self.W, -self.W @ np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
-    def extended(self, n: int, k: int) -> Ellipsoid:
+    def augmented(self, n: int, k: int) -> Ellipsoid:
         return Ellipsoid(with_columns(self.W, k), self.radius, with_columns(np.broadcast_to(self.centre, n), k))
 
     def describe(self, names: Sequence[str], signal: str) -> str:
@@ -161,8 +164,8 @@ class Ball(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(np.eye(dimension), -np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
-    def extended(self, n: int, k: int) -> Ellipsoid:
-        return Ellipsoid(np.eye(n), self.radius, self.centre).extended(n, k)
+    def augmented(self, n: int, k: int) -> Ellipsoid:
+        return Ellipsoid(np.eye(n), self.radius, self.centre).augmented(n, k)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         centre = vector(self.centre) if self.centre.any() else "the origin"
@@ -199,7 +202,7 @@ class SecondOrderCone(ConvexSet):
     def __init__(self, F: ArrayLike, g: ArrayLike, h: ArrayLike, d: float = 0.0):
         matrix = row_matrix("SecondOrderCone.F", F)
         inner, slope = (
-            shaped(f"SecondOrderCone.{name}", value, (size,))
+            to_shape(f"SecondOrderCone.{name}", value, (size,))
             for name, value, size in zip("gh", (g, h), matrix.shape, strict=True)
         )
         constant = real_array("SecondOrderCone.d", d)
@@ -214,7 +217,7 @@ class SecondOrderCone(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(np.vstack([self.h, self.F]), np.append(self.d, self.g), StandardCone()),)
 
-    def extended(self, n: int, k: int) -> SecondOrderCone:
+    def augmented(self, n: int, k: int) -> SecondOrderCone:
         return SecondOrderCone(with_columns(self.F, k), self.g, with_columns(self.h, k), self.d)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
@@ -226,16 +229,16 @@ class SecondOrderCone(ConvexSet):
 
 @dataclass(frozen=True, eq=False, init=False)
 class Soft(ConvexSet):
-    """A set that may be violated at a price: penalty times the excess over each of its constraints joins the cost.
+    """A set that may be violated at a price: the cost has a penalty times the violation of each of its constraints.
 
-    For a Box and a Polyhedron, the excess over every bound and row; for a Ball and an Ellipsoid, that of the norm over
-    the radius. If the set can be satisfied and the penalty exceeds its multipliers, it is satisfied exactly.
+    The violation is that of every bound and row of a Box or Polyhedron, and the norm less the radius of a Ball or
+    Ellipsoid. If the set can be satisfied and the penalty exceeds its multipliers, it is satisfied exactly.
 
     Parameters
     ----------
     soft_set : Box, Polyhedron, Ball or Ellipsoid
     penalty : float
-        Above zero, in units of cost per unit of excess.
+        Above zero, in units of cost per unit of violation.
 
     Raises
     ------
@@ -267,10 +270,10 @@ class Soft(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return self.soft_set.soft_parts(dimension, np.asarray(self.penalty))
 
-    def extended(self, n: int, k: int) -> Soft:
-        return Soft(self.soft_set.extended(n, k), self.penalty)
+    def augmented(self, n: int, k: int) -> Soft:
+        return Soft(self.soft_set.augmented(n, k), self.penalty)
 
-    def widened(self, amount: float, dimension: int) -> Soft:
+    def relaxed(self, amount: float, dimension: int) -> Soft:
         return self
 
     def translated(self, origin: Array) -> Soft:
@@ -281,11 +284,11 @@ class Soft(ConvexSet):
 
 
 def softened_set(penalty: float, given: ConvexSet) -> ConvexSet:
-    """Return a set where bounds and members that must hold cost a penalty per unit of excess."""
+    """Return a set with its bounds and hard members softened by a penalty per unit of violation."""
     lower, upper = given.bounds
     bounds = [Box(lower, upper)] if np.isfinite(lower).any() or np.isfinite(upper).any() else []
     soft = [member for member in given.members if member.soft]
-    members = [*soft, *(Soft(one, penalty) for one in (*bounds, *given.hard_members))]
+    members = [*soft, *(Soft(hard, penalty) for hard in (*bounds, *given.hard_members))]
     return Intersection(members) if members else given
 
 

@@ -1,5 +1,8 @@
-# ruff: noqa: D102  (a method without a docstring is described by ``ConvexSet``)
-"""Equations that the first and the last state satisfy together: E_0 x_0 + E_T x_T = e, and x_T = x_0."""
+# ruff: noqa: D102
+"""Equations on the first and the last state together: E_0 x_0 + E_T x_T = e, and x_T = x_0.
+
+Methods without a docstring are described by ``ConvexSet``.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, require_rows_hold, row_matrix, shaped, with_columns, with_products
+from lin_freq_ocp.base.arrays import Array, assign, require_rows_hold, row_matrix, to_shape, with_columns, with_products
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
@@ -22,14 +25,14 @@ from lin_freq_ocp.problem.terms.term import Link
 class LinkedEnds(ConvexSet):
     """E_0 x_0 + E_T x_T = e: equations on both ends together, a ``terminal_state``.
 
-    An initial set is kept beside it; a terminal set too, as in ``LinkedEnds(...) & Box(...)``.
+    It can be combined with an initial set, and with a terminal set, as in ``LinkedEnds(...) & Box(...)``.
 
     Parameters
     ----------
     E_0, E_T : (rows, n)
         Coefficients of the first and of the last state.
     e : (rows,), optional
-        Right-hand sides, in the units of the rows; zero without.
+        Right-hand sides, in the units of the rows; default zero.
 
     Raises
     ------
@@ -52,7 +55,7 @@ class LinkedEnds(ConvexSet):
     E_0: Array
     E_T: Array
     e: Array
-    reach: float  # how far from e the rows may be: above 0 only where a conflict is explained
+    reach: float  # largest distance of the rows from e: above 0 only in explanations of conflicts
     repeats: bool  # whether x_T repeats x_0, so that spectra of states have T samples
     may_be_soft: ClassVar[bool] = False
     name: ClassVar[str] = "linked ends"
@@ -60,8 +63,8 @@ class LinkedEnds(ConvexSet):
 
     def __init__(self, E_0: ArrayLike, E_T: ArrayLike, e: ArrayLike | None = None):
         first = row_matrix("LinkedEnds.E_0", E_0)
-        last = shaped("LinkedEnds.E_T", E_T, first.shape)
-        right = shaped("LinkedEnds.e", np.zeros(len(first)) if e is None else e, first.shape[:1])
+        last = to_shape("LinkedEnds.E_T", E_T, first.shape)
+        right = to_shape("LinkedEnds.e", np.zeros(len(first)) if e is None else e, first.shape[:1])
         require_rows_hold("LinkedEnds.e", ~(first.any(axis=1) | last.any(axis=1)) & (right != 0), right)
         assign(self, E_0=first, E_T=last, e=right, reach=0.0, repeats=False)
 
@@ -70,7 +73,7 @@ class LinkedEnds(ConvexSet):
         return self.E_0.shape[1]
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
-        return ()  # nothing of x_T alone
+        return ()  # no constraint on x_T alone
 
     def matrices(self, dimension: int) -> tuple[Array, Array, Array]:
         """Return E_0 and E_T, (rows, dimension), and e."""
@@ -81,11 +84,11 @@ class LinkedEnds(ConvexSet):
         ends = StageMap(np.array([0, horizon]), np.stack([E_0, E_T]), None, np.zeros(len(e)))
         return (Link(self.name, SumMap((ends,), -e), Within(self.reach), self.periodic, self.repeats),)
 
-    def extended(self, n: int, k: int) -> ConvexSet:
+    def augmented(self, n: int, k: int) -> ConvexSet:
         E_0, E_T, e = self.matrices(n)
         return self._restate(with_columns(E_0, k), with_columns(E_T, k), e)
 
-    def widened(self, amount: float, dimension: int) -> ConvexSet:
+    def relaxed(self, amount: float, dimension: int) -> ConvexSet:
         return self._restate(*self.matrices(dimension), amount)
 
     def translated(self, origin: Array) -> ConvexSet:
@@ -105,8 +108,8 @@ class LinkedEnds(ConvexSet):
 class Periodic(LinkedEnds):
     """x_T = x_0: the trajectory is one period, and both ends are free.
 
-    Beside it stand a ``state_set``, an initial set, or a terminal set, as in ``Periodic() & Box(...)``. Spectra of
-    states have T samples, x_0 .. x_{T-1}: x_T repeats x_0.
+    It can be combined with a ``state_set``, an initial set, or a terminal set, as in ``Periodic() & Box(...)``. Spectra
+    of states have T samples, x_0 .. x_{T-1}, as x_T repeats x_0.
 
     References
     ----------

@@ -1,7 +1,7 @@
-"""Sets of the pairs (x_t, u_t) of a step, t = 0 .. T-1: joint rows, and all that is polyhedral of a problem's sets.
+"""Sets of the pairs (x_t, u_t) of a step, t = 0 .. T-1: joint rows, and the polyhedral part of all sets of a problem.
 
-``StageRows`` are joint rows C x_t + D u_t <= e_t as users give them. ``StageSets`` are the bounds and rows of all sets
-of a problem, of one time or around all times: switching boundaries and bounds are computed over them.
+``StageRows`` are joint rows C x_t + D u_t <= e_t of a user. ``StageSets`` are the bounds and rows of all sets of a
+problem, of one time or around all times; switching boundaries and lower bounds are computed over them.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from lin_freq_ocp.base.arrays import (
     printable,
     real_array,
     require_rows_hold,
-    shaped,
     times_vectors,
+    to_shape,
     upper_limits,
     with_products,
 )
@@ -39,15 +39,15 @@ class StageRows:
     Parameters
     ----------
     C : (rows, n), (T, rows, n), or None
-        Coefficients of the state, or one matrix per time; None stands for zeros.
+        Coefficients of the state, or one matrix per time; None for zeros.
     D : (rows, m), (T, rows, m), or None
         Coefficients of the control; at least one of C and D is given.
     e : (rows,) or (T, rows)
-        Upper limits, always given; inf, or 1e20 and above, where a row has none at that time.
+        Upper limits, required; inf, or 1e20 and above, for no limit of a row at that time.
     name : str
-        Names the multipliers and the rows in messages.
+        The name of the rows in messages and of their multipliers.
     penalty : float, optional
-        Makes the rows soft: penalty times the excess of each row is added to the cost.
+        Makes the rows soft: penalty times the violation of each row is added to the cost.
 
     Raises
     ------
@@ -56,7 +56,7 @@ class StageRows:
 
     Notes
     -----
-    Until a problem completes it, a matrix that was not given has no columns.
+    A matrix that was not given has no columns until a problem completes it.
 
     Examples
     --------
@@ -69,9 +69,9 @@ class StageRows:
     values(x, u)
         C_t x_t + D_t u_t of every time.
     slack(x, u)
-        How much each row has left.
+        Limit less value of each row.
     violation(x, u)
-        By how much each row is violated.
+        Violation of each row.
     """
 
     C: Array
@@ -105,8 +105,8 @@ class StageRows:
             expected = f"one for each of the {horizon} steps of the horizon"
             raise ProblemError(f"{field}.e", f"limits for {len(self.e)} times", expected)
         rows = self.e.shape[-1]
-        C = shaped(f"{field}.C", self.C if self.C.shape[-1] else np.zeros((rows, n)), (rows, n), horizon)
-        D = shaped(f"{field}.D", self.D if self.D.shape[-1] else np.zeros((rows, m)), (rows, m), horizon)
+        C = to_shape(f"{field}.C", self.C if self.C.shape[-1] else np.zeros((rows, n)), (rows, n), horizon)
+        D = to_shape(f"{field}.D", self.D if self.D.shape[-1] else np.zeros((rows, m)), (rows, m), horizon)
         complete = StageRows(C, D, self.e, self.name, self.penalty)
         require_rows_hold(f"{field}.e", complete._empty & (self.e < 0), self.e)
         return complete
@@ -120,12 +120,12 @@ class StageRows:
         return StageRows(self.C, self.D, e, self.name, self.penalty)
 
     def softened(self, penalty: float) -> StageRows:
-        """Return the rows with a price per unit of excess, unless they have one already."""
+        """Return the rows with a price per unit of violation, unless they have one already."""
         return self if self.penalty is not None else StageRows(self.C, self.D, self.e, self.name, penalty)
 
     @property
     def hard_part(self) -> StageRows | None:
-        """Return the rows if they must hold, else None."""
+        """Return the rows if they are hard, else None."""
         return self if self.penalty is None else None
 
     @property
@@ -139,7 +139,7 @@ class StageRows:
         return self.C.ndim == 3 or self.D.ndim == 3
 
     def bounded(self, horizon: int) -> Mask:
-        """Return where a row restricts anything, (T, rows): its limit is finite and it has a coefficient."""
+        """Return whether each row has a finite limit and a coefficient, (T, rows)."""
         return np.broadcast_to(np.isfinite(self.e) & ~self._empty, (horizon, self.rows))
 
     def values(self, x: Array, u: Array) -> Array:
@@ -151,11 +151,11 @@ class StageRows:
         return self.e - self.values(x, u)
 
     def violation(self, x: Array, u: Array) -> Array:
-        """Return by how much each row is violated (0 where it holds), shape (T, rows)."""
+        """Return the violation of each row (0 if it holds), shape (T, rows)."""
         return np.maximum(-self.slack(x, u), 0.0)
 
     def describe(self, names: Sequence[str]) -> str:
-        """Return few rows as inequalities, of more their number; the names are those of states, then controls."""
+        """Return a few rows as inequalities, of more rows their number; names of states, then of controls."""
         symbols = f"C x + D u {AT_MOST} e"
         if self.time_varying or (self.e.ndim == 2 and (self.e != self.e[0]).any()):
             text = f"{plural(self.rows, 'row')} {symbols}, which depend on time"
@@ -166,17 +166,17 @@ class StageRows:
         return f"{text}{price(self.penalty, 'excess of a row')}"
 
     def sizes(self, x: Array, u: Array) -> Array:
-        """Return how large each row can be, (rows,), with states as large as x (n,) and controls as u (m,)."""
+        """Return the largest value of each row, (rows,), for states within x (n,) and controls within u (m,)."""
         return (np.abs(self.C) @ x).reshape(-1, self.rows).max(0) + (np.abs(self.D) @ u).reshape(-1, self.rows).max(0)
 
     @property
     def _empty(self) -> Mask:
-        """Where a row has no coefficient, (rows,) or (T, rows)."""
+        """Whether each row has no coefficient, (rows,) or (T, rows)."""
         return np.asarray(~(self.C.any(axis=-1) | self.D.any(axis=-1)))
 
 
 def row_families(given: StageRows | Sequence[StageRows] | None, n: int, m: int, horizon: int) -> tuple[StageRows, ...]:
-    """Return all families of joint rows, completed; errors if two share a name."""
+    """Return all families of joint rows, completed; ProblemError if two share a name."""
     if given is None:
         return ()
     if isinstance(given, StageRows):
@@ -203,12 +203,12 @@ def _matrix(field: str, value: ArrayLike | None, rows: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class StageSets:
-    """The sets of (x_t, u_t), t < T: bounds, rows of polyhedra, and joint rows that must hold; no balls, no cones."""
+    """The sets of (x_t, u_t), t < T: bounds, rows of polyhedra and hard joint rows, without balls and cones."""
 
     states: Box  # bounds (T+1, n)
     controls: Box  # bounds (T, m)
     tube: Box  # the bounds of the states, with those of the ends
-    rows: Sequence[LinearRows]  # beyond the bounds
+    rows: Sequence[LinearRows]  # without the bounds
     names: tuple[str, ...]  # of all terms of the problem
 
     @property
@@ -230,8 +230,8 @@ class StageSets:
         """Return the set of one time."""
         lower = np.append(self.tube.lower[t], self.controls.lower[t])
         upper = np.append(self.tube.upper[t], self.controls.upper[t])
-        held = [(rows.matrix(int(k)), rows.e[k]) for rows in self.rows for k in np.flatnonzero(rows.times == t)]
-        return _stage_set(lower, upper, held)
+        rows = [(rows.matrix(int(k)), rows.e[k]) for rows in self.rows for k in np.flatnonzero(rows.times == t)]
+        return _stage_set(lower, upper, rows)
 
     @property
     def constant(self) -> bool:

@@ -27,8 +27,8 @@ from lin_freq_ocp.base.arrays import (
     real_array,
     real_signal,
     require_rows_hold,
-    sealed,
-    shaped,
+    seal,
+    to_shape,
     with_columns,
 )
 from lin_freq_ocp.base.errors import BandWarning, ProblemError
@@ -410,7 +410,7 @@ def stopped_bins(
         if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
             text = f"removes every bin of a signal of {length} samples that the bands before it keep"
             warnings.warn(f"{where}: {band} {text}; the signal must then be zero.", BandWarning, stacklevel=2)
-    return sealed(stopped)
+    return seal(stopped)
 
 
 def bands_of(stop: Mask) -> list[Band]:
@@ -472,7 +472,7 @@ class LinearConstraint(FrequencyConstraint):
             expected = "one matrix (rows, components) per time"
             raise ProblemError("LinearConstraint.coefficients", f"shape {matrices.shape}", expected)
         rows = matrices.shape[1]
-        right = shaped("LinearConstraint.constant", np.zeros(rows) if constant is None else constant, (rows,))
+        right = to_shape("LinearConstraint.constant", np.zeros(rows) if constant is None else constant, (rows,))
         soft = None if penalty is None else positive_number("LinearConstraint.penalty", penalty)
         if soft is None:
             require_rows_hold("LinearConstraint.constant", ~matrices.any(axis=(0, 2)) & (right != 0), right)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, names, real_array, with_columns, with_fields
+from lin_freq_ocp.base.arrays import Array, assign, brief, component_names, real_array, with_columns, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name
 from lin_freq_ocp.problem.numbers import Axis, Number
@@ -204,7 +204,7 @@ class OutputSpectrum:
         if wrong or not entries:
             got = brief(wrong[0]) if wrong else "nothing"
             raise ProblemError("output_spectrum.constraints", got, "bands, MagnitudeBound or EnergyBound")
-        checked_names = names("output_spectrum.output_names", output_names, count, "y")
+        checked_names = component_names("output_spectrum.output_names", output_names, count, "y")
         assign(self, C=rows.get("C"), D=rows.get("D"), constraints=entries, output_names=checked_names)
 
     def describe(self, signals: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, frozen, positive_number, real_array, require_bool
+from lin_freq_ocp.base.arrays import Array, assign, brief, freeze, positive_number, real_array, require_bool
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST, number
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
@@ -122,7 +122,7 @@ class ResidualVibration(FrequencyConstraint):
 def _pair(name: str, ends: ArrayLike, single: bool = False) -> Array:
     low_high = real_array(f"ResidualVibration.{name}", ends)
     if single and low_high.ndim == 0:
-        return frozen(np.full(2, low_high))
+        return freeze(np.full(2, low_high))
     if low_high.shape != (2,) or low_high[0] > low_high[1]:
         raise ProblemError(f"ResidualVibration.{name}", brief(ends), "two numbers, the lowest and the highest")
     return low_high

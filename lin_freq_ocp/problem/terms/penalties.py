@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, extended
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, to_long_double
 from lin_freq_ocp.problem.terms.penalty import HARD, Block, ConicForm, Penalty, block_rows, selected_rows
 
 DUAL_ORDER = {1: np.inf, 2: 2, np.inf: 1}  # of a norm, the order of its dual norm
@@ -95,7 +95,7 @@ class HalfSpaces(Penalty):
         return c, replace(self, limit=self.limit + amount)
 
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
-        return np.zeros_like(c), replace(self, limit=(extended(self.limit) - c).astype(np.float64))
+        return np.zeros_like(c), replace(self, limit=(to_long_double(self.limit) - c).astype(np.float64))
 
     def stacked(self, parts: list[Any]) -> Penalty:
         weights = np.array([np.asarray(part.weight, dtype=float) for part in parts])

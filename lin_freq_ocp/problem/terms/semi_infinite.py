@@ -20,7 +20,7 @@ from typing import ClassVar
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, extended
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.terms.maps import Shapes
 from lin_freq_ocp.problem.terms.penalties import LargestExcess, NormBall
@@ -229,7 +229,7 @@ class ZeroOrderHoldMap(ScaledMap):
 
     @property
     def gain(self) -> ComplexArray:
-        return extended(sinc(extended(self.at)) + 0j)
+        return to_long_double(sinc(to_long_double(self.at)) + 0j)
 
     @property
     def additions(self) -> float:
@@ -278,19 +278,19 @@ class VibrationMap(ScaledMap):
     def gain(self) -> ComplexArray:
         """Return (z - 1) / sqrt(1 - zeta^2), (groups,); 1 if relative."""
         if self.relative:
-            return extended(np.ones(len(self.at)) + 0j)
+            return to_long_double(np.ones(len(self.at)) + 0j)
         turned: ComplexArray = np.exp(self._angles)
         return (turned - 1) / np.sqrt(1 - self._damping_ratio**2)
 
     @property
     def _angles(self) -> ComplexArray:
         """Return s h, (groups,)."""
-        w, damping = (2 * np.pi * self.sampling_time) * extended(self.at[:, 0]), self._damping_ratio
+        w, damping = (2 * np.pi * self.sampling_time) * to_long_double(self.at[:, 0]), self._damping_ratio
         return w * (-damping + 1j * np.sqrt(1 - damping**2))
 
     @property
     def _damping_ratio(self) -> Array:
-        return extended(self.at[:, 1])
+        return to_long_double(self.at[:, 1])
 
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:

@@ -13,7 +13,7 @@ from helpers.stage_programs import solved_stages, stage_operator
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured.assembly import assemble_stages
 from lin_freq_ocp.methods.structured.stages import SparseRows, Stages
-from lin_freq_ocp.problem.problem_data import changed
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.term import Term
 
@@ -181,7 +181,7 @@ def test_a_small_solution_has_units_of_its_own(kind):
 def test_numbers_of_dynamics_and_fixed_ends_are_exchanged(kind):
     problem = KINDS[kind]()
     assembly = assemble_stages(problem)
-    slower = changed(problem, dynamics=lfo.LinearDynamics(0.9 * A, 1.1 * B, [0.02, 0.01]))
+    slower = replace_fields(problem, dynamics=lfo.LinearDynamics(0.9 * A, 1.1 * B, [0.02, 0.01]))
     ends = [replaced_where_fixed(end) for end in (problem.initial_state, problem.terminal_state)]
     slower = slower.with_ends(*ends)
     exchanged = assembly.exchanged(slower)

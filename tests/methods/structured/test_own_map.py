@@ -73,7 +73,7 @@ class Variation(NonsmoothCost):
     def describe(self):
         return "the variation of the controls"
 
-    def extended(self, n, k):
+    def augmented(self, n, k):
         return self
 
 

@@ -243,7 +243,7 @@ def test_rows_that_are_equations_leave_the_bounds():
 def test_regions_that_were_checked_are_not_checked_again(monkeypatch):
     problem = problem_of(lfo.PiecewiseAffineDynamics(WEDGE), 5, state_set=lfo.Box(-3, 0.5))
     assert problem.gap is None
-    monkeypatch.setattr("lin_freq_ocp.problem.hybrid.regions.uncovered", None)
+    monkeypatch.setattr("lin_freq_ocp.problem.hybrid.regions.uncovered_point", None)
     assert replace(problem, horizon=7).gap is None
     with pytest.raises(TypeError):
         _ = replace(problem, state_set=lfo.Box(-3, 0.4)).gap
@@ -289,10 +289,10 @@ def test_coverage_against_random_points(seed):
     boxes = [(edges[0][[i, i + 1]], edges[1][[j, j + 1]]) for i in range(3) for j in range(3)]
     cells = [Cell(np.vstack([np.eye(2), -np.eye(2)]), np.array([a[1], b[1], -a[0], -b[0]])) for a, b in boxes]
     domain = Cell(np.vstack([np.eye(2), -np.eye(2)]), np.ones(4))
-    assert polyhedra.uncovered(domain, cells) is None
+    assert polyhedra.uncovered_point(domain, cells) is None
     for left_out in ({0}, {4}, {8}, {1, 7}, set(range(9))):
         kept = [cell for k, cell in enumerate(cells) if k not in left_out]
-        point = polyhedra.uncovered(domain, kept)
+        point = polyhedra.uncovered_point(domain, kept)
         assert point is not None
         assert all((cell.limits < cell.normals @ point).any() for cell in kept)
         assert (np.abs(point) <= 1).all()

@@ -18,7 +18,7 @@ import numba
 from llvmlite import binding
 from numba import types
 
-from lin_freq_ocp.base.atomic import locked
+from lin_freq_ocp.base.atomic import lock_file
 from lin_freq_ocp.base.clock import now
 
 Arguments = ParamSpec("Arguments")
@@ -116,7 +116,7 @@ class Kernels:
                 with suppress(OSError):  # a folder may be unwritable
                     self._folder.mkdir(parents=True, exist_ok=True)
                     file = stack.enter_context((self._folder / f"{self._sources[0].stem}.lock").open("w"))
-                    stack.enter_context(locked(file))
+                    stack.enter_context(lock_file(file))
             yield
 
     @property

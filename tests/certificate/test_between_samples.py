@@ -1,0 +1,272 @@
+"""State bounds between the samples: a published table, dense sampling, and integration by another program."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import lin_freq_ocp as lfo
+from helpers.schemas import RESULT, faults, printed
+from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, between_samples
+from lin_freq_ocp.dynamics import ContinuousPlant
+from lin_freq_ocp.files.summary import certificate_summary, result_summary
+from lin_freq_ocp.pages.report.findings import finding_of
+
+# Largest violation over half the width of the bounds, 2 digits: CONTINUOUS.md, section 2
+FREE = {"notch_width_hz": None}
+TABLE = [
+    ("scanner", {}, 3.7e-2),
+    ("scanner", {"sampling_time": 2.5e-4, "horizon": 100, "cutoff_hz": None}, 0.14),
+    ("flexible_joint_arm", {}, 3.7e-6),
+    ("flexible_joint_arm", {"sampling_time": 0.1, "horizon": 24, **FREE}, 1.5e-2),
+    ("pendulum", {"sampling_time": 0.1, "horizon": 240}, 4.3e-4),
+    ("pendulum", {"sampling_time": 0.2, "horizon": 120}, 2.3e-3),
+    ("crane", {"sampling_time": 0.5, "horizon": 30, **FREE}, 5.9e-3),
+]
+KEPT = ("pendulum", "double_integrator", "two_mass_spring", "crane", "mass_chain", "printer_move")
+
+
+def solved(name, keywords):
+    return lfo.solve(lfo.library.by_name(name)(**keywords))
+
+
+def dense_peaks(problem, trajectory, points=200):
+    """Return the largest violation of each bound at many instants of every period, by matrix exponentials."""
+    plant, h, boxes = problem.dynamics.plant, problem.sampling_time, problem.state_boxes
+    n, peaks = len(plant.A), {}
+    for s in np.linspace(0, h, points):
+        A, B, d = plant.sampled(s)
+        x = trajectory.x[:-1, :n] @ A.T + trajectory.u @ B.T + d
+        for i in range(n):
+            upper = np.maximum(boxes.upper[:-1, i], boxes.upper[1:, i])
+            lower = np.minimum(boxes.lower[:-1, i], boxes.lower[1:, i])
+            for side, values in (("upper", x[:, i] - upper), ("lower", lower - x[:, i])):
+                peaks[side, i] = max(peaks.get((side, i), -np.inf), float(values.max()))
+    return peaks
+
+
+def state_at(problem, trajectory, time):
+    """Return the state at a time in seconds by an integrator of another program."""
+    plant, h, n = problem.dynamics.plant, problem.sampling_time, len(problem.dynamics.plant.A)
+    k = min(int(time / h), problem.horizon - 1)
+    drive = plant.B @ trajectory.u[k] + plant.offset
+    span, start = (0.0, time - k * h), trajectory.x[k, :n]
+    if span[1] <= 0:
+        return start
+    flow = solve_ivp(lambda t, x: plant.A @ x + drive, span, start, "DOP853", rtol=1e-12, atol=1e-14)
+    return flow.y[:, -1]
+
+
+def require_right(problem, trajectory):
+    """Compare all peaks with dense sampling, and the state at their times with an integrator."""
+    found, peaks = between_samples(problem, trajectory), dense_peaks(problem, trajectory)
+    boxes = problem.state_boxes
+    for bound in found.bounds:
+        i, sign = bound.component, 1 if bound.side == "upper" else -1
+        size = max(abs(bound.violation / (bound.relative or 1.0)), np.abs(trajectory.x[:, i]).max())
+        assert peaks[bound.side, i] <= bound.at_most
+        assert bound.violation <= bound.at_most <= bound.violation + 1e-8 * size
+        assert bound.violation >= peaks[bound.side, i] - 2e-9 * size
+        limit = (boxes.upper if sign > 0 else boxes.lower)[:, i]
+        if (limit == limit[0]).all():
+            value = sign * (state_at(problem, trajectory, bound.time)[i] - limit[0])
+            assert value == pytest.approx(bound.violation, rel=1e-8, abs=2e-9 * size)
+    return found
+
+
+@pytest.mark.parametrize(("name", "keywords", "violation"), TABLE)
+def test_violations_of_the_library_are_those_of_the_table(name, keywords, violation):
+    result = solved(name, keywords)
+    found = require_right(result.problem, result.trajectory)
+    assert found.worst.relative == pytest.approx(violation, rel=0.04)
+    assert not found.holds
+    assert "its upper bound by" in str(found) or "its lower bound by" in str(found)
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_other_problems_of_the_library_hold_their_bounds_between_the_samples(name):
+    result = solved(name, {})
+    found = require_right(result.problem, result.trajectory)
+    assert found.holds
+    assert found.worst.violation < 1e-9
+    assert str(found) == "all state bounds hold between the samples"
+
+
+def two_masses(samples):
+    """Return two masses with a spring, 6 rad/s, and a bound on the deflection, which is a state."""
+    A = np.zeros((4, 4))  # states: position of the first mass, deflection, and their rates
+    A[0, 2] = A[1, 3] = 1.0
+    A[2, 1], A[3, 1] = -18.0, -36.0
+    h = 5.0 / samples
+    dynamics = lfo.LinearDynamics.from_continuous(A, [[0], [0], [1], [1]], h)
+    return lfo.OptimalControlProblem(
+        dynamics,
+        samples,
+        lfo.QuadraticCost(R=1.0),
+        control_set=lfo.Box(-3, 3),
+        state_set=lfo.Box([None, -0.0115, None, None], [None, 0.0115, None, None]),
+        initial_state=np.zeros(4),
+        terminal_state=[1.0, 0, 0, 0],
+    )
+
+
+@pytest.mark.parametrize(("samples", "violation"), [(20, 4.0e-2), (15, 0.35)])
+def test_two_masses_near_the_sampling_of_their_resonance(samples, violation):
+    problem = two_masses(samples)
+    trajectory = lfo.solve(problem).trajectory
+    assert require_right(problem, trajectory).worst.relative == pytest.approx(violation, rel=0.05)
+
+
+def test_a_bound_on_one_side_is_relative_to_the_range_of_the_state():
+    dynamics = lfo.LinearDynamics.from_continuous([[0, 1], [0, 0]], [[0], [1]], 0.1)
+    problem = lfo.OptimalControlProblem(
+        dynamics, 10, lfo.QuadraticCost(R=1.0), None, lfo.Box(None, [1 / 9, None]), initial_state=[0, 1],
+        terminal_state=[0, -1],
+    )  # fmt: skip
+    trajectory = lfo.solve(problem).trajectory
+    worst = require_right(problem, trajectory).worst
+    assert (worst.component, worst.side) == (0, "upper")
+    assert worst.violation == pytest.approx(1.5e-3 / 9, rel=0.04)  # Bryson-Denham, l = 1/9
+    assert worst.relative == pytest.approx(2 * worst.violation / np.ptp(trajectory.x[:, 0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_plants_against_dense_sampling(seed):
+    rng = np.random.default_rng(seed)
+    n, m, T = rng.integers(1, 6), rng.integers(1, 3), 12
+    A = rng.normal(size=(n, n)) * 10.0 ** rng.uniform(-1, 1)
+    A -= np.linalg.eigvals(A).real.max() * np.eye(n)  # marginally stable
+    dynamics = lfo.LinearDynamics.from_continuous(A, rng.normal(size=(n, m)), 0.3, rng.normal(size=n))
+    lower = -rng.uniform(0, 1, n)
+    bounds = lfo.Box(np.tile(lower, (T + 1, 1)), lower + rng.uniform(0.1, 1, (T + 1, n)))
+    problem = lfo.OptimalControlProblem(dynamics, T, lfo.QuadraticCost(R=1.0), state_set=bounds)
+    trajectory = lfo.simulate(problem, rng.normal(size=(T, m)), rng.normal(size=n))
+    require_right(problem, trajectory)
+
+
+def test_units_and_the_origin_change_no_verdict():
+    result = solved("scanner", {})
+    problem, (x, u) = result.problem, (result.trajectory.x, result.trajectory.u)
+    plant, h = problem.dynamics.plant, problem.sampling_time
+    first, units = between_samples(problem, result.trajectory), np.array([1e-6, 1e3])
+    dynamics = lfo.LinearDynamics.from_continuous(
+        units[:, None] * plant.A / units / 1e-3, units[:, None] * plant.B / 1e-3, 1e-3 * h
+    )
+    boxes = problem.state_boxes
+    scaled = lfo.OptimalControlProblem(
+        dynamics, problem.horizon, lfo.QuadraticCost(R=1.0), state_set=lfo.Box(boxes.lower * units, boxes.upper * units)
+    )
+    again = between_samples(scaled, lfo.Trajectory(x * units, u))
+    for one, other in zip(first.bounds, again.bounds, strict=True):
+        assert other.relative == pytest.approx(one.relative, rel=1e-7)
+        assert other.time == pytest.approx(1e-3 * one.time, rel=1e-4)
+    origin = np.array([3e4, 0.0])
+    moved = lfo.OptimalControlProblem(
+        problem.dynamics.translated(-origin), problem.horizon, lfo.QuadraticCost(R=1.0),
+        state_set=lfo.Box(boxes.lower + origin, boxes.upper + origin),
+    )  # fmt: skip
+    assert moved.dynamics.plant is not None
+    far = between_samples(moved, lfo.Trajectory(x + origin, u))
+    assert far.worst.relative == pytest.approx(first.worst.relative, rel=1e-6)
+
+
+def test_rate_limits_leave_the_states_of_the_plant():
+    problem = lfo.rate_limited(lfo.library.scanner(), 10.0)
+    trajectory = lfo.solve(problem).trajectory
+    found = require_right(problem, trajectory)
+    assert {bound.component for bound in found.bounds} <= {0, 1}
+
+
+def test_within_a_period_the_wider_bound_counts():
+    problem = two_masses(20)
+    trajectory = lfo.solve(problem).trajectory
+    worst = between_samples(problem, trajectory).worst
+    k = int(worst.time / problem.sampling_time)
+    limits = np.full((21, 4), np.inf)
+    limits[:, 1] = 0.0115
+    limits[k, 1] = 1.0
+    looser = replace(problem, state_set=lfo.Box(-limits, limits))
+    again = require_right(looser, trajectory)
+    assert all(int(bound.time / problem.sampling_time) not in (k - 1, k) for bound in again.bounds)
+
+
+def test_the_plant_is_kept_by_what_keeps_the_dynamics():
+    dynamics = lfo.library.scanner().dynamics
+    assert isinstance(dynamics.plant, ContinuousPlant)
+    assert replace(dynamics, state_names=["a", "b"]).plant is dynamics.plant
+    for changed in (
+        {"A": 1.001 * dynamics.A},
+        {"B": 1.001 * dynamics.B},
+        {"offset": [1e-3, 0]},
+        {"sampling_time": 1.0},
+    ):
+        assert replace(dynamics, **changed).plant is None
+    assert lfo.LinearDynamics(dynamics.A, dynamics.B, sampling_time=1e-4).plant is None
+    control = pytest.importorskip("control")
+    plant = control.ss(dynamics.plant.A, dynamics.plant.B, np.eye(2), np.zeros((2, 1)))
+    assert np.array_equal(lfo.LinearDynamics.from_statespace(plant, 1e-4).plant.A, dynamics.plant.A)
+    assert lfo.LinearDynamics.from_statespace(control.c2d(plant, 1e-4)).plant is None
+
+
+def test_nothing_is_said_without_a_plant_with_held_controls_and_state_bounds():
+    scanner = lfo.library.scanner()
+    trajectory = lfo.solve(scanner).trajectory
+    plain = lfo.LinearDynamics(scanner.dynamics.A, scanner.dynamics.B, sampling_time=1e-4)
+    assert between_samples(replace(scanner, dynamics=plain), trajectory) is None
+    assert between_samples(replace(scanner, state_set=None), trajectory) is None
+    modulated = lfo.FiniteSet([-1.0, 0.0, 1.0], duty_cycles=True)
+    assert between_samples(replace(scanner, control_set=modulated, control_spectrum=None), trajectory) is None
+    steep = lfo.LinearDynamics.from_continuous([[-1.1 * LARGEST_REACH]], [[1.0]], 1.0)
+    stiff = lfo.OptimalControlProblem(steep, 2, lfo.QuadraticCost(R=1.0), state_set=lfo.Box(-1, 1))
+    assert between_samples(stiff, lfo.Trajectory(np.zeros((3, 1)), np.zeros((2, 1)))) is None
+
+
+def test_a_stiff_plant_is_bounded_from_above():
+    dynamics = lfo.LinearDynamics.from_continuous([[-50.0, 0.0], [0.0, -1.0]], [[50.0], [1.0]], 1.0)
+    problem = lfo.OptimalControlProblem(dynamics, 4, lfo.QuadraticCost(R=1.0), state_set=lfo.Box(-1, 1))
+    trajectory = lfo.simulate(problem, [[1.2], [-1.3], [0.5], [1.0]], [0.0, 0.0])
+    assert require_right(problem, trajectory).worst.violation == pytest.approx(0.3, rel=1e-6)
+
+
+def test_a_solve_does_not_compute_it(monkeypatch):
+    def refuse(problem, trajectory):
+        raise AssertionError("computed within a solve")
+
+    monkeypatch.setattr("lin_freq_ocp.solving.outcome.between_samples", refuse)
+    monkeypatch.setattr("lin_freq_ocp.certificate.verdict.between_samples", refuse)
+    result = lfo.solve(lfo.library.scanner())
+    certificate = lfo.certify(result.problem, result)
+    for subject in (result, certificate):
+        with pytest.raises(AssertionError, match="computed within a solve"):
+            _ = subject.between_samples
+
+
+def test_json_has_every_bound():
+    result = solved("scanner", {})
+    summaries = result_summary(result), certificate_summary(result.problem, lfo.certify(result.problem, result))
+    for summary in summaries:
+        assert faults(RESULT, printed(summary)) == []
+        assert summary["between_samples"] == [asdict(bound) for bound in result.between_samples.bounds]
+    silent = lfo.solve(lfo.library.quadcopter(horizon=20))
+    assert "between_samples" not in result_summary(silent)
+
+
+def test_a_report_says_where_a_bound_is_exceeded():
+    assert "at the samples (between them speed exceeds its upper bound by" in str(
+        finding_of(lfo.compare(lfo.library.scanner()))
+    )
+    assert "between them" not in str(finding_of(lfo.compare(lfo.library.pendulum())))
+
+
+def test_results_and_certificates_say_it():
+    result = solved("scanner", {})
+    line = f"between   {result.between_samples}"
+    assert "speed exceeds its upper bound by 0.0349 mm/s (3.7 %) at 0.00094991 s" in line
+    certificate = lfo.certify(result.problem, result.trajectory)
+    assert str(result).count(line) == 1
+    assert str(certificate).count(line) == 1
+    assert certificate.between_samples.worst == result.between_samples.worst
+    silent = lfo.solve(lfo.library.quadcopter(horizon=20))
+    assert silent.between_samples is None
+    assert "between " not in str(silent)
