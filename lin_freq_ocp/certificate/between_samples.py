@@ -9,8 +9,7 @@ balance A. A polynomial lies below its largest Bernstein coefficient, and its fi
 cells are halved until both agree. The samples of the trajectory are taken as they are; the errors of its dynamics at
 samples are conditions of the certificate.
 
-References: Farouki, Computer Aided Geometric Design 29, 2012 (Bernstein polynomials); Osborne, Journal of the ACM 7,
-1960 (balanced matrices).
+Reference: Farouki, Computer Aided Geometric Design 29, 2012 (Bernstein polynomials).
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from dataclasses import dataclass
 from math import ceil, comb, factorial
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.phrases import number, split_unit
@@ -147,7 +145,7 @@ def between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> B
     upper, lower = np.maximum(boxes.upper[:-1], boxes.upper[1:]), np.minimum(boxes.lower[:-1], boxes.lower[1:])
     limits = np.hstack([upper[:, :n], -lower[:, :n]])  # of x and of -x
     rows = np.flatnonzero(np.isfinite(limits).any(axis=0))
-    parts = max(1, ceil(balance(plant.A)[0] * step / REACH))
+    parts = max(1, ceil(plant.balance()[0] * step / REACH))
     if not len(rows) or parts * REACH > LARGEST_REACH:
         return None
     components = rows % n
@@ -168,12 +166,6 @@ def _size(problem: OptimalControlProblem, x: Array, i: int) -> float:
     return float(np.ptp(x[:, i])) / 2 or float(np.abs(x[:, i]).max()) or 1.0
 
 
-def balance(A: Array) -> tuple[float, Array]:
-    """Return the norm of D^-1 A D (largest sum of a row) for units D, (n,), that balance A, and these."""
-    balanced, (units, _) = matrix_balance(A, permute=False, separate=True)
-    return float(np.abs(balanced).sum(axis=1).max()), np.asarray(units, dtype=np.float64)
-
-
 class _LargestValues:
     """Largest values of sign * x_i(t) - limit over all instants, of several rows (component, sign).
 
@@ -187,8 +179,8 @@ class _LargestValues:
 
     def search(self, plant: ContinuousPlant, x: Array, u: Array, w: float, parts: int) -> Array:
         """Search all periods, of ``parts`` cells of length w each; return a bound of the errors of each row."""
-        norm, units = balance(plant.A)
-        growth = RADIUS_MARGIN * float(np.abs(expm(plant.A * w) * units / units[:, None]).sum(axis=1).max())
+        norm, units = plant.balance()
+        growth = RADIUS_MARGIN * float(np.abs(plant.flow(w) * units / units[:, None]).sum(axis=1).max())
         remainder = w * (w * norm) ** DEGREE * np.exp(w * norm) / factorial(DEGREE + 1)
         drive, sizes = u @ plant.B.T + plant.offset, np.abs(u) @ np.abs(plant.B).T + np.abs(plant.offset)
         periods, used = (

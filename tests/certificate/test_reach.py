@@ -10,7 +10,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp import certificate as judging
 from lin_freq_ocp.certificate.reach import reachable_bounds
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.testing import time_varying
+from lin_freq_ocp.testing import reference_problem
 
 T = 30
 OF_SCIPY = re.compile(r"^\s*from scipy\.linalg import (?!block_diag$)", re.MULTILINE)
@@ -18,7 +18,8 @@ OF_SCIPY = re.compile(r"^\s*from scipy\.linalg import (?!block_diag$)", re.MULTI
 
 def problem(kind, **changes):
     if kind == "time-varying":
-        A, B = time_varying(T)
+        dynamics = reference_problem("ltv200").dynamics
+        A, B = dynamics.A[:T], dynamics.B[:T]
     else:
         A, B = [[0.9, 0.5], [-0.5, 0.9]], [[0.0], [1.0]]
     settings = {

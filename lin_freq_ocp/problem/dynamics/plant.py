@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, matrix_balance
 
 from lin_freq_ocp.base.arrays import Array
 
@@ -41,6 +41,15 @@ class ContinuousPlant:
         with np.errstate(over="ignore", invalid="ignore"):
             flow = expm(generator * step)
         return flow[:n, :n], flow[:n, n : n + m], flow[:n, -1]
+
+    def flow(self, time: float) -> Array:
+        """Return e^(A time), (n, n), which maps states without control over a time in seconds."""
+        return np.asarray(expm(self.A * time), dtype=np.float64)
+
+    def balance(self) -> tuple[float, Array]:
+        """Return the norm (largest sum of a row) of D^-1 A D, and the units D, (n,), that balance A (Osborne, 1960)."""
+        balanced, (units, _) = matrix_balance(self.A, permute=False, separate=True)
+        return float(np.abs(balanced).sum(axis=1).max()), np.asarray(units, dtype=np.float64)
 
     def agrees(self, A: Array, B: Array, offset: Array, step: float | None) -> bool:
         """Whether its samples are the first n states of discrete dynamics, up to rounding."""
