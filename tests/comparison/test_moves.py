@@ -155,8 +155,8 @@ def test_one_line_says_why_no_shaper_applies():
 
 
 def test_the_command_says_why_no_shaper_applies(tmp_path):
-    problem = replace(lfo.library.printer_move(24), terminal_state=None, initial_state=[0.0, 0.1])
-    lfo.write_problem(problem, tmp_path / "move.toml")
+    swing = lfo.library.two_mass_spring(horizon=40, notch_width_hz=None, initial_state=(0.0, 0.5, 0.0, 0.0))
+    lfo.write_problem(replace(swing, control_spectrum=CALM, terminal_state=None), tmp_path / "move.toml")
     status, out, _ = run("compare", str(tmp_path / "move.toml"))
     assert status == 0
     assert "Input shapers do not apply: with a control of zero" in " ".join(out.split())
