@@ -32,7 +32,7 @@ SAYS = {
     "many_initial_states": "all proven: True",
     "suspension": "with the bound: cost 6.85887",
     "scanner": "largest error 28 nm of 8000 nm",
-    "gantry": "446 is proven infeasible by a ray, and with it all shorter horizons",
+    "gantry": "optimal   446 samples, 0.446 s",
     "switching_angles": "angles [deg] [24.655 29.975 40.054 48.274 55.639]",
     "swing_up": "locally_optimal: cost 42.591339; satisfied",
     "wall": "cost      95.820020, no trajectory below 95.82001",
