@@ -10,17 +10,21 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.sensitivities import Sensitivities
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.files.solution_files import SavedSolution
+from lin_freq_ocp.loop.generate import GeneratedController
+from lin_freq_ocp.loop.log import CertifiedLog
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.solving.outcome import Cure, Explanation
 
 __all__ = [
     "Certificate",
+    "CertifiedLog",
     "ClosedLoop",
     "Comparison",
     "Cure",
     "Enclosure",
     "Explanation",
+    "GeneratedController",
     "MinimumTime",
     "Multipliers",
     "Result",

@@ -1,4 +1,6 @@
-"""The command line: lin-freq-ocp list, show, solve, compare, sweep, minimum-time, explore, certify, rerun, init.
+"""The command line, lin-freq-ocp.
+
+Commands: list, show, solve, compare, sweep, minimum-time, explore, certify, rerun, generate, certify-log, init.
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
 unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input, or a file that cannot be written; 3 a point
@@ -31,6 +33,8 @@ COMMANDS = {
     "explore": "explore",
     "certify": "solve",
     "rerun": "solve",
+    "generate": "generate",
+    "certify-log": "generate",
     "init": "show",
 }
 

@@ -142,6 +142,12 @@ def step_problem(problem: OptimalControlProblem, penalties: Mapping[str, float])
     return soften(free_first_state(problem), penalties)
 
 
+def log_header(states: int, controls: int, references: bool) -> str:
+    """Return the first line of a log."""
+    letters = [("x", states), ("r", states if references else 0), ("u", controls)]
+    return ",".join([f"{letter}{i + 1}" for letter, count in letters for i in range(count)] + ["status"])
+
+
 @dataclass(frozen=True, eq=False)
 class _Embedded:
     """The problem of a step in units of order 1, its tables and its options."""
@@ -408,7 +414,6 @@ def _files(
     tables = {name: embedded.arrays[name] for name, same in embedded.shared_names.items() if name == same}
     tables |= {"origin": embedded.origin, "state_unit": units.x, "control_unit": units.u}
     recorded = {"states": states, "controls": controls} | ({"references": references} if embedded.references else {})
-    letters = [("x", n), ("r", n if embedded.references else 0), ("u", m)]
     fields = [(name, str(value)) for name, value in integers.items()]
     fields += [("tolerance", real.literal(real.tolerance)), ("dependent", real.literal(real.dependence))]
     values = {
@@ -429,7 +434,7 @@ def _files(
         "flash": summary.flash,
         "delay": embedded.delay,
         "references": embedded.references,
-        "header": ",".join([f"{letter}{i + 1}" for letter, count in letters for i in range(count)] + ["status"]),
+        "header": log_header(n, m, embedded.references),
         "work": summary.work,
         "summary": summary,
         "allowed": f"{real.allowed:g}",
