@@ -34,11 +34,13 @@ from lin_freq_ocp.methods.condensed.tables import (
     CondensedTables,
 )
 from lin_freq_ocp.methods.spectral import REDUCTIONS
-from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal
+from lin_freq_ocp.methods.spectral.model import LtiUnits, lti_problem, natural_units, refusal
+from lin_freq_ocp.methods.spectral.reductions import soft_set
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import reduce_problem
 from lin_freq_ocp.problem.reformulations import Translation, translation_of
+from lin_freq_ocp.problem.terms.term import TermKind
 
 TEMPLATES = ("controller.h", "controller.c", "test_controller.c", "Makefile", "README.md")
 KERNEL = {"lfo_kernel.h": "kernel.h", "lfo_kernel.c": "kernel.c"}
@@ -50,7 +52,9 @@ FLOAT_GROWTH = 1e47
 
 RECORDED, MEASURED = 100, 1000  # steps of the generated test, and of the count of changes
 PUSH_EVERY, PUSH, NOISE = 25, 0.2, 1e-3  # disturbances of these steps, of states in units of order 1
-HALVINGS = 60  # of the distance to the first state, until the problem has a plan again
+RETREATS = 30  # to a quarter of the distance to the first state, until the problem has a plan again
+LOST = 10.0  # units, or times the first state: farther away the plant is lost, although soft rows may have a plan
+LEAST_REACH = 1e-3  # part of the disturbances that remains where larger ones lead to states without a plan
 
 STRUCT_BYTES = 84  # of lfo_memory without its number: 16 pointers of 4 bytes, 5 integers
 STACK_BYTES = 512  # of the frames of controller_step, lfo_step and sweep without their arrays
@@ -315,9 +319,13 @@ def _embed(problem: OptimalControlProblem, delay: int, references: bool, real: R
 
 def _refusal(problem: OptimalControlProblem) -> str | None:
     """Return the field of a problem that is outside of the class, with the reason, or None."""
-    linear = problem.linear
+    linear, cost = problem.linear, problem.quadratic
     if linear.time_varying:
         return "dynamics: A or B depends on time; a generated controller has one A and one B."
+    if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
+        return "cost: Q, R or S depends on time; a generated controller has one of each."
+    if any(rows.time_varying for rows in problem.stage_rows):
+        return "stage_rows: C or D depends on time; a generated controller has one of each for every row."
     if problem.horizon * problem.control_dim > MOST_UNKNOWNS:
         controls = f"{problem.horizon} steps of {plural(problem.control_dim, 'control')}"
         return f"horizon: {controls}; a generated controller takes {MOST_UNKNOWNS} controls over the horizon."
@@ -335,8 +343,13 @@ def _refusal_of_reduction(translation: Translation, reduced: OptimalControlProbl
         return "control_spectrum: soft stop bands; a generated controller takes hard ones."
     if reduced.state_dim != problem.state_dim or reduced.control_dim != problem.control_dim:
         return "cost: it needs further states; a generated controller takes quadratic costs of states and controls."
+    for term in reduced.terms:
+        if term.kind is not TermKind.STAGE_ROWS and soft_set(reduced, term) is None:
+            field = "cost" if term.kind.is_cost else str(term.kind).replace(" ", "_")
+            taken = "quadratic costs, bounds, joint rows, rate limits and stop bands of controls"
+            return f"{field}: {term.name}; a generated controller takes {taken}."
     reason = refusal(reduced)
-    return reason and f"{reason}."
+    return reason and f"problem: {reason}."
 
 
 def _reference_columns(tables: CondensedTables) -> Array:
@@ -369,24 +382,25 @@ def _disturbed_steps(embedded: _Embedded, count: int) -> list[_RecordedStep]:
     if not isinstance(kernel, NativeKernel):
         count = RECORDED  # NumPy is some 100 times slower
     x, acting, reference = lti.start, np.zeros(m), np.zeros(n)
-    anchor, steps = np.zeros(n), list[_RecordedStep]()
+    farthest = LOST * max(1.0, float(np.abs(x).max()))
+    anchor, reach, steps = np.zeros(n), 1.0, list[_RecordedStep]()
     for k in range(count):
         if k % PUSH_EVERY == 0:
-            x = x + (PUSH * rng.uniform(-1, 1, n) if k else 0.0)
+            x = x + (reach * PUSH * rng.uniform(-1, 1, n) if k else 0.0)
             if embedded.references:
                 reference = PUSH * rng.uniform(-1, 1, n)
                 kernel.take(_at_reference(embedded, tables, reference))
-        for _ in range(HALVINGS):
+        for _ in range(RETREATS):
             begin = lti.A @ x + lti.B @ acting + drift if embedded.delay else x
-            if kernel.step(begin) == SOLVED:
+            if np.abs(begin).max() <= farthest and kernel.step(begin) == SOLVED:
                 break
-            x, acting = (x + anchor) / 2, acting / 2
+            x, acting, reach = anchor + (x - anchor) / 4, acting / 4, max(reach / 2, LEAST_REACH)
         else:
             raise UnsupportedError("generate: problem: no state was found from which it has a plan.")
         control = kernel.control
         steps.append(_RecordedStep(x, reference, control, kernel.changes))
         anchor = x if k == 0 else anchor
-        x = lti.A @ x + lti.B @ (acting if embedded.delay else control) + drift + NOISE * rng.standard_normal(n)
+        x = lti.A @ x + lti.B @ (acting if embedded.delay else control) + drift + reach * NOISE * rng.standard_normal(n)
         acting = control
     return steps
 
@@ -394,8 +408,7 @@ def _disturbed_steps(embedded: _Embedded, count: int) -> list[_RecordedStep]:
 def _at_reference(embedded: _Embedded, tables: CondensedTables, reference: Array) -> CondensedTables:
     """Return the tables with another reference of all states, in units of order 1."""
     stated = embedded.problem.with_references({"x_ref": reference * embedded.units.x})
-    found: Lti = lti_problem(stated, embedded.units)
-    changed = tables.with_data(found)
+    changed = tables.with_data(lti_problem(stated, embedded.units))
     assert changed is not None  # the same rows are bounded
     return changed
 
