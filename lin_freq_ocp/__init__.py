@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp import costs, dynamics, errors, formulas, io, library, results, sets, solvers, spectrum
     from lin_freq_ocp.api.batch import Solver, solve_many, sweep
     from lin_freq_ocp.api.compare import compare
+    from lin_freq_ocp.api.generate import certify_log, generate
     from lin_freq_ocp.api.minimum_time import minimum_time
     from lin_freq_ocp.api.receding_horizon import RecedingHorizon
     from lin_freq_ocp.api.solve import solve
@@ -69,6 +70,7 @@ NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "i
 _HOMES = {
     "api.batch": "Solver solve_many sweep",
     "api.compare": "compare",
+    "api.generate": "certify_log generate",
     "api.minimum_time": "minimum_time",
     "api.receding_horizon": "RecedingHorizon",
     "api.solve": "solve",
@@ -97,9 +99,9 @@ __all__ = [
     "AffineMode", "Box", "DifferentiableFunction", "FiniteSet", "FrequencyResponse", "LinearDynamics", "MagnitudeBound",
     "OptimalControlProblem", "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost",
     "RecedingHorizon", "ResidualVibration", "Solver", "SpectralSolver", "StageRows", "Trajectory", "certify",
-    "compare", "costs", "dynamics", "errors", "explain", "formulas", "from_casadi", "from_time_response", "io",
-    "library", "load", "load_run", "load_sweep", "low_pass", "maximum", "minimum", "minimum_time", "norm",
-    "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals", "simulate", "solve",
+    "certify_log", "compare", "costs", "dynamics", "errors", "explain", "formulas", "from_casadi", "from_time_response",
+    "generate", "io", "library", "load", "load_run", "load_sweep", "low_pass", "maximum", "minimum", "minimum_time",
+    "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals", "simulate", "solve",
     "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "write_problem",
 ]
 # fmt: on

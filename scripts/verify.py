@@ -22,11 +22,12 @@ answers      linear problems by the sparse program and by the structured method,
              answers of another state of the code (--save, --against)
 limits       time limits of 1 and 3 s on problems that take far longer
 loop         closed loops with disturbances
+embedded     disturbed steps of ten generated controllers in C, against the sparse program
 frequencies  masks at every frequency, between bounds of an independent model, and proven maxima of signals
 proofs       proofs of random problems beside exact optima, and with every number changed
 
 Seeded samples run with the tests. N is by default the number beside each part below; "frequencies" checks five times as
-many signals, and "loop" counts steps.
+many signals; "loop" and "embedded" count steps.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "modes": 300,
     "nonsmooth": None,
     "loop": 10_000,
+    "embedded": 10_000,
     "frequencies": 200,
     "proofs": 100,
     "answers": None,

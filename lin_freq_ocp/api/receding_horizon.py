@@ -140,6 +140,16 @@ class RecedingHorizon:
         return self._controller.problem
 
     @property
+    def soft(self) -> dict[str, float]:
+        """Return the penalty of each field that may be softened."""
+        return dict(self._controller.penalties)
+
+    @property
+    def delay(self) -> int:
+        """Return by how many steps a control acts after its measurement."""
+        return self._controller.delay
+
+    @property
     def log(self) -> ClosedLoop:
         """Return the steps until now."""
         return present_as(ClosedLoop, self._controller.record)

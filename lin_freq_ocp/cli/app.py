@@ -33,6 +33,8 @@ COMMANDS = {
     "explore": "explore",
     "certify": "solve",
     "rerun": "solve",
+    "generate": "generate",
+    "certify-log": "generate",
     "init": "show",
     "schema": "show",
 }

@@ -55,8 +55,13 @@ void lfo_begin(const lfo_model *p, lfo_memory *s, lfo_real *reals, int *members,
   memset(flags, 0, (size_t)lfo_rows(p));
 }
 
+/* Where the bounds and limits of a row are. */
+static int bound_of(const lfo_model *p, int row) {
+  return row / (p->T + 1) * p->columns + p->column[row % (p->T + 1)];
+}
+
 static lfo_real limit_of(const lfo_model *p, int row, int side) {
-  return side > 0 ? p->limit_up[row] : p->limit_low[row];
+  return (side > 0 ? p->limit_up : p->limit_low)[bound_of(p, row)];
 }
 
 static lfo_real size_of(const lfo_model *p, int row) { return p->size[row / (p->T + 1)]; }
@@ -94,20 +99,20 @@ static int sweep(const lfo_model *p, lfo_memory *s, const lfo_real *x0, candidat
   s->exceeded = 0;
   s->worth = dot(s->xi, s->xi, p->r) / 2;
   for (int t = 0; t <= T; t++) {
-    const lfo_real *v = s->plan + t * m;
+    const lfo_real *v = s->plan + t * m, *d = p->d + p->column[t] * n;
     if (states) memcpy(states + t * n, x, BYTES(n));
     for (int f = 0; f < p->families; f++) {
-      int row = f * (T + 1) + t, flag = s->flag[row], state;
+      int row = f * (T + 1) + t, bound = f * p->columns + p->column[t], flag = s->flag[row], state;
       candidate *run = runs + f;
       lfo_real y, above, below, violation;
-      if (p->upper[row] >= NONE && p->lower[row] <= -NONE) {
+      if (p->upper[bound] >= NONE && p->lower[bound] <= -NONE) {
         count = queued(queue, count, run);
         run->violation = 0;
         continue;
       }
       y = dot(p->C + f * n, x, n) + (t < T ? dot(p->D + f * m, v, m) : 0);
-      above = y - p->upper[row];
-      below = p->lower[row] - y;
+      above = y - p->upper[bound];
+      below = p->lower[bound] - y;
       if (flag == 2 || flag == -2) {
         int i = position(s, row);
         s->e[i] = flag > 0 ? -above : below;
@@ -141,7 +146,7 @@ static int sweep(const lfo_model *p, lfo_memory *s, const lfo_real *x0, candidat
       }
     }
     if (t == T) break;
-    for (int i = 0; i < n; i++) next[i] = p->d[t * n + i] + dot(p->A + i * n, x, n) + dot(p->B + i * m, v, m);
+    for (int i = 0; i < n; i++) next[i] = d[i] + dot(p->A + i * n, x, n) + dot(p->B + i * m, v, m);
     memcpy(x, next, BYTES(n));
   }
   for (int f = 0; f < p->families; f++) count = queued(queue, count, runs + f);
@@ -304,14 +309,14 @@ static void correct(const lfo_model *p, lfo_memory *s) {
 
 /* Bring a violated row to its bound. ROUNDING: it depends on active rows, and is violated by rounding alone. */
 static int enter(const lfo_model *p, lfo_memory *s, const candidate *c) {
-  int r = p->r, flag = s->flag[c->row], side, rest = 0;
+  int r = p->r, at = bound_of(p, c->row), flag = s->flag[c->row], side, rest = 0;
   lfo_real y = c->y, bound, limit, lambda, length, sigma, moved = 0, allowed = p->tolerance * p->size[c->family];
   gradient(p, s, c->family, c->time);
   for (int j = 0; j < r; j++) s->z[j] = s->xi[j] - s->seen[j];
   y += dot(s->row, s->z, r); /* since the sweep */
-  side = flag ? flag : y > p->upper[c->row] ? 1 : -1;
+  side = flag ? flag : y > p->upper[at] ? 1 : -1;
   limit = limit_of(p, c->row, side);
-  bound = side > 0 ? p->upper[c->row] : p->lower[c->row];
+  bound = side > 0 ? p->upper[at] : p->lower[at];
   sigma = flag ? (lfo_real)-flag : (lfo_real)side;
   if (sigma * (y - bound) <= allowed) return ENTERED;
   lambda = flag ? (lfo_real)flag * limit : 0;
@@ -376,11 +381,11 @@ int lfo_step(const lfo_model *p, lfo_memory *s, const lfo_real *x, lfo_real *u, 
   int T = p->T, m = p->m, status = LFO_LIMIT, corrections = 0, finite = 1;
   candidate queue[LFO_QUEUE];
   s->changes = s->sweeps = 0;
-  for (int i = 0; i < p->n; i++) finite &= x[i] - x[i] == 0;
+  for (int i = 0; i < p->p - 1; i++) finite &= x[i] - x[i] == 0;
   if (!finite) return LFO_INFEASIBLE; /* nothing is changed */
   if (s->plans > 0) memcpy(s->before, s->plan, BYTES(T * m));
-  memcpy(s->base, p->W + p->n * T * m, BYTES(T * m));
-  for (int j = 0; j < p->n; j++) add(s->base, x[j], p->W + j * T * m, T * m);
+  memcpy(s->base, p->W + (p->p - 1) * T * m, BYTES(T * m));
+  for (int j = 0; j < p->p - 1; j++) add(s->base, x[j], p->W + j * T * m, T * m);
   from_multipliers(p, s);
   while (s->changes <= p->most_changes && status == LFO_LIMIT) {
     int count = sweep(p, s, x, queue, states), rounding = 0;

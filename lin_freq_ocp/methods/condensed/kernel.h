@@ -13,21 +13,24 @@
 #endif
 #define LFO_QUEUE 4     /* violated rows that one sweep collects */
 #define LFO_RUN 8       /* longer runs of violated soft rows are relaxed in one step */
+#ifndef LFO_FAMILIES
 #define LFO_FAMILIES 64 /* most families: rows of one (C, D) at all times */
 #define LFO_STATES 64   /* most states */
+#endif
 #define LFO_NONE 1e30
 
 typedef LFO_REAL lfo_real;
 
 typedef struct {
-  int T, n, m, p, r, families, most_active, most_changes;
+  int T, n, m, p, r, families, columns, most_active, most_changes;
   lfo_real tolerance, dependent;          /* of a row, relative to its size; of a gradient, relative to its length */
-  const lfo_real *A, *B, *K, *d;          /* A + B K, B, K, offsets (T, n); by rows */
-  const lfo_real *W;                      /* v of (x_0, 1, xi): p + r columns of T m */
+  const lfo_real *A, *B, *K, *d;          /* A + B K, B, K, offsets (columns, n); by rows */
+  const lfo_real *W;                      /* v of (x_0, further parameters, 1, xi): p + r columns of T m */
   const lfo_real *E;                      /* response of a family to v of T, T-1 .. 0 times before, (families, T+1, m) */
   const lfo_real *C, *D, *size;           /* rows of the families, C with the feedback; units of their values */
-  const lfo_real *lower, *upper;          /* (families, T+1) */
-  const lfo_real *limit_low, *limit_up;   /* of multipliers: the price of a unit of violation, (families, T+1) */
+  const lfo_real *lower, *upper;          /* (families, columns) */
+  const lfo_real *limit_low, *limit_up;   /* of multipliers: the price of a unit of violation, (families, columns) */
+  const short *column;                    /* (T+1): times with the same offsets, bounds and limits share a column */
 } lfo_model;
 
 typedef struct { /* all that lasts from step to step; the arrays are the caller's, their sizes from lfo_reals and lfo_rows */
@@ -46,6 +49,7 @@ enum { LFO_SOLVED = 0, LFO_LIMIT = 1, LFO_INFEASIBLE = 2 };
 int lfo_reals(const lfo_model *p);
 int lfo_rows(const lfo_model *p);
 void lfo_begin(const lfo_model *p, lfo_memory *s, lfo_real *reals, int *members, signed char *flags);
+/* x: the measured state and further parameters, (p - 1); u: (m); states: of the plan, (T+1, n), or none. */
 int lfo_step(const lfo_model *p, lfo_memory *s, const lfo_real *x, lfo_real *u, lfo_real *states);
 void lfo_multipliers(const lfo_model *p, const lfo_memory *s, lfo_real *out);
 

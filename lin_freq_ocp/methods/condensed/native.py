@@ -24,9 +24,10 @@ FAMILIES, STATES = 64, 64  # LFO_FAMILIES, LFO_STATES of kernel.h
 FLAGS = ("-std=c99", "-O3", "-march=native", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
 SECONDS_TO_COMPILE = 60.0
 
-INTEGERS = ("T", "n", "m", "p", "r", "families", "most_active", "most_changes")
+INTEGERS = ("T", "n", "m", "p", "r", "families", "columns", "most_active", "most_changes")
 REALS = ("tolerance", "dependent")
-ARRAYS = ("A", "B", "K", "d", "W", "E", "C", "D", "size", "lower", "upper", "limit_low", "limit_up")
+BOUNDS = ("lower", "upper", "limit_low", "limit_up")
+ARRAYS = ("A", "B", "K", "d", "W", "E", "C", "D", "size", *BOUNDS, "column")
 
 
 class Model(ctypes.Structure):
@@ -92,24 +93,38 @@ def _compile(compiler: str, texts: dict[str, str], target: Path) -> None:
         os.replace(Path(folder) / "kernel.so", target)
 
 
+def data_arrays(tables: CondensedTables) -> dict[str, Array]:
+    """Return offsets, bounds and limits by their names in lfo_model, a column for each time 0 .. T."""
+    (T, n, _), offset = tables.loop.shape, tables.loop.lti.offset
+    sides = np.clip([*tables.bounds, *tables.limits], -NONE, NONE)
+    d = np.zeros((T + 1, n)) if offset is None else np.vstack([offset.T, np.zeros(n)])
+    return {"d": d, "size": tables.sizes, **dict(zip(BOUNDS, sides, strict=True))}
+
+
+def model_arrays(tables: CondensedTables) -> dict[str, Array]:
+    """Return the arrays of lfo_model by their names."""
+    loop, (T, _, m), C = tables.loop, tables.loop.shape, tables.C + tables.D @ tables.loop.K
+    E, back = np.empty((len(C), T + 1, m)), C
+    E[:, T] = tables.D
+    for t in range(T - 1, -1, -1):
+        E[:, t] = back @ loop.lti.B
+        back = back @ loop.A
+    return {
+        "A": loop.A, "B": loop.lti.B, "K": loop.K, "W": np.vstack([tables.W.T, tables.V.T]), "E": E, "C": C,
+        "D": tables.D, **data_arrays(tables), "column": np.arange(T + 1, dtype=np.int16),
+    }  # fmt: skip
+
+
 class NativeKernel:
     """The compiled step with the tables of one problem; the multipliers of a step are the start of the next."""
 
     def __init__(self, tables: CondensedTables, compiled: ctypes.CDLL):
         self.tables, self._library = tables, compiled
-        loop, (T, n, m), count, r = tables.loop, tables.loop.shape, len(tables.families), tables.unknowns
-        C = tables.C + tables.D @ loop.K
-        constant = {
-            "A": loop.A, "B": loop.lti.B, "K": loop.K, "W": np.vstack([tables.W.T, tables.V.T]),
-            "E": self._responses(C), "C": C, "D": tables.D,
-        }  # fmt: skip
-        shapes = {"d": (T, n), "size": (count,)} | dict.fromkeys(ARRAYS[-4:], (count, T + 1))
-        self._arrays = {name: np.ascontiguousarray(array, dtype=np.float64) for name, array in constant.items()}
-        self._arrays |= {name: np.zeros(shape) for name, shape in shapes.items()}
-        self.take(tables)
+        (T, n, m), count, r = tables.loop.shape, len(tables.families), tables.unknowns
+        self._arrays = {name: np.array(array, order="C") for name, array in model_arrays(tables).items()}
         rows = count * (T + 1)
         most = min(r, rows)
-        integers = dict(zip(INTEGERS, (T, n, m, n + 1, r, count, most, tables.most_changes), strict=True))
+        integers = dict(zip(INTEGERS, (T, n, m, n + 1, r, count, T + 1, most, tables.most_changes), strict=True))
         self._model = Model(**integers, tolerance=ROW_TOLERANCE, dependent=GRADIENT_DEPENDENCE)
         for name, array in self._arrays.items():
             setattr(self._model, name, array.ctypes.data)
@@ -125,21 +140,10 @@ class NativeKernel:
 
     def take(self, tables: CondensedTables) -> None:
         """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
-        self.tables, arrays, n = tables, self._arrays, tables.loop.shape[1]
-        offset = tables.loop.lti.offset
-        arrays["d"][:] = 0.0 if offset is None else offset.T
-        arrays["W"][n], arrays["size"][:] = tables.W[:, n], tables.sizes
-        for name, side in zip(ARRAYS[-4:], (*tables.bounds, *tables.limits), strict=True):
-            np.clip(side, -NONE, NONE, out=arrays[name])
-
-    def _responses(self, C: Array) -> Array:
-        loop, (T, _, m) = self.tables.loop, self.tables.loop.shape
-        E = np.empty((len(C), T + 1, m))
-        E[:, T] = self.tables.D
-        for back in range(T):
-            E[:, T - 1 - back] = C @ loop.lti.B
-            C = C @ loop.A
-        return E
+        self.tables = tables
+        self._arrays["W"][tables.loop.shape[1]] = tables.W[:, -1]
+        for name, array in data_arrays(tables).items():
+            self._arrays[name][:] = array
 
     @property
     def changes(self) -> int:

@@ -261,8 +261,8 @@ def condense(lti: Lti) -> CondensedTables:
     in_unknowns = (in_unknowns + in_unknowns.T) / 2
     values = np.linalg.eigvalsh(in_unknowns)
     if not len(values) or not values[0] > DEFINITE * values[-1]:
-        what = "the cost is not strictly convex in the controls that stop bands and ends leave"
-        raise UnsupportedError(f"method 'condensed': {what}.")
+        what = "it is not strictly convex in the controls that stop bands and ends leave"
+        raise UnsupportedError(f"method 'condensed': cost: {what}.")
     L = np.linalg.cholesky(in_unknowns)
     V = solve_triangular(L, Z.T, lower=True).T
     families, bounds, limits = _bounds(lti)
@@ -280,7 +280,7 @@ def stabilising_feedback(lti: Lti) -> Array:
     try:
         value = solve_discrete_are(lti.A, lti.B, Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise UnsupportedError(f"method 'condensed': no feedback stabilises the dynamics ({error}).") from None
+        raise UnsupportedError(f"method 'condensed': dynamics: no feedback stabilises them ({error}).") from None
     return np.asarray(-np.linalg.solve(R + lti.B.T @ value @ lti.B, lti.B.T @ value @ lti.A), dtype=np.float64)
 
 
@@ -296,7 +296,7 @@ def _solve_equations(loop: Loop, E: Array) -> tuple[Array, Array]:
         alone = loop.equations(*loop.simulate(np.eye(n + 1, n), still, data), data)
         contradiction = np.abs(left[:, rank:].T @ alone).max(initial=0.0)
         if contradiction > RIGHT_SIDE_ROUNDING * max(float(np.abs(alone).max()), sigma[0]):
-            what = "stop bands and end contradict each other for some initial states"
+            what = "control_spectrum, terminal_state: they contradict each other for some initial states"
             raise UnsupportedError(f"method 'condensed': {what}.")
     return (right[:rank].T / sigma[:rank]) @ left[:, :rank].T, right[rank:].T
 

@@ -1,0 +1,67 @@
+/* {{ title }}
+
+   {{ states }} states, {{ controls }} controls, horizon {{ horizon }}, {{ unknowns }} unknowns, {{ real.name }}.
+   Written by lin_freq_ocp {{ version }}; README.md says what it computes and needs. */
+#ifndef CONTROLLER_H
+#define CONTROLLER_H
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#include "lfo_kernel.h"
+
+#define CONTROLLER_STATES {{ states }}
+#define CONTROLLER_CONTROLS {{ controls }}
+#define CONTROLLER_HORIZON {{ horizon }}
+#define CONTROLLER_REALS {{ reals }}
+#define CONTROLLER_MEMBERS {{ members }}
+#define CONTROLLER_ROWS {{ rows }}
+#define CONTROLLER_PARAMETERS {{ parameters }} /* the state{{ " and its reference" if references }} */
+#define CONTROLLER_LARGEST {{ real.literal(largest) }} /* of a state{{ " or reference" if references }}, in its unit */
+#define CONTROLLER_TABLE_BYTES {{ flash }}
+
+/* What a step returns. */
+enum {
+  CONTROLLER_PLANNED = 0,    /* u is the first control of a plan that satisfies all rows */
+  CONTROLLER_SOFTENED = 1,   /* the same, and soft rows are violated; controller_plan says by how much */
+  CONTROLLER_CAPPED = 2,     /* the cap on changes was reached: the plan before goes on with its feedback */
+  CONTROLLER_INFEASIBLE = 3, /* hard rows contradict each other: the plan before goes on with its feedback */
+  CONTROLLER_NO_STATE = 4    /* an argument is not finite or too large: u and the controller are not changed */
+};
+
+/* All memory of a controller. It has pointers into itself: never copy or move it after controller_begin. */
+typedef struct {
+  lfo_memory memory;
+  lfo_real start[CONTROLLER_PARAMETERS]; /* where the last plan begins, in units of order 1 */
+  lfo_real last[CONTROLLER_CONTROLS];    /* the control returned last, in its units */
+  lfo_real reals[CONTROLLER_REALS];
+  int members[CONTROLLER_MEMBERS];
+  signed char flags[CONTROLLER_ROWS];
+} controller;
+
+/* Forget everything; call it before the first step. */
+void controller_begin(controller *c);
+
+{% if delay %}
+/* Compute the control that acts one step after the measured state x. Until then the control before acts; set c->last
+   if another one does. */
+{% else %}
+/* Compute the control u for a measured state x. */
+{% endif %}
+{% if references %}
+/* ``reference`` is that of the states over the horizon, in place of the x_ref of the problem. */
+int controller_step(controller *c, const lfo_real x[CONTROLLER_STATES], const lfo_real reference[CONTROLLER_STATES],
+                    lfo_real u[CONTROLLER_CONTROLS]);
+{% else %}
+int controller_step(controller *c, const lfo_real x[CONTROLLER_STATES], lfo_real u[CONTROLLER_CONTROLS]);
+{% endif %}
+
+/* Copy the states (CONTROLLER_HORIZON + 1 rows) and controls (CONTROLLER_HORIZON rows) of the last plan. */
+void controller_plan(const controller *c, lfo_real *x, lfo_real *u);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,70 @@
+/* Run {{ steps }} recorded steps and compare their controls with those that lin_freq_ocp computed in double.
+
+     ./test_controller           print the largest difference, sizes and counts; the exit status is 0 if all is well
+     ./test_controller log.csv   write a log of the steps, too, for lfo.certify_log */
+#include "controller.h"
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#define STEPS {{ steps }}
+#define N CONTROLLER_STATES
+#define M CONTROLLER_CONTROLS
+
+{% for name, kind, values in arrays %}
+static const {{ kind }} {{ name }}[] = {
+{% for line in values %}
+  {{ line }}
+{% endfor %}
+};
+{% endfor %}
+
+static void print_log(FILE *log, const lfo_real *values, int count) {
+  for (int i = 0; i < count; i++) fprintf(log, "%.{{ real.digits }}g,", (double)values[i]);
+}
+
+int main(int argc, char **argv) {
+  static controller c, before;
+  FILE *log = argc > 1 ? fopen(argv[1], "w") : NULL;
+  lfo_real x[N], u[M];
+  double worst = 0;
+  int changes = 0, sweeps = 0, planned = 0, failed = 0;
+  if (argc > 1 && !log) {
+    fprintf(stderr, "%s: cannot be written\n", argv[1]);
+    return 2;
+  }
+  if (log) fputs("{{ header }}\n", log);
+  controller_begin(&c);
+  for (int k = 0; k < STEPS; k++) {
+    int status = controller_step(&c, states + k * N, {{ "references + k * N, " if references }}u);
+    if (log) {
+      print_log(log, states + k * N, N);
+{% if references %}
+      print_log(log, references + k * N, N);
+{% endif %}
+      print_log(log, u, M);
+      fprintf(log, "%d\n", status);
+    }
+    if (status > CONTROLLER_CAPPED) failed++; /* all recorded states have a plan */
+    if (status >= CONTROLLER_CAPPED) continue;
+    planned++;
+    if (c.memory.changes > changes) changes = c.memory.changes;
+    if (c.memory.sweeps > sweeps) sweeps = c.memory.sweeps;
+    for (int j = 0; j < M; j++) {
+      double apart = fabs((double)u[j] - (double)controls[k * M + j]) / sizes[j];
+      if (!(apart <= worst)) worst = apart;
+    }
+  }
+  if (log) fclose(log);
+  memcpy(&before, &c, sizeof c);
+  for (int i = 0; i < N; i++) x[i] = states[i];
+  x[0] = (lfo_real)NAN;
+  if (controller_step(&c, x, {{ "references, " if references }}u) != CONTROLLER_NO_STATE) failed++;
+  if (memcmp(&before, &c, sizeof c) != 0) failed++;
+  printf("%d of %d steps planned, largest difference %.1e of the largest control (allowed: %.0e), %d failed\n", planned,
+         STEPS, worst, {{ allowed }}, failed);
+  printf("memory %lu bytes, tables %d bytes, at most %d changes and %d sweeps a step\n", (unsigned long)sizeof c,
+         CONTROLLER_TABLE_BYTES, changes, sweeps);
+  printf("a sweep has %d multiply-adds, a change at most %d\n", {{ work.sweep }}, {{ work.change }});
+  return failed > 0 || planned == 0 || !(worst <= {{ allowed }});
+}

@@ -1,0 +1,242 @@
+"""Controllers as C: they compile without a warning, agree with Python, and judge their class, states and memory."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.generated import SANITIZERS, CompiledController, compile_command
+from helpers.loops import LOOPS, pendulum, states
+from lin_freq_ocp.methods.condensed.native import compiler
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
+
+FAR = np.array([1e5, 0.0, 0.0, 0.0])
+APART = {"double": 1e-7, "float": 5e-3}  # of a control, relative to its bound
+
+
+def controller(problem: lfo.OptimalControlProblem, **options) -> lfo.RecedingHorizon:
+    return lfo.RecedingHorizon(problem, **options)
+
+
+def compiled(folder: Path, given: lfo.RecedingHorizon, real: str = "double", **options) -> CompiledController:
+    lfo.generate(given, folder, real, **options)
+    problem = given.problem
+    sizes = problem.state_dim, problem.control_dim, problem.horizon
+    return CompiledController(folder, real, *sizes, references=options.get("references", False))
+
+
+PLANTS = {
+    "rate limit": lambda: (controller(LOOPS["rate limit"]()), {}),
+    "two controls": lambda: (controller(LOOPS["two controls"]()), {"changes": 6}),
+    "soft bounds": lambda: (controller(pendulum(30), soft={"state_set": 1e3}, delay=1), {"references": True}),
+}
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory) -> dict[tuple[str, str], tuple[lfo.RecedingHorizon, Path]]:
+    """Return the controller and the folder of each plant in both types of numbers, compiled with sanitizers."""
+    found, running = {}, []
+    for name, make in PLANTS.items():
+        for real in APART:
+            (given, options), folder = make(), tmp_path_factory.mktemp("generated")
+            lfo.generate(given, folder, real, **options)
+            command = compile_command("-O0", *SANITIZERS, "test_controller.c", "-o", "test_controller")
+            running.append(subprocess.Popen([*command, "-lm"], cwd=folder))
+            found[name, real] = given, folder
+    assert [process.wait() for process in running] == [0] * len(running)
+    return found
+
+
+@needs_compiler
+@pytest.mark.parametrize("real", APART)
+@pytest.mark.parametrize("name", PLANTS)
+def test_recorded_steps_run_clean_and_their_log_is_proven(generated, name, real):
+    given, folder = generated[name, real]
+    done = subprocess.run(["./test_controller", "log.csv"], cwd=folder, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "0 failed" in done.stdout
+    certified = lfo.certify_log(given, folder / "log.csv")
+    assert set(certified.findings) <= {"proven", "plan before"}
+    assert certified.proven.sum() >= 60
+    assert np.nanmax(certified.gaps) <= 1e-8
+    assert certified.differences[certified.proven].max() <= APART[real]
+
+
+@needs_compiler
+def test_the_code_calls_nothing_but_square_root_and_copies(tmp_path):
+    if shutil.which("nm") is None:
+        pytest.skip("no nm")
+    lfo.generate(controller(LOOPS["low pass"]()), tmp_path)
+    subprocess.run(compile_command("-Os", "-c"), cwd=tmp_path, check=True)
+    listed = subprocess.run(
+        ["nm", "-u", "controller.o", "lfo_kernel.o"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    undefined = {line.split()[-1] for line in listed.stdout.splitlines() if line.split()[:1] == ["U"]}
+    own = {"lfo_begin", "lfo_step"}
+    assert undefined - own <= {"sqrt", "memcpy", "memset", "memmove", "__stack_chk_fail", "_GLOBAL_OFFSET_TABLE_"}
+
+
+@needs_compiler
+@pytest.mark.parametrize("real", APART)
+def test_plans_cost_what_the_sparse_program_costs(tmp_path, real):
+    problem = LOOPS["low pass"]()
+    step = compiled(tmp_path, controller(problem), real)
+    for start in states(problem, 4):
+        status, control = step.step(start)
+        x, u = step.plan()
+        best = lfo.solve(problem.with_ends(start), "convex")
+        assert status == 0
+        np.testing.assert_allclose(u[0], control, rtol=1e-6)
+        assert problem.value(x, u) == pytest.approx(best.cost, rel=1e-8 if real == "double" else 1e-4)
+        assert np.abs(control - best.control[0]).max() <= 1e-3
+
+
+@needs_compiler
+def test_states_that_are_none_change_nothing(tmp_path):
+    step = compiled(tmp_path, controller(LOOPS["low pass"]()), "float")
+    start = states(LOOPS["low pass"](), 1)[0]
+    assert step.step(start)[0] == 0
+    before, control = step.bytes, step.u.copy()
+    for value in (np.nan, np.inf, -np.inf, 1e30):
+        assert step.step(np.array([0.0, value, 0.0, 0.0]))[0] == 4
+    assert (step.bytes == before, (step.u == control).all()) == (True, True)
+    assert step.step(np.array([0.0, 1e9, 0.0, 0.0]))[0] == 3  # a number, and no plan
+
+
+@needs_compiler
+def test_a_step_without_a_plan_keeps_box_and_rate_and_hinders_no_later_one(tmp_path):
+    given = controller(LOOPS["rate limit"]())
+    step, cold = (compiled(tmp_path, given) for _ in range(2))
+    start = states(given.problem, 1)[0]
+    assert step.step(start)[0] == 0
+    lost = np.array([0.0, 20.0, 0.0, 0.0, 1.2])
+    status, control = step.step(lost)
+    assert status == 3
+    assert abs(control[0]) <= given.problem.control_tube.upper[0, 0] + 1e-12
+    assert abs(control[0] - lost[4]) <= 1.0 + 1e-12
+    statuses = [one.step(start) for one in (step, cold)]
+    assert [status for status, _ in statuses] == [0, 0]
+    np.testing.assert_allclose(statuses[0][1], statuses[1][1], atol=1e-9)
+
+
+@needs_compiler
+@pytest.mark.parametrize("changes", [0, 1, 5])
+def test_a_cap_is_met_and_its_controls_stay_in_their_box(tmp_path, changes):
+    problem, rng = LOOPS["soft bounds"](), np.random.default_rng(0)
+    step, free = (
+        compiled(tmp_path / "capped", controller(problem), changes=changes),
+        compiled(tmp_path, controller(problem)),
+    )
+    statuses = set()
+    for start in states(problem, 20) * 2:
+        status, control = step.step(start)
+        possible, best = free.step(start)
+        statuses.add(status)
+        assert np.abs(control).max() <= problem.control_tube.upper[0, 0] + 1e-9
+        if status == 0:
+            assert possible == 0
+            np.testing.assert_allclose(control, best, atol=1e-7)
+    assert 2 in statuses
+    assert step.step(1e-4 * rng.uniform(-1, 1, 4))[0] == 0
+
+
+@needs_compiler
+@pytest.mark.parametrize("real", APART)
+def test_a_plant_far_from_zero_that_grows_beyond_all_numbers(tmp_path, real):
+    """States are counted from where they move; the open loop grows by 3e46, the stable one does not."""
+    far, period = np.array([1e3, 0.0]), 0.4466
+    plant = lfo.LinearDynamics.from_continuous([[0, 1], [1.0, 0]], [[0], [1]], period)
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(plant.A, plant.B, offset=far - plant.A @ far, sampling_time=period),
+        240,
+        lfo.QuadraticCost(Q=np.eye(2), R=0.1, P=10 * np.eye(2), x_ref=far),
+        control_set=lfo.Box(-1, 1),
+        initial_state=far,
+        control_spectrum=lfo.low_pass(0.5 * np.pi),
+    )
+    step = compiled(tmp_path / "far", controller(problem), real)
+    for start in 0.2 * np.random.default_rng(0).uniform(-1, 1, (4, 2)):
+        measured = (far + start).astype(step.dtype).astype(float)
+        status, control = step.step(measured)
+        assert status == 0
+        best = lfo.solve(problem.with_ends(measured)).control[0]
+        assert np.abs(control - best).max() <= APART[real] / 10
+    longer = controller(replace(problem, horizon=260, cost=replace(problem.quadratic, x_ref=far)))
+    if real == "float":
+        with pytest.raises(lfo.errors.UnsupportedError, match=r"generate: real: the open loop grows by 3e\+50"):
+            lfo.generate(longer, tmp_path / "longer", real)
+
+
+REFUSED = {
+    "dynamics": lambda: controller(lfo.library.cart_pole_with_walls()),
+    "dynamics: A or B": lambda: controller(pendulum(20, dynamics=replace(pendulum(20).linear, A=[np.eye(4)] * 20))),
+    "control_spectrum: mask": lambda: controller(
+        pendulum(20, control_spectrum=lfo.MagnitudeBound(0.5, band=lfo.low_pass(1.0)))
+    ),
+    "control_spectrum: soft": lambda: controller(pendulum(20), soft={"control_spectrum": 1e2}),
+    "state_spectrum": lambda: controller(pendulum(20, state_spectrum=lfo.stop_band(bins=[3], component=0))),
+    "control_set": lambda: controller(pendulum(20, control_set=lfo.sets.Ball(1.0))),
+    "cost: L1": lambda: controller(
+        pendulum(20, cost=lfo.costs.CostSum([lfo.QuadraticCost(R=1.0), lfo.costs.L1Cost(u=1.0)]))
+    ),
+    "cost: Q, R or S": lambda: controller(pendulum(20, cost=lfo.QuadraticCost(Q=[np.eye(4)] * 20, R=1.0))),
+    "cost: it is not strictly": lambda: controller(
+        pendulum(20, None, cost=lfo.QuadraticCost(Q=np.diag([0.0, 0, 0, 1]), R=0.0))
+    ),
+    "cost: ": lambda: controller(pendulum(20, cost=lfo.QuadraticCost(R=-1.0))),
+    "terminal_state": lambda: controller(pendulum(20, terminal_state=lfo.Periodic(), initial_state=None)),
+    "horizon: 700 steps": lambda: controller(pendulum(700)),
+}
+
+
+@pytest.mark.parametrize("field", REFUSED)
+def test_problems_of_another_class_are_refused_by_field(tmp_path, field):
+    with pytest.raises(lfo.errors.UnsupportedError, match=f"generate: {field}"):
+        lfo.generate(REFUSED[field](), tmp_path / "folder")
+    assert not (tmp_path / "folder").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"real": "half"}, "real"),
+        ({"changes": -1}, "changes"),
+        ({"changes": True}, "changes"),
+        ({"memory": "64q"}, "memory: got '64q'"),
+        ({"memory": 0}, "memory"),
+        ({"memory": "1k"}, "memory: got 1024 bytes; expected at least"),
+        ({"references": 1}, "references"),
+        ({"folder": 3}, "folder"),
+    ],
+)
+def test_bad_options_are_named(tmp_path, options, field):
+    with pytest.raises(lfo.errors.ProblemError, match=field):
+        lfo.generate(controller(LOOPS["low pass"]()), **({"folder": tmp_path} | options))
+
+
+def test_a_problem_is_no_controller(tmp_path):
+    with pytest.raises(lfo.errors.ProblemError, match=r"controller: .*lfo.RecedingHorizon\(problem\)"):
+        lfo.generate(pendulum(20), tmp_path)
+
+
+def test_a_horizon_that_fits_the_memory(tmp_path):
+    given = controller(LOOPS["low pass"]())
+    written = lfo.generate(given, tmp_path, "float", memory="64k")
+    assert written.ram + written.stack <= 64 * 1024
+    assert f"RAM {written.ram} bytes" in str(written)
+    assert str(written.flash) in (tmp_path / "README.md").read_text()
+    with pytest.raises(lfo.errors.ProblemError, match="memory"):
+        lfo.generate(given, tmp_path, "double", memory=written.ram + written.stack)
+
+
+def test_names_of_a_problem_end_no_comment(tmp_path):
+    problem = replace(pendulum(20), name="end */ of\\ a ☃ comment")
+    lfo.generate(controller(problem), tmp_path)
+    assert (tmp_path / "controller.h").read_text().startswith("/* end * / of/ a ? comment\n")
