@@ -141,10 +141,24 @@ class Repeated:
         travelled = np.where(fixed, np.abs(start - located.origin), 0.0)
         return bool(((self._moves > 0) & (travelled > TRAVEL * self._moves)).any())
 
+    def prepare(self, start: Array) -> None:
+        """Set up the condensed method for states near this one, (n,), if the problem is one of the method."""
+        located = self._located
+        if self.spectral and (located is None or self._is_far(located, start)):
+            kept = self.located(self.problem.with_ends(start)).kept
+            if kept is not None:
+                kept.prepare()
+
+    def plans(self, start: Array) -> bool:
+        """Whether the condensed method is set up for states near this one, (n,)."""
+        located = self._located
+        kept = None if located is None or self._is_far(located, start) else located.kept
+        return kept is not None and kept.plans
+
     def plan(self, start: Array) -> PlannedStart | None:
         """Return a plan from another initial state, (n,), without a certificate; None where only ``solve`` helps."""
         located = self._located
-        if located is None or located.kept is None or self._is_far(located, start):
+        if located is None or located.kept is None or not self.plans(start):
             return None
         plan = located.kept.plan(start - located.origin)
         return plan and PlannedStart(located.translation, plan)

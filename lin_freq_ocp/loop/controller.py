@@ -102,6 +102,8 @@ class Controller:
         if applied is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
         started = now()
+        for repeated in () if self._remembers else self._trees:
+            repeated.prepare(x)  # so that also the first step without a solution takes no longer than others
         quick = self._plan_uncertified(x) if self._later and preview == Preview() else None
         if quick is not None:
             plan, source = quick
@@ -155,7 +157,7 @@ class Controller:
         plan = self._hard.plan(begin)
         if plan is not None:
             return plan, Source.PLAN
-        softened = None if self._soft is None else self._soft.plan(begin)
+        softened = self._soft.plan(begin) if self._soft is not None and self._hard.plans(begin) else None
         return softened and (softened, Source.SOFTENED)
 
     def certify(self) -> None:

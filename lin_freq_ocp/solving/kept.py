@@ -116,12 +116,22 @@ class Kept:
         seconds = {"setup": condensed.setup_seconds, "solve": now() - started}
         return reduced.recover(replace(plan.candidate(changed), seconds=seconds))
 
+    def prepare(self) -> None:
+        """Set up the condensed method now, to be tried from the first solve on."""
+        self._solves = CONDENSED_SOLVES
+        self._condensed_solver()
+
+    @property
+    def plans(self) -> bool:
+        """Whether the condensed method is set up for the problem, and not for a reduced one."""
+        return self._condensed is not None and self._reduced is not None and not self._reduced.inverses
+
     def plan(self, start: Array) -> Plan | None:
         """Return the condensed method's plan from another initial state, (n,), without a certificate.
 
-        None where ``condensed`` has not solved the problem before, or the method ends without an answer.
+        None where the method has not been set up, or ends without an answer.
         """
-        if self._condensed is None or self._solver is None or (self._reduced and self._reduced.inverses):
+        if self._condensed is None or self._solver is None or not self.plans:
             return None
         return self._condensed.plan(start, self._solver.lti)
 
