@@ -102,6 +102,12 @@ class RecedingHorizon:
         "later": a step whose problem differs from the last in its initial state alone returns the control of a plan
         that is not judged yet, some ten times as fast; ``certify()`` judges all of them. What no plan is found for
         is solved and judged at once.
+    max_changes : int, optional
+        With ``certify="later"``: the most changes of the working set in a step after the first, so that all steps take
+        about the same time. Softened problems have as many again. Where the working set has not settled by then, the
+        step applies the better of the plan where it ended and the rest of the plan before, with the feedback of the
+        method and within the bounds of the controls; its status is "limit", and nothing is proven for it.
+        ``log.changes`` counts them.
 
     Raises
     ------
@@ -130,8 +136,9 @@ class RecedingHorizon:
         delay: int = 0,
         time_limit: float | None = None,
         certify: Literal["each", "later"] = "each",
+        max_changes: int | None = None,
     ):
-        self._controller = Controller(problem, method, soft, delay, time_limit, certify)
+        self._controller = Controller(problem, method, soft, delay, time_limit, certify, max_changes)
 
     @property
     def problem(self) -> OptimalControlProblem:
@@ -172,6 +179,8 @@ class RecedingHorizon:
             If a measurement, a reference or a bound does not fit the problem. Nothing is recorded then.
         InfeasibleError, LimitError, NumericalError, UnboundedError
             If there is neither a plan nor what may take its place (see ``time_limit``); with ``.result``.
+        UnsupportedError
+            If there is a ``max_changes``, and the condensed method does not take the problem.
         """
         step, outcome = self._controller.advance(state, Preview(references, bounds, disturbance), applied)
         if step is None:

@@ -59,6 +59,8 @@ class Step:
         Wall time without, and of, the certificate.
     nodes : int
         Relaxations that a search over modes has solved; 0 without modes.
+    changes : int
+        Of the working set, for a plan of the condensed method that is judged later; 0 for others.
     plan : Trajectory or None
         From this step on.
     pending : PlannedStart or None
@@ -77,6 +79,7 @@ class Step:
     certify_seconds: float = 0.0
     excess: dict[str, float] = field(default_factory=dict[str, float])
     nodes: int = 0
+    changes: int = 0
     plan: Trajectory | None = None
     pending: PlannedStart | None = None
 
@@ -169,6 +172,11 @@ class LoopRecord:
         return np.array([step.nodes for step in self.steps], dtype=np.intp)
 
     @property
+    def changes(self) -> Indices:
+        """Return the changes of the working set for the plan of each step that is judged later, (steps,)."""
+        return np.array([step.changes for step in self.steps], dtype=np.intp)
+
+    @property
     def satisfied(self) -> Mask:
         """Return at which steps the conditions of the maximum principle hold, (steps,)."""
         return np.array([step.satisfied for step in self.steps], dtype=bool)
@@ -197,6 +205,7 @@ class LoopRecord:
                 "cost": step.cost,
                 "gap": step.gap,
                 "nodes": step.nodes,
+                "changes": step.changes,
                 "excess": sum(step.excess.values()),
                 "solve_seconds": step.solve_seconds,
                 "certify_seconds": step.certify_seconds,

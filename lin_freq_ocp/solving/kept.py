@@ -13,7 +13,7 @@ from lin_freq_ocp.base.arrays import Array, known_entries
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
-from lin_freq_ocp.methods.condensed.plans import CondensedSolver, Plan, PlanBatch
+from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSolver, Plan, PlanBatch
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -74,7 +74,7 @@ class Kept:
         self._refusal: UnsupportedError | None = None
         self._last: SpectralSolution | None = None
         self._condensed: CondensedSolver | None = None
-        self._solves, self._refused_condensed = 0, False
+        self._solves, self._refused_condensed = 0, ""
         self.prepared = Prepared()
 
     def spectral(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
@@ -126,14 +126,19 @@ class Kept:
         """Whether the condensed method is set up for the problem, and not for a reduced one."""
         return self._condensed is not None and self._reduced is not None and not self._reduced.inverses
 
-    def plan(self, start: Array) -> Plan | None:
+    @property
+    def no_plans(self) -> str:
+        """Return why the condensed method has no plans for the problem."""
+        return self._refused_condensed or "method 'condensed': it would plan for a reduced problem, in other unknowns."
+
+    def plan(self, start: Array, budget: Budget = UNLIMITED) -> Plan | None:
         """Return the condensed method's plan from another initial state, (n,), without a certificate.
 
         None where the method has not been set up, or ends without an answer.
         """
         if self._condensed is None or self._solver is None or not self.plans:
             return None
-        return self._condensed.plan(start, self._solver.lti)
+        return self._condensed.plan(start, self._solver.lti, budget)
 
     def _takes(self, problem: OptimalControlProblem, change: Change) -> bool:
         """Whether the kept solver takes a changed problem: new sets are boxes, none is rows, equal values are fixed."""
@@ -168,8 +173,8 @@ class Kept:
             _, solver = self._spectral_solver()
             if self._condensed is None or self._condensed.units is not solver.units:
                 self._condensed = CondensedSolver(solver.lti, solver.units)
-        except UnsupportedError:
-            self._refused_condensed = True
+        except UnsupportedError as error:
+            self._refused_condensed = str(error)
         return self._condensed
 
     def _spectral_solver(self) -> tuple[Chain, SpectralSolver]:

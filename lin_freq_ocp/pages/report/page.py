@@ -194,6 +194,9 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
             ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
             ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
         ]
+        if loop.changes.any():
+            median = number(float(np.median(loop.changes)), 3)
+            headline.append(("changes of the working set", median, f"at most {loop.changes.max()}"))
     statuses = [NOT_JUDGED if status is None else str(status) for status in loop.statuses]
     counts = Counter((status, str(step.source), step.method) for status, step in zip(statuses, loop.steps, strict=True))
     # The largest excess of each softened constraint, and at how many steps there was one
