@@ -155,5 +155,5 @@ REFUSED = {
 def test_problems_without_such_plans_are_refused_with_the_reason(case):
     method = "structured" if case == "another method" else "auto"
     loop = lfo.RecedingHorizon(REFUSED[case](), method, certify="later", max_changes=5)
-    with pytest.raises(lfo.errors.UnsupportedError, match="max_changes: .*(windows|601 controls|'auto')"):
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"max_changes: .*(windows|601 controls|'auto')"):
         loop.step(loop.problem.initial_box.lower)

@@ -60,7 +60,9 @@ class Plan:
     def following(self, last: Trajectory) -> Plan:
         """Return the rest of the last plan from this state, with the feedback of the tables, its last v repeated."""
         v = last.u / self.units.u - (last.x[:-1] / self.units.x) @ self.tables.loop.K.T
-        return unsettled(self.tables, self.units, self.start, np.concatenate([v[1:], v[-1:]]).ravel(), self.changes)
+        return unsettled_plan(
+            self.tables, self.units, self.start, np.concatenate([v[1:], v[-1:]]).ravel(), self.changes
+        )
 
     @property
     def trajectory(self) -> Trajectory:
@@ -80,7 +82,7 @@ class Plan:
         return Candidate("optimal", trajectory, in_units(problem, lti, units, duals))
 
 
-def unsettled(tables: CondensedTables, units: LtiUnits, start: Array, v: Array, changes: int) -> Plan:
+def unsettled_plan(tables: CondensedTables, units: LtiUnits, start: Array, v: Array, changes: int) -> Plan:
     """Return the plan of v (T m,) from a state (n,), whose working set has not settled: it has no multipliers."""
     u_0 = v[: len(units.u)] + tables.loop.K @ (start / units.x)
     return Plan(tables, units, start, u_0 * units.u, v, np.zeros_like(tables.bounds[0]), changes, settled=False)
@@ -178,7 +180,7 @@ class CondensedSolver:
             if status != LIMIT or (budget.changes is None and now() < budget.end):
                 return None
             v = kernel.tables.W @ np.append(x, 1.0) + kernel.tables.V @ kernel.unknowns
-            return unsettled(kernel.tables, units, start, v, made)
+            return unsettled_plan(kernel.tables, units, start, v, made)
 
     def plan_batch(self, starts: Array, lti: Lti) -> PlanBatch | None:
         """Return the plans from initial states, (N, n), each from the multipliers of the one before; None as ``plan``.
