@@ -151,6 +151,15 @@ REFUSED = {
 }
 
 
+def test_softened_problems_without_such_plans_are_refused_too():
+    rows = lfo.sets.Polyhedron([[1.0, 1.0, 0.0, 0.0]], [0.5])
+    loop = lfo.RecedingHorizon(
+        pendulum(20, None, terminal_state=rows), certify="later", max_changes=5, soft={"terminal_state": 1e3}
+    )
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"max_changes: .*reduced problem"):
+        loop.step(np.zeros(4))
+
+
 @pytest.mark.parametrize("case", REFUSED)
 def test_problems_without_such_plans_are_refused_with_the_reason(case):
     method = "structured" if case == "another method" else "auto"
