@@ -35,7 +35,9 @@ class ClosedLoop(LoopRecord):
     Methods
     -------
     plot()
-        A figure of states, controls, their spectra over time, and the times of the steps.
+        A figure of states, controls, their spectra over time, limited windows, and the times of the steps.
+    spectra(control_spectrum, state_spectrum, output_spectrum)
+        The spectra of the windows of applied controls and measured states, with the limits of Spectrograms.
     save(folder)
         Write a report page.
     to_csv(path)
@@ -50,7 +52,7 @@ class ClosedLoop(LoopRecord):
     """
 
     def plot(self) -> Figure:
-        """Return a figure of the states, the controls, their spectra over time, and the times of the steps."""
+        """Return a figure of states, controls, their spectra over time, limited windows, and the times of the steps."""
         from lin_freq_ocp.pages.figures.loop import loop_figure  # Matplotlib is slow to import
 
         return loop_figure(self)

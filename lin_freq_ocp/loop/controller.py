@@ -95,7 +95,8 @@ class Controller:
     @property
     def record(self) -> LoopRecord:
         """Return the steps until now."""
-        return LoopRecord(self.problem, tuple(self._steps))
+        acted = np.array([np.zeros(self.problem.control_dim)] * self.delay + self._applied)[: len(self._steps)]
+        return LoopRecord(self.problem, tuple(self._steps), acted=acted.reshape(-1, self.problem.control_dim))
 
     def advance(
         self, state: ArrayLike, preview: Preview, applied: ArrayLike | None

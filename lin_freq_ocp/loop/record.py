@@ -17,6 +17,8 @@ from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, WindowSpectra, named_entries
+from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -128,12 +130,15 @@ class LoopRecord:
         After the last step, if it is known.
     stopped : str
         Why the loop ended before all its steps; empty if it did not.
+    acted : (steps, m), or None
+        The controls that have acted at the steps, if they are not those that the steps returned.
     """
 
     problem: OptimalControlProblem
     steps: Sequence[Step]
     final_state: Array | None = None
     stopped: str = ""
+    acted: Array | None = None
 
     @property
     def states(self) -> Array:
@@ -145,6 +150,47 @@ class LoopRecord:
     def controls(self) -> Array:
         """Return the controls of the steps, (steps, m)."""
         return np.array([step.control for step in self.steps]).reshape(-1, self.problem.control_dim)
+
+    def spectra(
+        self,
+        control_spectrum: Constraints = None,
+        state_spectrum: Constraints = None,
+        output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None = None,
+    ) -> tuple[WindowSpectra, ...]:
+        """Return the spectra of the windows of the applied controls and the measured states, with their limits.
+
+        Parameters
+        ----------
+        control_spectrum, state_spectrum, output_spectrum : optional
+            Spectrograms, such as those of ``lfo.spectrum.closed_loop``; by default those of the problem. None of a loop
+            that is shorter than a window.
+
+        Raises
+        ------
+        ProblemError
+            If another constraint is given, or one that does not fit the signal.
+        """
+        given = {
+            "state_spectrum": state_spectrum,
+            "control_spectrum": control_spectrum,
+            "output_spectrum": output_spectrum,
+        }
+        own = all(content is None for content in given.values())
+        problem, x, u = self.problem, self.states, self.controls if self.acted is None else self.acted
+        n, m, step, found = problem.state_dim, problem.control_dim, problem.sampling_time, list[WindowSpectra]()
+        signals = {
+            "state_spectrum": Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, len(x), step),
+            "control_spectrum": Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, len(u), step),
+        }
+        for of, content in given.items():
+            for where, entry in named_entries(of, getattr(problem, of) if own else content):
+                for one in entry.constraints:
+                    if not (own or one.remembers):
+                        raise ProblemError(where, brief(one), "a Spectrogram", "Such as lfo.spectrum.closed_loop(...).")
+                signal = signals[of] if of in signals else entry.signal(n, m, (len(x), len(u)), step, where)
+                plan = problem.horizon + (signal.D is None)
+                found += [part for one in entry.constraints for part in one.measure(signal, where, x, u, plan)]
+        return tuple(found)
 
     @property
     def costs(self) -> Array:
