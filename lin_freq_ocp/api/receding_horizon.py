@@ -35,7 +35,9 @@ class ClosedLoop(LoopRecord):
     Methods
     -------
     plot()
-        A figure of states, controls, their spectra over time, and the times of the steps.
+        A figure of states, controls, their spectra over time, limited windows, and the times of the steps.
+    spectra(control_spectrum, state_spectrum, output_spectrum)
+        The spectra of the windows of applied controls and measured states, with the limits of Spectrograms.
     save(folder)
         Write a report page.
     to_csv(path)
@@ -50,7 +52,7 @@ class ClosedLoop(LoopRecord):
     """
 
     def plot(self) -> Figure:
-        """Return a figure of the states, the controls, their spectra over time, and the times of the steps."""
+        """Return a figure of states, controls, their spectra over time, limited windows, and the times of the steps."""
         from lin_freq_ocp.pages.figures.loop import loop_figure  # Matplotlib is slow to import
 
         return loop_figure(self)
@@ -103,6 +105,12 @@ class RecedingHorizon:
         "later": a step whose problem differs from the last in its initial state alone returns the control of a plan
         that is not judged yet, some ten times as fast; ``certify()`` judges all of them. A step without such a plan is
         solved and judged at once.
+    max_changes : int, optional
+        With ``certify="later"``: the most changes of the working set in a step after the first, so that all steps take
+        about the same time. Softened problems have as many again. Where the working set has not settled by then, the
+        step applies the better of the plan where it ended and the rest of the plan before, with the feedback of the
+        method and within the bounds of the controls; its status is "limit", and nothing is proven for it.
+        ``log.changes`` counts them.
 
     Raises
     ------
@@ -131,8 +139,9 @@ class RecedingHorizon:
         delay: int = 0,
         time_limit: float | None = None,
         certify: Literal["each", "later"] = "each",
+        max_changes: int | None = None,
     ):
-        self._controller = Controller(problem, method, soft, delay, time_limit, certify)
+        self._controller = Controller(problem, method, soft, delay, time_limit, certify, max_changes)
 
     @property
     def problem(self) -> OptimalControlProblem:
@@ -183,6 +192,8 @@ class RecedingHorizon:
             If a measurement, a reference or a bound does not fit the problem. The step is then not recorded.
         InfeasibleError, LimitError, NumericalError, UnboundedError
             If there is neither a plan nor a replacement (see ``time_limit``); with ``.result``.
+        UnsupportedError
+            If there is a ``max_changes``, and the condensed method does not take the problem.
         """
         step, outcome = self._controller.advance(state, Preview(references, bounds, disturbance), applied)
         if step is None:

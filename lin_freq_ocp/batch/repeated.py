@@ -12,7 +12,7 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.many import Extremals, batch_judge_takes, judge_batch
 from lin_freq_ocp.certificate.rays import InfeasibilityCertificate, infeasibility_certificate
-from lin_freq_ocp.methods.condensed.plans import Plan, batch_of
+from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, Plan, batch_of
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
@@ -73,6 +73,13 @@ class PlannedStart:
     def trajectory(self) -> Trajectory:
         """Return the plan in the given coordinates."""
         return self.translation.trajectory(self.plan.trajectory)
+
+    def better_of(self, last: Trajectory | None) -> PlannedStart:
+        """Return the better of this plan and the rest of the last one from the same state; see ``Plan.rank``."""
+        if last is None:
+            return self
+        other = self.plan.following(self.translation.translated(last))
+        return replace(self, plan=other) if other.rank < self.plan.rank else self
 
     def certified(self, tolerance: float | None) -> Outcome:
         """Return the judged outcome."""
@@ -141,12 +148,34 @@ class Repeated:
         travelled = np.where(fixed, np.abs(start - located.origin), 0.0)
         return bool(((self._moves > 0) & (travelled > TRAVEL * self._moves)).any())
 
-    def plan(self, start: Array) -> PlannedStart | None:
+    def prepare(self, start: Array) -> None:
+        """Set up the condensed method for states near this one, (n,), if the problem is one of the method."""
+        located = self._located
+        if self.spectral and (located is None or self._is_far(located, start)):
+            kept = self.located(self.problem.with_ends(start)).kept
+            if kept is not None:
+                kept.prepare()
+
+    def plans(self, start: Array) -> bool:
+        """Whether the condensed method is set up for states near this one, (n,)."""
+        located = self._located
+        kept = None if located is None or self._is_far(located, start) else located.kept
+        return kept is not None and kept.plans
+
+    @property
+    def no_plans(self) -> str:
+        """Return why the condensed method, which has been set up if that is possible, has no plans for the problem."""
+        kept = self._located and self._located.kept
+        return (
+            kept.no_plans if kept and self.spectral else "method 'auto' or 'spectral', and linear dynamics, have plans."
+        )
+
+    def plan(self, start: Array, budget: Budget = UNLIMITED) -> PlannedStart | None:
         """Return a plan from another initial state, (n,), without a certificate; None where only ``solve`` helps."""
         located = self._located
-        if located is None or located.kept is None or self._is_far(located, start):
+        if located is None or located.kept is None or not self.plans(start):
             return None
-        plan = located.kept.plan(start - located.origin)
+        plan = located.kept.plan(start - located.origin, budget)
         return plan and PlannedStart(located.translation, plan)
 
     def excluded(self, change: Change) -> bool:

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array
+from lin_freq_ocp.base.arrays import Array, brief, one_component, positive_integer, real_array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.certificate.verdict import judge
@@ -33,6 +33,7 @@ from lin_freq_ocp.loop.step_problem import (
     with_past,
 )
 from lin_freq_ocp.methods.candidate import zero_multipliers
+from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.sets.box import SetOrSets
@@ -67,11 +68,15 @@ class Controller:
         delay: int = 0,
         time_limit: float | None = None,
         certify: str = "each",
+        max_changes: int | None = None,
     ):
         require_problem(problem)
         if certify not in ("each", "later"):
             advice = 'With "later", certify() judges the steps until then.'
             raise ProblemError("certify", brief(certify), '"each" or "later"', advice)
+        if max_changes is not None and certify == "each":
+            advice = "The judge takes longer than some hundred changes do."
+            raise ProblemError("max_changes", brief(max_changes), 'certify="later" with it', advice)
         if delay not in (0, 1) or isinstance(delay, bool):
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
@@ -83,6 +88,7 @@ class Controller:
         self._trees = {one: TreeCache() for one in (self._hard, self._soft) if one is not None}
         self._remembers, self._method, self._limit = depends_on_past(problem), method, time_limit
         self._later = certify == "later"
+        self._most = None if max_changes is None else positive_integer("max_changes", max_changes)
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.dynamics.stepper(problem.horizon)
@@ -90,7 +96,8 @@ class Controller:
     @property
     def record(self) -> LoopRecord:
         """Return the record of all steps so far."""
-        return LoopRecord(self.problem, tuple(self._steps))
+        acted = np.array([np.zeros(self.problem.control_dim)] * self.delay + self._applied)[: len(self._steps)]
+        return LoopRecord(self.problem, tuple(self._steps), acted=acted.reshape(-1, self.problem.control_dim))
 
     def advance(
         self, state: ArrayLike, preview: Preview, applied: ArrayLike | None
@@ -103,12 +110,12 @@ class Controller:
         if applied is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
         started = now()
-        quick = self._plan_uncertified(x) if self._later and preview == Preview() else None
+        for repeated in () if self._remembers else self._trees:
+            repeated.prepare(x)  # so that also the first step without a solution takes no longer than others
+        quick = self._plan_uncertified(x, started) if self._later and preview == Preview() else None
         if quick is not None:
-            plan, source = quick
-            step = Step(x, plan.control, None, source, "condensed", solve_seconds=now() - started, pending=plan)
-            self._record(step)
-            return step, None
+            self._record(replace(quick, solve_seconds=now() - started))
+            return self._steps[-1], None
         hard, soft = self._answers(x, preview)
         outcome, solved = hard if soft is None else soft, now()
         plan = self._plan(outcome)
@@ -147,17 +154,38 @@ class Controller:
         self._steps.append(step)
         self._applied.append(step.control)
 
-    def _plan_uncertified(self, x: Array) -> tuple[PlannedStart, Source] | None:
-        """Return a plan from a measured state that is judged later, and its source; None if only a solve helps."""
-        if self._remembers:
+    def _plan_uncertified(self, x: Array, started: float) -> Step | None:
+        """Return the step of a plan from a measured state that is not judged; None if only a solve helps.
+
+        Where changes or time end before the working set has settled, it is the better of the interrupted plan and the
+        rest of the last one; the first step, which sets up the method, has no limits.
+        """
+        begin = x
+        if self.delay and not self._remembers:
+            begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
+        without = [repeated.no_plans for repeated in self._trees if self._remembers or not repeated.plans(begin)]
+        if without and self._most is not None:
+            past = "windows of applied samples make each step another problem."
+            raise UnsupportedError(f"max_changes: {past if self._remembers else without[0]}")
+        if self._remembers or not self._hard.plans(begin):
             return None
-        last = self._applied[-1] if self._applied else np.zeros(self.problem.control_dim)
-        begin = self._step(0, x, last) if self.delay else x
-        plan = self._hard.plan(begin)
-        if plan is not None:
-            return plan, Source.PLAN
-        softened = None if self._soft is None else self._soft.plan(begin)
-        return softened and (softened, Source.SOFTENED)
+        budget, source = UNLIMITED, Source.PLAN
+        if self._steps:
+            budget = Budget(self._most, np.inf if self._limit is None else started + self._limit)
+        plan, changes = self._hard.plan(begin, budget), 0
+        if self._soft is not None and not (plan and plan.plan.settled):
+            changes = 0 if plan is None else plan.plan.changes
+            softened = self._soft.plan(begin, budget)
+            plan, source = (plan, source) if softened is None else (softened, Source.SOFTENED)
+        if plan is None:
+            return None
+        changes += plan.plan.changes
+        if plan.plan.settled:
+            return Step(x, plan.control, None, source, "condensed", changes=changes, pending=plan)
+        better = plan.better_of(self._steps[-1].planned)
+        source = Source.BEST_POINT if better is plan else Source.PREVIOUS_PLAN
+        control = np.clip(better.control, self.problem.control_tube.lower[0], self.problem.control_tube.upper[0])
+        return Step(x, control, Status.LIMIT, source, "condensed", changes=changes, plan=better.trajectory)
 
     def certify(self) -> None:
         """Judge the plans of all steps that were not judged yet; after Ctrl-C, the rest is left to the next call."""

@@ -17,6 +17,8 @@ from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, WindowSpectra, named_entries
+from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
@@ -59,6 +61,8 @@ class Step:
         Wall time without, and of, the certificate.
     nodes : int
         Relaxations that a search over modes has solved; 0 without modes.
+    changes : int
+        Of the working set, for a plan of the condensed method that is judged later; 0 for others.
     plan : Trajectory or None
         From this step on.
     pending : PlannedStart or None
@@ -77,6 +81,7 @@ class Step:
     certify_seconds: float = 0.0
     excess: dict[str, float] = field(default_factory=dict[str, float])
     nodes: int = 0
+    changes: int = 0
     plan: Trajectory | None = None
     pending: PlannedStart | None = None
 
@@ -125,12 +130,15 @@ class LoopRecord:
         After the last step, if it is known.
     stopped : str
         Why the loop ended before all its steps; empty if it did not.
+    acted : (steps, m), or None
+        The controls that have acted at the steps, if they are not those that the steps returned.
     """
 
     problem: OptimalControlProblem
     steps: Sequence[Step]
     final_state: Array | None = None
     stopped: str = ""
+    acted: Array | None = None
 
     @property
     def states(self) -> Array:
@@ -142,6 +150,47 @@ class LoopRecord:
     def controls(self) -> Array:
         """Return the controls of the steps, (steps, m)."""
         return np.array([step.control for step in self.steps]).reshape(-1, self.problem.control_dim)
+
+    def spectra(
+        self,
+        control_spectrum: Constraints = None,
+        state_spectrum: Constraints = None,
+        output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None = None,
+    ) -> tuple[WindowSpectra, ...]:
+        """Return the spectra of the windows of the applied controls and the measured states, with their limits.
+
+        Parameters
+        ----------
+        control_spectrum, state_spectrum, output_spectrum : optional
+            Spectrograms, such as those of ``lfo.spectrum.closed_loop``; by default those of the problem. None of a loop
+            that is shorter than a window.
+
+        Raises
+        ------
+        ProblemError
+            If another constraint is given, or one that does not fit the signal.
+        """
+        given = {
+            "state_spectrum": state_spectrum,
+            "control_spectrum": control_spectrum,
+            "output_spectrum": output_spectrum,
+        }
+        own = all(content is None for content in given.values())
+        problem, x, u = self.problem, self.states, self.controls if self.acted is None else self.acted
+        n, m, step, found = problem.state_dim, problem.control_dim, problem.sampling_time, list[WindowSpectra]()
+        signals = {
+            "state_spectrum": Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, len(x), step),
+            "control_spectrum": Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, len(u), step),
+        }
+        for of, content in given.items():
+            for where, entry in named_entries(of, getattr(problem, of) if own else content):
+                for one in entry.constraints:
+                    if not (own or one.remembers):
+                        raise ProblemError(where, brief(one), "a Spectrogram", "Such as lfo.spectrum.closed_loop(...).")
+                signal = signals[of] if of in signals else entry.signal(n, m, (len(x), len(u)), step, where)
+                plan = problem.horizon + (signal.D is None)
+                found += [part for one in entry.constraints for part in one.measure(signal, where, x, u, plan)]
+        return tuple(found)
 
     @property
     def costs(self) -> Array:
@@ -167,6 +216,11 @@ class LoopRecord:
     def nodes(self) -> Indices:
         """Return the relaxations that the search over modes has solved in each step, (steps,)."""
         return np.array([step.nodes for step in self.steps], dtype=np.intp)
+
+    @property
+    def changes(self) -> Indices:
+        """Return the changes of the working set for the plan of each step that is judged later, (steps,)."""
+        return np.array([step.changes for step in self.steps], dtype=np.intp)
 
     @property
     def satisfied(self) -> Mask:
@@ -197,6 +251,7 @@ class LoopRecord:
                 "cost": step.cost,
                 "gap": step.gap,
                 "nodes": step.nodes,
+                "changes": step.changes,
                 "excess": sum(step.excess.values()),
                 "solve_seconds": step.solve_seconds,
                 "certify_seconds": step.certify_seconds,

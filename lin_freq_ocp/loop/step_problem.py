@@ -113,12 +113,18 @@ def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> Op
         elif field == "stage_rows":
             changes[field] = [rows.softened(penalty) for rows in given]
         else:
-            per_time = isinstance(given, ConvexSet) and given.bounds[0].ndim > 1  # one soft set for each
-            sets = given
-            if per_time:
-                sets = [intersection(box_of(given).at(t), given.members) for t in range(len(given.bounds[0]))]
-            changes[field] = map_sets(sets, partial(softened_set, penalty))
+            per_time = isinstance(given, ConvexSet) and given.bounds[0].ndim > 1
+            changes[field] = map_sets(_sets_at(given) if per_time else given, partial(softened_set, penalty))
     return replace(problem, **changes)
+
+
+def _sets_at(given: ConvexSet) -> list[ConvexSet]:
+    """Return the set of each time of a set whose bounds are given per time; where they repeat, the same object."""
+    box, found = box_of(given), list[ConvexSet]()
+    for t in range(len(box.lower)):
+        repeats = t > 0 and all(np.array_equal(side[t], side[t - 1]) for side in box.bounds)
+        found.append(found[-1] if repeats else intersection(box.at(t), given.members))
+    return found
 
 
 def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:

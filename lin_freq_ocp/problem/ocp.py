@@ -147,10 +147,12 @@ class OptimalControlProblem(ProblemData):
         given = {"initial_state": initial_state, "terminal_state": terminal_state}
         ends = {field: end_set(field, end, self.state_dim) for field, end in given.items() if end is not None}
         problem = replace_fields(self, **ends)
-        boxes = not problem.initial_state.members and not problem.terminal_state.members
+        ends_before = self.initial_state, self.terminal_state, problem.initial_state, problem.terminal_state
+        boxes = not any(end.members for end in ends_before)
         unmet = any(outside.any() for _, outside in problem.met_ends)
-        of_ends = TermKind.STATE_SET, TermKind.LINKED_ENDS
-        if not boxes or unmet or any(term.kind in of_ends for term in self.terms):  # other terms have no ends
+        hard = any(term.kind == TermKind.STATE_SET and term.hard for term in self.terms) or self.hard_state_sets
+        linked = any(term.kind == TermKind.LINKED_ENDS for term in self.terms)
+        if not boxes or unmet or hard or linked:  # other terms do not depend on ends
             problem.__dict__.pop("terms", None)
             _ = problem.terms
         return problem

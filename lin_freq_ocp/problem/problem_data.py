@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE, Box, SetOrSets, bounds_over_time, box_of, end_within
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stopped_bins, time_signal
-from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, named_entries
+from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, entries_of, named_entries
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 from lin_freq_ocp.problem.terms.penalty import HARD, weight_of
@@ -122,6 +122,12 @@ class ProblemData:
         return self.met_ends[0][0], self.met_ends[1][0]
 
     @cached_property
+    def hard_state_sets(self) -> bool:
+        """Whether a state set has, beyond its box, a part that must hold: where an end satisfies it, it is no term."""
+        sets = {id(one): one for one in entries_of(self.state_set)}
+        return any(one is not None and bool(one.hard_members) for one in sets.values())
+
+    @cached_property
     def met_ends(self) -> tuple[tuple[Box, Mask], tuple[Box, Mask]]:
         """The bounds of both ends, and the components, (n,), in which an end lies outside the state set of its time.
 
@@ -172,7 +178,7 @@ Data = TypeVar("Data", bound=ProblemData)
 DEPENDENT = {
     "dynamics": ("linear", "equations", "borders", "gap"),
     "cost": ("quadratic",),
-    "state_set": ("state_boxes", "met_ends", "state_tube", "terms"),
+    "state_set": ("state_boxes", "met_ends", "state_tube", "hard_state_sets", "terms"),
     "initial_state": ("met_ends", "state_tube"),  # and the terms, in the cases that ``with_ends`` names
     "terminal_state": ("met_ends", "state_tube"),
 }

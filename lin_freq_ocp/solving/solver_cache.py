@@ -13,7 +13,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
-from lin_freq_ocp.methods.condensed.plans import CondensedSolver, Plan, PlanBatch
+from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSolver, Plan, PlanBatch
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -69,7 +69,7 @@ class SolverCache:
         self._refusal: UnsupportedError | None = None
         self._last: SpectralSolution | None = None
         self._condensed: CondensedSolver | None = None
-        self._solves, self._refused_condensed = 0, False
+        self._solves, self._refused_condensed = 0, ""
 
     def solve(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch.
@@ -119,14 +119,29 @@ class SolverCache:
         seconds = {"setup": condensed.setup_seconds, "solve": now() - started}
         return reduced.recover(replace(plan.candidate(changed), seconds=seconds))
 
-    def plan(self, start: Array) -> Plan | None:
+    def prepare(self) -> None:
+        """Set up the condensed method now, to be tried from the first solve on."""
+        self._solves = CONDENSED_SOLVES
+        self._condensed_solver()
+
+    @property
+    def plans(self) -> bool:
+        """Whether the condensed method is set up for the problem, and not for a reduced one."""
+        return self._condensed is not None and self._reduced is not None and not self._reduced.inverses
+
+    @property
+    def no_plans(self) -> str:
+        """Return why the condensed method has no plans for the problem."""
+        return self._refused_condensed or "method 'condensed': it would plan for a reduced problem, in other unknowns."
+
+    def plan(self, start: Array, budget: Budget = UNLIMITED) -> Plan | None:
         """Return the condensed method's plan from another initial state, (n,), without a certificate.
 
-        None where ``condensed`` has not solved the problem before, or the method ends without an answer.
+        None where the method has not been set up, or ends without an answer.
         """
-        if self._condensed is None or self._solver is None or (self._reduced and self._reduced.inverses):
+        if self._condensed is None or self._solver is None or not self.plans:
             return None
-        return self._condensed.plan(start, self._solver.lti)
+        return self._condensed.plan(start, self._solver.lti, budget)
 
     def _changes_rows(self, problem: OptimalControlProblem, change: Change) -> bool:
         """Whether a changed set is one that a reduction turns into rows, which the solver keeps as they were."""
@@ -157,8 +172,8 @@ class SolverCache:
             _, solver = self._spectral_solver()
             if self._condensed is None or self._condensed.units is not solver.units:
                 self._condensed = CondensedSolver(solver.lti, solver.units)
-        except UnsupportedError:
-            self._refused_condensed = True
+        except UnsupportedError as error:
+            self._refused_condensed = str(error)
         return self._condensed
 
     def _spectral_solver(self) -> tuple[Chain, SpectralSolver]:

@@ -11,6 +11,12 @@ set up once and updated at every step.
     python scripts/benchmark.py loop --modes
 
 A cart-pole between soft walls instead: each step from the tree of the step before ("warm"), and each alone ("cold").
+
+    python scripts/benchmark.py loop --pushes
+
+The pendulum with a low pass and its bounds on the states soft, pushed every 40 steps so that no plan keeps them, with
+and without a limit on the changes of a step; CPU times of steps after the first. "not settled" are steps that ended at
+the limit; "cost" and "excess" are those of the loop: its stage costs, and the sum of the excess over the bounds.
 """
 
 from __future__ import annotations
@@ -43,6 +49,12 @@ CART_POLE_NOISE = 3e-3
 """The same, of the cart-pole (Marcucci and Tedrake 2021)."""
 
 CASES = {"free": pendulum, "low pass": partial(pendulum, low_pass=True), "soft bounds": soft_pendulum}
+
+PUSH = np.array([0.0, 0.0, 0.15, 0.3])
+"""Added to the state, as a disturbance, every PUSHED steps."""
+
+PUSHED = 40
+LIMITS = (None, 40, 20, 10)  # of the changes of a step
 
 SET_UP = 4  # first steps, in which methods set themselves up
 
@@ -211,6 +223,40 @@ def with_modes(steps: int, seed: int) -> Table:
     return table
 
 
+def with_pushes(horizons: Sequence[int], steps: int, seed: int) -> Table:
+    """Return a table of the times of steps without a plan within the bounds, with limits on their changes."""
+    table = Table("problem", "max_changes", title="a step of a loop whose bounds give way, certified later")
+    for column in ("ms, median", "worst", "changes, worst", "softened", "not settled", "cost", "excess"):
+        table.add_column(column, justify="right")
+    for horizon in horizons:
+        problem = pendulum(horizon, low_pass=True)
+        cost, bound, step = problem.quadratic, problem.state_boxes.upper[1], problem.dynamics.stepper(1)
+        for limit in LIMITS:
+            rng, x, times = np.random.default_rng(seed), np.zeros(problem.state_dim), list[float]()
+            controller = lfo.RecedingHorizon(problem, soft={"state_set": 1e3}, certify="later", max_changes=limit)
+            for k in range(steps):
+                began = time.process_time()
+                u = controller.step(x)
+                times.append(1e3 * (time.process_time() - began))
+                x = step(0, x, u) + NOISE * rng.standard_normal(len(x)) + (k % PUSHED == PUSHED - 1) * PUSH
+            log, own = controller.log, np.array(times[1:])
+            spent = 0.5 * float((log.states @ cost.Q * log.states).sum() + (log.controls @ cost.R * log.controls).sum())
+            excess = float(np.maximum(np.abs(log.states) - bound, 0.0).sum())
+            sources = [str(source) for source in log.sources]
+            table.add_row(
+                f"pendulum, T = {horizon}" if limit is None else "",
+                "none" if limit is None else str(limit),
+                f"{np.median(own):.2f}",
+                f"{own.max():.2f}",
+                str(log.changes[1:].max()),
+                str(sources.count("softened problem")),
+                str(sum(status == "limit" for status in log.statuses)),
+                f"{spent:.1f}",
+                f"{excess:.1f}",
+            )
+    return table
+
+
 def linear(horizons: Sequence[int], problems: Sequence[str], steps: int, seed: int) -> Table:
     """Return a table of the times of all contenders."""
     table = Table("problem", "contender", title="a step of a control loop, warm")
@@ -233,9 +279,12 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--modes", action="store_true")
+    parser.add_argument("--pushes", action="store_true")
     options = parser.parse_args(arguments)
     with Record(options.write) as record, threadpool_limits(1):
         if options.modes:
             record.show(with_modes(options.steps, options.seed))
+        elif options.pushes:
+            record.show(with_pushes(options.horizons, options.steps, options.seed))
         else:
             record.show(linear(options.horizons, options.problems, options.steps, options.seed))

@@ -22,6 +22,7 @@ SAYS = {
     "kinks": "maximum principle satisfied",
     "torque_map": "modes meet at t = 4; joint inclusion holds",
     "receding_horizon": "0 of 120 steps softened",
+    "oscillating_mass": "at most 1 of the limit, 0 above it",
     "satellite": "largest torque 0.725 N m",
     "rendezvous": "solved by method structured",
     "inverter": "10 of 96 samples between levels; no more than 10 are needed",

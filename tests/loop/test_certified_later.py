@@ -8,8 +8,6 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
 
-SET_UP = 3  # solves before the condensed method is tried
-
 
 @pytest.mark.parametrize("name", LOOPS)
 def test_the_same_controls_and_every_plan_proven(name):
@@ -25,9 +23,9 @@ def test_the_same_controls_and_every_plan_proven(name):
         compared += 1
     assert compared >= 8
     before = later.log
-    assert all(status is None for status in before.statuses[SET_UP:])
-    assert not before.satisfied[SET_UP:].any()
-    assert np.isnan(before.gaps[SET_UP:]).all()
+    assert all(status is None for status in before.statuses)
+    assert not before.satisfied.any()
+    assert np.isnan(before.gaps).all()
     assert before.table[-1]["status"] == "not judged"
     after = later.certify()
     assert set(after.statuses) == {"optimal"}
@@ -48,6 +46,25 @@ def test_a_step_without_a_solution_applies_the_softened_plan():
     assert log.steps[-1].excess
     exact = lfo.RecedingHorizon(problem, soft={"state_set": 1e3})
     np.testing.assert_allclose(exact.step(outside), log.controls[-1], atol=1e-6)
+
+
+def test_the_first_step_without_a_solution_is_planned_like_any_other():
+    loop = lfo.RecedingHorizon(pendulum(30), certify="later", soft={"state_set": 1e3})
+    for start in ([0.0, 0.0, 0.0, 0.0], [0.9, 0.3, 1.5, 1.5]):
+        loop.step(start)
+    assert loop.log.sources == ("plan", "softened problem")
+    assert {step.method for step in loop.log.steps} == {"condensed"}
+    assert loop.log.statuses == (None, None)
+
+
+def test_softened_plans_wait_until_the_hard_problem_was_tried():
+    """A polyhedron is solved as rows of another problem, of which there are no plans before their judgement."""
+    problem = pendulum(20, None, state_set=lfo.sets.Polyhedron(np.vstack([np.eye(4), -np.eye(4)]), np.ones(8)))
+    loop = lfo.RecedingHorizon(problem, certify="later", soft={"state_set": 1e3})
+    for start in 0.1 * states(problem, 3):
+        loop.step(start)
+    assert set(loop.log.sources) == {"plan"}
+    assert set(loop.log.statuses) == {"optimal"}
 
 
 def test_a_preview_is_solved_and_judged_at_once():
@@ -71,7 +88,7 @@ def test_states_far_from_zero_are_counted_from_where_they_are():
         start = np.array([0.5 - 0.05 * k, 0.0])
         np.testing.assert_allclose(loop.step(far + start), near.step(start), atol=1e-7)
     assert set(loop.certify().statuses) == {"optimal"}
-    assert {step.method for step in loop.log.steps[SET_UP:]} == {"condensed"}
+    assert {step.method for step in loop.log.steps} == {"condensed"}
 
 
 def test_a_word_that_is_no_time_is_refused():

@@ -97,3 +97,103 @@ def test_a_window_is_as_long_as_its_band_asks_for(band, length):
 def test_what_does_not_fit_is_named(arguments, field):
     with pytest.raises(lfo.errors.ProblemError, match=f"closed_loop.{field}"):
         lfo.spectrum.closed_loop(*arguments)
+
+
+def noisy(problem, steps=60, **fields):
+    """Return the record of a loop of the mass with strong disturbances."""
+    noise = np.random.default_rng(1).normal(scale=[1e-3, 5e-2], size=(steps, 2))
+    return lfo.RecedingHorizon(problem, **fields).run([0.2, 0.0], steps, disturbance=noise)
+
+
+def windows_of(signal: np.ndarray, limit: lfo.spectrum.Spectrogram) -> np.ndarray:
+    """Return |V| of the windows of a signal with its past, (windows, points), by a sum for each."""
+    whole = np.concatenate([[] if limit.past is None else limit.past[:, 0], signal])
+    points = 4 * limit.length
+    waves = np.exp(-2j * np.pi * np.outer(np.arange(points // 2 + 1), np.arange(limit.length)) / points)
+    starts = range(0, len(whole) - limit.length + 1, limit.hop)
+    return np.array([np.abs(waves @ (np.hanning(limit.length) * whole[s : s + limit.length])) for s in starts])
+
+
+LIMIT = lfo.spectrum.closed_loop(NOTCH, AMPLITUDE, SAMPLING, past=np.zeros(10))
+
+
+def test_the_record_has_the_spectra_of_the_applied_windows():
+    log = noisy(oscillating_mass(control_spectrum=LIMIT.softened(1e-3)))
+    (found,) = log.spectra()
+    np.testing.assert_allclose(found.magnitudes, windows_of(log.controls[:, 0], LIMIT), atol=1e-9)
+    np.testing.assert_array_equal(found.begins, -10 + LIMIT.hop * np.arange(len(found.begins)))
+    bounded = found.amplitude * found.magnitudes[:, found.bins]
+    assert (found.frequencies[found.bins] / (2 * np.pi * SAMPLING)).min() == pytest.approx(5.625)
+    np.testing.assert_allclose(found.ratios, bounded / AMPLITUDE)
+    window, point = found.worst
+    assert found.amplitude * found.magnitudes[window, point] == bounded.max()
+    assert found.exceeded.any()  # the price is low
+    assert found.exceeded.sum() == (bounded > AMPLITUDE * (1 + 1e-6)).sum()
+    assert "above it" in repr(found)
+
+
+def test_windows_count_what_has_acted():
+    """With a delay the first control is zero; a control that acted in place of a planned one counts."""
+    problem = oscillating_mass(control_spectrum=LIMIT)
+    loop = lfo.RecedingHorizon(problem, delay=1, soft={"control_spectrum": 100.0})
+    for k in range(45):
+        loop.step([0.1, 0.0], applied=[0.5] if k == 20 else None)
+    log = loop.log
+    acted = np.concatenate([[0.0], log.controls[:-1, 0]])
+    acted[19] = 0.5
+    np.testing.assert_array_equal(log.acted[:, 0], acted)
+    np.testing.assert_allclose(log.spectra()[0].magnitudes, windows_of(acted, LIMIT), atol=1e-9)
+
+
+def test_states_and_outputs_have_their_windows():
+    plain = lfo.spectrum.closed_loop(NOTCH, 0.01, SAMPLING)
+    log = noisy(oscillating_mass())
+    both = log.spectra(
+        state_spectrum=plain,
+        output_spectrum=lfo.spectrum.OutputSpectrum(C=[[2.0, 0.0]], constraints=plain, output_names=["twice"]),
+    )
+    assert [one.name for one in both] == ["x_0", "x_1", "twice"]
+    np.testing.assert_allclose(both[0].magnitudes, windows_of(log.states[:, 0], plain), atol=1e-9)
+    np.testing.assert_allclose(both[2].magnitudes, 2 * both[0].magnitudes, atol=1e-9)
+
+
+def test_an_energy_has_one_limit_for_each_window():
+    energy = lfo.spectrum.Spectrogram(lfo.spectrum.EnergyBound(0.5, band=NOTCH), length=20, hop=5)
+    log = noisy(oscillating_mass())
+    (found,) = log.spectra(control_spectrum=energy)
+    assert found.joint
+    sums = (found.magnitudes[:, found.bins] ** 2).sum(axis=1)
+    np.testing.assert_allclose(found.ratios[:, 0], np.sqrt(sums / 0.5))
+    assert found.worst[0] == sums.argmax()
+
+
+def test_one_window_over_past_and_plan_slides_with_the_loop():
+    bound = lfo.MagnitudeBound(0.5, band=NOTCH)
+    whole = lfo.spectrum.Spectrogram(bound, past=np.zeros(10))
+    log = noisy(oscillating_mass(control_spectrum=whole), soft={"control_spectrum": 10.0})
+    (found,) = log.spectra()
+    assert found.length == 60  # of the past and the horizon
+    np.testing.assert_array_equal(found.begins, np.arange(-10, 1))
+
+
+def test_short_loops_have_no_windows_and_other_constraints_are_refused():
+    problem = oscillating_mass(control_spectrum=LIMIT)
+    assert noisy(problem, 20).spectra() == ()
+    assert lfo.RecedingHorizon(problem).log.spectra() == ()
+    assert noisy(oscillating_mass(), 3).spectra() == ()
+    with pytest.raises(lfo.errors.ProblemError, match=r"control_spectrum: .*Spectrogram"):
+        noisy(oscillating_mass(), 3).spectra(control_spectrum=NOTCH)
+    limit = lfo.spectrum.Spectrogram(lfo.MagnitudeBound(1.0, band=NOTCH, component=3), length=2)
+    with pytest.raises(lfo.errors.ProblemError, match="component"):
+        noisy(oscillating_mass(), 3).spectra(control_spectrum=limit)
+
+
+def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(tmp_path):
+    log = noisy(oscillating_mass(control_spectrum=LIMIT.softened(1e-3)))
+    (found,) = log.spectra()
+    page = log.save(tmp_path).read_text()
+    assert "Windows of the applied signals" in page
+    assert f"{int(found.exceeded.any(axis=1).sum())} of {len(found.begins)}" in page
+    assert "5.62 to 10.3 Hz" in page
+    assert len(log.plot().axes) == 8  # with a panel for the windows
+    assert "Windows of the applied signals" not in noisy(oscillating_mass(), 12).save(tmp_path).read_text()

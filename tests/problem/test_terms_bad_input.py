@@ -354,6 +354,12 @@ def test_a_bound_without_bins_warns_and_is_no_constraint(of, band):
 def test_a_new_end_that_is_a_set_is_a_constraint():
     assert [term.name for term in problem().with_ends(terminal_state=Ball(1)).terms] == ["terminal state"]
     assert problem(terminal_state=Ball(1)).with_ends(terminal_state=[0, 0]).terms == ()
+    soft = problem(terminal_state=lfo.sets.Soft(Ball(1), 2.0))
+    assert soft.with_ends(terminal_state=[0, 0]).terms == ()
+    assert soft.with_ends(initial_state=[1, 0]).terms
+    last = problem(state_set=[lfo.sets.Everything()] * 8 + [Ball(1)], terminal_state=[0, 0])
+    assert not last.terms  # the end lies in the ball
+    assert [term.name for term in last.with_ends(terminal_state=[2, 0]).terms] == ["state set"]
 
 
 def test_a_band_without_bins_bounds_nothing_and_a_warning_says_so():

@@ -36,7 +36,8 @@ class DenseKernel:
         self._of_states = tables.row_values(tables.W[:, :n], np.eye(n), np.zeros(n))
         self._lengths = np.linalg.norm(self.gradients, axis=1)
         self.take(tables)
-        self._plan, self._x, self.changes = np.zeros(T * m), np.zeros(n), 0
+        self._plan, self._x, self.changes, self._most_changes = np.zeros(T * m), np.zeros(n), 0, 0
+        self.unknowns = np.zeros(r)  # xi of the last step
         self._forget()
 
     def take(self, tables: CondensedTables) -> None:
@@ -71,17 +72,21 @@ class DenseKernel:
         """Return the multipliers of the rows, (families, T+1)."""
         return self._lambda.reshape(len(self.tables.families), -1).copy()
 
-    def step(self, x: Array) -> int:
-        """Solve from an initial state, (n,); return SOLVED, LIMIT or INFEASIBLE, also for one that is not finite."""
+    def step(self, x: Array, most_changes: int | None = None) -> int:
+        """Solve from an initial state, (n,), with so many changes at most; return SOLVED, LIMIT or INFEASIBLE.
+
+        A state that is not finite is INFEASIBLE.
+        """
         if not np.isfinite(x).all():
             return INFEASIBLE
+        self._most_changes = self.tables.most_changes if most_changes is None else most_changes
         self._x, start, self.changes, corrections = x, np.append(x, 1.0), 0, 0
         y_0, xi = self.of_start @ start, -self.gradients.T @ self._lambda
         if not 0.5 * xi @ xi + self._lambda @ self._distance(y_0 + self.gradients @ xi) >= 0:  # worse than none
             self._forget()
             xi[:] = 0.0
         status, rounded = LIMIT, np.zeros(len(y_0), dtype=bool)
-        while status == LIMIT and self.changes <= self.tables.most_changes:
+        while status == LIMIT and self.changes <= self._most_changes:
             y = y_0 + self.gradients @ xi
             missed = self._distance(y)[self._active]
             if corrections < ROW_CORRECTIONS and (np.abs(missed) > ROW_TOLERANCE / 4 * self._size[self._active]).any():
@@ -104,6 +109,7 @@ class DenseKernel:
                 rounded[:] = False
         if status == SOLVED:
             self._plan = self.tables.W @ start + self.tables.V @ xi
+        self.unknowns = xi
         return status
 
     def _distance(self, y: Array) -> Array:
@@ -160,7 +166,7 @@ class DenseKernel:
         side = flag or (1 if y > self.upper[row] else -1)
         bound, limit = (self.upper if side > 0 else self.lower)[row], self._limit(row, side)
         sigma, moved, gradient = -flag or side, 0.0, self.gradients[row]
-        while self.changes <= self.tables.most_changes:
+        while self.changes <= self._most_changes:
             along = self._Q.T @ gradient
             z = gradient - self._Q @ along
             again = self._Q.T @ z

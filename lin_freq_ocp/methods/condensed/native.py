@@ -150,10 +150,16 @@ class NativeKernel:
         """Return how many changes of the working set the last step made."""
         return self._memory.changes
 
-    def step(self, x: Array) -> int:
-        """Solve from an initial state, (n,); return SOLVED, LIMIT or INFEASIBLE."""
+    def step(self, x: Array, most_changes: int | None = None) -> int:
+        """Solve from an initial state, (n,), with so many changes at most; return SOLVED, LIMIT or INFEASIBLE."""
         self._x[:] = x
+        self._model.most_changes = self.tables.most_changes if most_changes is None else most_changes
         return self._library.lfo_step(*self._step)
+
+    @property
+    def unknowns(self) -> Array:
+        """Return xi of the last step, (r,), whether or not its working set has settled."""
+        return self._work[0][: self.tables.unknowns].copy()
 
     @property
     def control(self) -> Array:

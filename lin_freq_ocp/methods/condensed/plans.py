@@ -16,14 +16,27 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
-from lin_freq_ocp.methods.condensed.tables import SOLVED, CondensedTables, condense
+from lin_freq_ocp.methods.condensed.tables import LIMIT, SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units
 from lin_freq_ocp.methods.spectral.spaces import bin_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
+KEPT_VIOLATION = 1e-6  # of a plan that counts as feasible, relative: as in the judge's conditions
+CHANGES_BETWEEN_LOOKS = 25  # at the clock, of the working set: some 0.1 to 1 ms
 PLANS_AT_ONCE = 200  # plans whose multipliers are computed at once: the arrays stay in the cache of a processor
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a plan may take: changes of the working set, None for as many as ever help, and time until ``end``."""
+
+    changes: int | None = None
+    end: float = np.inf  # by ``clock.now``
+
+
+UNLIMITED = Budget()
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +49,21 @@ class Plan:
     control: Array  # u_0, (m,), in the user's units
     v: Array  # (T m,)
     weights: Array  # multipliers of the rows, (families, T+1)
+    changes: int = 0  # of the working set
+    settled: bool = True  # whether the working set is the optimal one; else v is where the budget ended
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Return what is less for the better plan: whether it is infeasible, and its cost, or else its violation."""
+        violation, cost = self.tables.worth(self.start / self.units.x, self.v)
+        return (False, cost) if violation <= KEPT_VIOLATION else (True, violation)
+
+    def following(self, last: Trajectory) -> Plan:
+        """Return the rest of the last plan from this state, with the feedback of the tables, its last v repeated."""
+        v = last.u / self.units.u - (last.x[:-1] / self.units.x) @ self.tables.loop.K.T
+        return unsettled_plan(
+            self.tables, self.units, self.start, np.concatenate([v[1:], v[-1:]]).ravel(), self.changes
+        )
 
     @property
     def trajectory(self) -> Trajectory:
@@ -53,6 +81,12 @@ class Plan:
         duals = LtiMultipliers(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
         trajectory = Trajectory(seal(found.x[:, 0] * units.x), seal(found.u[:, 0] * units.u))
         return Candidate(Status.OPTIMAL, trajectory, in_units(problem, lti, units, duals))
+
+
+def unsettled_plan(tables: CondensedTables, units: LtiUnits, start: Array, v: Array, changes: int) -> Plan:
+    """Return the plan of v (T m,) from a state (n,), whose working set has not settled: it has no multipliers."""
+    u_0 = v[: len(units.u)] + tables.loop.K @ (start / units.x)
+    return Plan(tables, units, start, u_0 * units.u, v, np.zeros_like(tables.bounds[0]), changes, settled=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,18 +157,31 @@ class CondensedSolver:
             self.kernel.take(changed)
         return changed is not None
 
-    def plan(self, start: Array, lti: Lti) -> Plan | None:
+    def plan(self, start: Array, lti: Lti, budget: Budget = UNLIMITED) -> Plan | None:
         """Return the plan from an initial state, (n,), with the other data of lti in the same units.
 
         None if these differ in more than ends, references, offsets and bounds, or if the working set does not settle: a
-        claim of contradictory rows proves nothing.
+        claim of contradictory rows proves nothing. Where a limited budget ends before, the plan is not ``settled``.
         """
         units = self.units
         with self._lock:
             kernel = self.kernel
-            if not self._take(lti) or kernel.step(start / units.x) != SOLVED:
+            if not self._take(lti):
                 return None
-            return Plan(kernel.tables, units, start, kernel.control * units.u, kernel.plan, kernel.multipliers)
+            status, made, x = LIMIT, 0, start / units.x
+            most = kernel.tables.most_changes if budget.changes is None else budget.changes
+            at_once = most if budget.end == np.inf else CHANGES_BETWEEN_LOOKS
+            while status == LIMIT and made < most and (made == 0 or now() < budget.end):
+                status = kernel.step(x, min(most - made, at_once))
+                made += kernel.changes
+            if status == SOLVED:
+                return Plan(
+                    kernel.tables, units, start, kernel.control * units.u, kernel.plan, kernel.multipliers, made
+                )
+            if status != LIMIT or (budget.changes is None and now() < budget.end):
+                return None
+            v = kernel.tables.W @ np.append(x, 1.0) + kernel.tables.V @ kernel.unknowns
+            return unsettled_plan(kernel.tables, units, start, v, made)
 
     def plan_batch(self, starts: Array, lti: Lti) -> PlanBatch | None:
         """Return the plans from initial states, (N, n), each from the multipliers of the one before; None as ``plan``.

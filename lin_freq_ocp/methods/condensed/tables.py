@@ -223,6 +223,25 @@ class CondensedTables:
         y[:-1] += u @ self.D.T
         return np.moveaxis(y, 2, 0).reshape(len(self.families) * len(y), len(data))
 
+    def worth(self, x_0: Array, v: Array) -> tuple[float, float]:
+        """Return the violation and the cost of a plan v (T m,) from x_0 (n,), prices of soft rows included.
+
+        The violation is the largest of a hard row, relative to its size, and of a stop band or end, relative to that of
+        the controls.
+        """
+        loop, T, data = self.loop, self.loop.shape[0], np.ones(1)
+        x, u = loop.simulate(x_0[None], loop.plans(v[:, None]), data)
+        slopes, squares = loop.slopes(x, u, data), loop.slopes(x, u, 0 * data)  # M y + h, M y
+        cost = sum(float((y * (a - 0.5 * b)).sum()) for y, a, b in zip((x, u), slopes, squares, strict=True))
+        y = np.moveaxis(x @ self.C.T, 2, 0)[..., 0]
+        y[:, :T] += (u @ self.D.T)[:, 0].T
+        violation = np.linalg.norm(loop.equations(x, u, data)) / max(float(np.linalg.norm(u)), np.finfo(float).tiny)
+        for beyond, limit in zip((self.bounds[0] - y, y - self.bounds[1]), self.limits, strict=True):
+            over, hard = np.maximum(beyond, 0.0), np.isinf(limit)
+            violation = max(violation, float((np.where(hard, over, 0.0) / self.sizes[:, None]).max(initial=0.0)))
+            cost += float((over[~hard] * limit[~hard]).sum())
+        return violation, cost
+
     def recover(self, x_0: Array, v: Array, weights: Array) -> RecoveredPlans:
         """Return the points of x_0 (k, n) and v (T m, k) with their multipliers, from those of the rows.
 

@@ -13,6 +13,8 @@ from lin_freq_ocp.base.arrays import NO_BOUND, Array
 from lin_freq_ocp.base.phrases import number, plural, short_name
 from lin_freq_ocp.loop.record import LoopRecord, Source
 from lin_freq_ocp.pages.figures import look
+from lin_freq_ocp.pages.units import frequency_scale
+from lin_freq_ocp.problem.spectrum.base import WindowSpectra
 
 LONGEST_WINDOW = 64  # samples of a window of the spectrogram; an eighth of the loop, if that is less
 LEAST_WINDOW = 8
@@ -20,9 +22,10 @@ DECIBELS = 60  # range of the colours below the largest value
 
 
 def loop_figure(loop: LoopRecord) -> Figure:
-    """Return each control over time next to its spectrogram, all states, the times of the steps, and the gaps."""
-    states, m = loop.problem.state_dim, loop.problem.control_dim
-    rows = m + ceil(states / 2) + 1
+    """Return each control over time next to its spectrogram, states, limited windows, times of the steps, and gaps."""
+    states, m, limited = loop.problem.state_dim, loop.problem.control_dim, loop.spectra()
+    above = m + ceil(states / 2)
+    rows = above + ceil(len(limited) / 2) + 1
     figure = look.new_figure(0.8 * look.ROW_HEIGHT * rows)
     grid = figure.add_gridspec(rows, 2)
     for j in range(m):
@@ -32,6 +35,9 @@ def loop_figure(loop: LoopRecord) -> Figure:
         alone = i == states - 1 and i % 2 == 0
         ax = figure.add_subplot(grid[m + i // 2, :] if alone else grid[m + i // 2, i % 2])
         _in_time(ax, loop, i, of_state=True)
+    for i, spectra in enumerate(limited):
+        alone, row = i == len(limited) - 1 and i % 2 == 0, above + i // 2
+        _windows(figure.add_subplot(grid[row, :] if alone else grid[row, i % 2]), loop, spectra)
     ax, steps = figure.add_subplot(grid[-1, 0]), np.arange(float(len(loop.steps)))
     for values, label, color in (
         (loop.solve_seconds, "solve", look.COMPONENTS[0]),
@@ -102,3 +108,35 @@ def _spectrogram(ax: Axes, loop: LoopRecord, j: int) -> None:
     bar.set_label("dB", fontsize=look.LABEL_SIZE, color=look.INK)
     note = look.Note(f"Hann windows of {length} samples; 0 dB: {number(largest, 3)}")
     look.style_axes(ax, title, label, unit, [note])
+
+
+def _windows(ax: Axes, loop: LoopRecord, spectra: WindowSpectra) -> None:
+    """Draw the largest amplitude of all windows and that of the worst one over the frequency, with band and level."""
+    scale, size = frequency_scale(loop.problem), spectra.amplitude
+    frequencies, (window, _) = scale.factor * spectra.frequencies, spectra.worst
+    bounded = frequencies[spectra.bins]
+    for first, last in spectra.bands:
+        ax.axvspan(frequencies[first], frequencies[last], color=look.BAND, linewidth=0)
+    largest, worst = size * spectra.magnitudes.max(axis=0), size * spectra.magnitudes[window]
+    floor = max(float(largest.max()), np.finfo(float).tiny) * 10 ** (-DECIBELS / 20)
+    for values, color, label in (
+        (largest, look.COMPONENTS[2], f"largest of {plural(len(spectra.begins), 'window')}"),
+        (worst, look.CONSTRAINED, "worst window"),
+    ):
+        drawn = np.maximum(values, floor)
+        look.draw_line(ax, frequencies, drawn, color=color, linewidth=1.3, label=label)
+    if not spectra.joint:
+        levels = np.full(len(frequencies), np.nan)
+        levels[spectra.bins] = size * spectra.limits
+        look.draw_line(ax, frequencies, levels, color=look.BOUND, linewidth=1.6, label="level")
+        broken = spectra.exceeded.any(axis=0)
+        ax.plot(bounded[broken], largest[spectra.bins[broken]], "x", color=look.FILTERED, markersize=5)
+    ax.set_yscale("log")
+    ax.margins(x=0.015)
+    ax.legend(fontsize=look.LABEL_SIZE, frameon=False, labelcolor=look.INK)
+    notes = [look.Note(f"Windows of {spectra.length} samples; shaded: the limited band")]
+    count = int(spectra.exceeded.any(axis=1).sum())
+    if count:
+        notes.append(look.Note(f"{plural(count, 'window')} above the level; crosses: where", look.FILTERED))
+    title = f"Applied windows of {short_name(spectra.name)}"
+    look.style_axes(ax, title, scale.label, f"amplitude of {spectra.name}", notes)

@@ -36,15 +36,18 @@ from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.report import proof, tables
 from lin_freq_ocp.pages.report.findings import FILTERING, finding_of, stop_band_meaning
 from lin_freq_ocp.pages.templates import render_template
-from lin_freq_ocp.pages.units import rough
+from lin_freq_ocp.pages.units import frequency_scale, rough
 from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.spectrum.base import WindowSpectra
 from lin_freq_ocp.solving.outcome import Outcome
 
 PIXELS_PER_INCH = 150
 
+MOST_BINS = 8  # of a level that was exceeded, that a table names
+
 CAPTION = (
     "Spectrograms show the magnitude of the DFT of short windows over the time of their middle. Crosses mark steps "
-    "whose problem had no solution, or none in time."
+    "whose problem had no solution, or no plan in time. Amplitudes of applied windows are those of sinusoids."
 )
 
 
@@ -191,6 +194,9 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
             ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
             ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
         ]
+        if loop.changes.any():
+            median = number(float(np.median(loop.changes)), 3)
+            headline.append(("changes of the working set", median, f"at most {loop.changes.max()}"))
     statuses = [NOT_JUDGED if status is None else str(status) for status in loop.statuses]
     counts = Counter((status, str(step.source), step.method) for status, step in zip(statuses, loop.steps, strict=True))
     # The largest violation of each softened constraint, and the number of steps with one
@@ -198,6 +204,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
     for name in dict.fromkeys(name for step in loop.steps for name in step.excess):
         amounts = [step.excess.get(name, 0.0) for step in loop.steps]
         violations.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
+    windows = [_window_row(loop, spectra) for spectra in loop.spectra()]
     page = render_template(
         "report",
         "loop.html.jinja",
@@ -208,10 +215,33 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         drawing=drawing,
         counts=[(*key, count) for key, count in counts.most_common()],
         violations=violations,
+        windows=windows,
         facts=problem_facts(loop.problem, loop.problem.gap),
         problem=loop.problem,
     )
     return save_page(folder, page, [drawing])
+
+
+def _window_row(loop: LoopRecord, spectra: WindowSpectra) -> list[str]:
+    """Return the cells of a limited signal: its worst window, and where its level was exceeded."""
+    scale, (window, point) = frequency_scale(loop.problem), spectra.worst
+    frequencies, step = scale.factor * spectra.frequencies, loop.problem.sampling_time
+    begin = int(spectra.begins[window])
+    bands = [f"{number(frequencies[first], 3)} to {number(frequencies[last], 3)}" for first, last in spectra.bands]
+    limits = np.unique(spectra.limits) * (1.0 if spectra.joint else spectra.amplitude)
+    level = f"{number(float(limits[0]), 3)}" + (f" to {number(float(limits[-1]), 3)}" if len(limits) > 1 else "")
+    broken = [] if spectra.joint else [number(at, 3) for at in frequencies[spectra.bins][spectra.exceeded.any(axis=0)]]
+    shown = ", ".join(broken[:MOST_BINS]) + (" and others" if len(broken) > MOST_BINS else "")
+    return [
+        spectra.name,
+        f"{' and '.join(bands)} {scale.unit}",
+        f"{level} (root of the energy)" if spectra.joint else level,
+        f"{number(100 * float(spectra.ratios.max()), 4)} %",
+        f"{number(frequencies[point], 3)} {scale.unit}",
+        f"sample {begin}" if step is None else f"{number(step * begin, 3)} s",
+        f"{int(spectra.exceeded.any(axis=1).sum())} of {len(spectra.begins)}",
+        f"{shown} {scale.unit}" if broken else "none",
+    ]
 
 
 @dataclass(frozen=True)

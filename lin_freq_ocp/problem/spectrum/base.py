@@ -15,9 +15,19 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, component_names, real_array, with_columns, with_fields
+from lin_freq_ocp.base.arrays import (
+    Array,
+    Indices,
+    Mask,
+    assign,
+    brief,
+    component_names,
+    real_array,
+    with_columns,
+    with_fields,
+)
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import MOST_TEXT, combination, plural, short_name
+from lin_freq_ocp.base.phrases import MOST_TEXT, combination, number, plural, short_name
 from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term, TermKind
@@ -113,6 +123,13 @@ class FrequencyConstraint(ABC):
         """
         return self
 
+    def measure(self, signal: Signal, field: str, x: Array, u: Array, plan: int) -> Iterator[WindowSpectra]:
+        """Yield the ``WindowSpectra`` of each component of an applied signal, of x and u; none if it has no memory.
+
+        ``plan`` is the number of samples of the signal in a plan.
+        """
+        yield from ()
+
     every_frequency: bool = False  # whether it is semi-infinite: its terms sample it at finitely many points
     points: Sequence[Array] | None = None  # the sampled points of each component; None: the first points
     points_only: bool = False  # whether nothing is required elsewhere: a relaxation
@@ -154,6 +171,83 @@ class Signal:
         """Yield name and rows of C and D of a component, or of all for None; errors name the field."""
         for j in component_indices(field, component, self.names):
             yield self.names[j], None if self.C is None else self.C[j], None if self.D is None else self.D[j]
+
+
+EXCEEDED = 1e-6  # of a limit, relative: the accuracy to which the judge checks plans
+
+
+@dataclass(frozen=True, eq=False)
+class WindowSpectra:
+    """The spectra of the windows of a signal, and the limits that a Spectrogram states for them.
+
+    Attributes
+    ----------
+    name : str
+        Of the component.
+    begins : (windows,)
+        The sample with which each window begins; those before time 0 belong to the past.
+    length : int
+        Samples of a window.
+    frequencies : (points,)
+        In rad/sample, 0 to pi.
+    magnitudes : (windows, points)
+        |V| of the windows, times their taper.
+    bins : (bins,)
+        The points of the grid that are bounded.
+    limits : (bins,), or ()
+        Of |V|; one number, of the root of the sum of squares, for a bound on the energy.
+    amplitude : float
+        Of a sinusoid per unit of |V|: 2 / sum(taper).
+    soft : bool
+        Whether the limits may be exceeded at a price.
+    """
+
+    name: str
+    begins: Indices
+    length: int
+    frequencies: Array
+    magnitudes: Array
+    bins: Indices
+    limits: Array
+    amplitude: float
+    soft: bool
+
+    @property
+    def joint(self) -> bool:
+        """Whether one limit bounds all bins of a window together."""
+        return self.limits.ndim == 0
+
+    @property
+    def ratios(self) -> Array:
+        """Return what is bounded relative to its limit, (windows, bins); (windows, 1) for an energy."""
+        bounded = self.magnitudes[:, self.bins]
+        if self.joint:
+            bounded = np.linalg.norm(bounded, axis=1, keepdims=True)
+        above = np.where(bounded > 0, np.inf, 0.0)
+        return np.divide(bounded, self.limits, out=above, where=np.broadcast_to(self.limits > 0, bounded.shape))
+
+    @property
+    def bands(self) -> list[tuple[int, int]]:
+        """Return the first and the last point of each run of neighbouring bounded points."""
+        runs = np.split(self.bins, np.flatnonzero(np.diff(self.bins) > 1) + 1)
+        return [(int(run[0]), int(run[-1])) for run in runs]
+
+    @property
+    def exceeded(self) -> Mask:
+        """Return which limits of which windows are exceeded, in the shape of ``ratios``."""
+        return self.ratios > 1.0 + EXCEEDED
+
+    @property
+    def worst(self) -> tuple[int, int]:
+        """Return the window and the point of the grid with the largest ratio; of an energy, its largest point."""
+        window, k = np.unravel_index(np.argmax(self.ratios), self.ratios.shape)
+        k = int(np.argmax(self.magnitudes[window, self.bins])) if self.joint else int(k)
+        return int(window), int(self.bins[k])
+
+    def __repr__(self) -> str:
+        above = int(self.exceeded.any(axis=1).sum())
+        most = f"at most {number(float(self.ratios.max()), 4)} of the limit, {above} above it"
+        return f"WindowSpectra({plural(len(self.begins), 'window')} of {self.name}, {most})"
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -236,15 +330,19 @@ class OutputSpectrum:
         """Whether a constraint depends on samples of the past."""
         return any(entry.remembers for entry in self.constraints)
 
+    def signal(self, n: int, m: int, samples: tuple[int, int], sampling_time: float | None, field: str) -> Signal:
+        """Return the outputs as a signal, of so many samples of the states and of the controls."""
+        for name, matrix, columns in (("C", self.C, n), ("D", self.D, m)):
+            if matrix is not None and matrix.shape[1] != columns:
+                raise ProblemError(f"{field}.{name}", f"shape {matrix.shape}", f"{columns} columns")
+        length = samples[0] if self.D is None else samples[1]
+        return Signal(TermKind.OUTPUT_SPECTRUM, self.C, self.D, self.output_names, length, sampling_time)
+
     def terms(
         self, n: int, m: int, horizon: int, sampling_time: float | None, field: str, index: int
     ) -> Iterator[Term]:
         """Yield the terms of the constraints; ``index`` is the index in the problem's field, ``field`` names errors."""
-        for name, matrix, columns in (("C", self.C, n), ("D", self.D, m)):
-            if matrix is not None and matrix.shape[1] != columns:
-                raise ProblemError(f"{field}.{name}", f"shape {matrix.shape}", f"{columns} columns")
-        length = horizon + (self.D is None)
-        signal = Signal(TermKind.OUTPUT_SPECTRUM, self.C, self.D, self.output_names, length, sampling_time)
+        signal = self.signal(n, m, (horizon + 1, horizon), sampling_time, field)
         for i, constraint in enumerate(self.constraints):
             yield from constraint.terms(signal, f"{field}.constraints[{i}]", ("output_spectrum", index))
 

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -17,7 +17,7 @@ from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer, pos
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.spectrum.bands import Band
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_indices
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, WindowSpectra, component_indices
 from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound, SpectrumBound
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrogramMap
 from lin_freq_ocp.problem.terms.term import Term
@@ -143,6 +143,33 @@ class Spectrogram(FrequencyConstraint):
         return self.changed(bound=bound, penalty=bound.penalty)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        for name, windows, limits in self._windows(signal, field):
+            of = f"{'windows' if self.length else 'past and future'} of {name}"
+            yield self.bound.term(of, signal.kind, windows, np.tile(limits, len(windows.starts)), source)
+
+    def measure(self, signal: Signal, field: str, x: Array, u: Array, plan: int) -> Iterator[WindowSpectra]:
+        known = 0 if self.past is None else len(self.past)
+        length, hop = (known + plan - self.offset, 1) if self.length is None else (self.length, self.hop)
+        if known + signal.length - self.offset < length:
+            return  # no window has ended
+        for name, windows, limits in self.changed(length=length, hop=hop)._windows(signal, field):
+            spectrum = windows.spectrum
+            every = replace(spectrum, bins=np.arange(spectrum.points // 2 + 1), joint=False)
+            values = replace(windows, spectrum=every).values(x, u)
+            yield WindowSpectra(
+                name=name,
+                begins=windows.starts,
+                length=length,
+                frequencies=2 * np.pi * every.bins / every.points,
+                magnitudes=np.linalg.norm(values, axis=1).reshape(len(windows.starts), -1),
+                bins=spectrum.bins,
+                limits=limits,
+                amplitude=2.0 / float(spectrum.window.sum()),
+                soft=self.penalty is not None,
+            )
+
+    def _windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrogramMap, Array]]:
+        """Yield the name, the windows and the limits of a window's groups, of each bounded component."""
         count, samples = len(signal.names), signal.length
         past = np.zeros((0, count)) if self.past is None else self.past
         if past.shape[1] != count:
@@ -157,9 +184,7 @@ class Spectrogram(FrequencyConstraint):
         components = component_indices(field, self.component, signal.names)
         bounded = self.bound.spectra(window, f"{field}.bound")
         for (name, spectrum, limits), i in zip(bounded, components, strict=False):  # none without bins
-            windows = SpectrogramMap(spectrum, first, past[:, i])
-            of = f"{'windows' if self.length else 'past and future'} of {name}"
-            yield self.bound.term(of, signal.kind, windows, np.tile(limits, len(first)), source)
+            yield name, SpectrogramMap(spectrum, first, past[:, i]), limits
 
 
 LOBE = 4.0  # width of the main lobe of a Hann window, in bins of its length
