@@ -158,8 +158,11 @@ class Assembly:
         return y.ravel()[self.positions]
 
 
-def stages_of(problem: OptimalControlProblem) -> Assembly:
-    """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit."""
+def stages_of(problem: OptimalControlProblem, sizes: tuple[Array, Array] | None = None) -> Assembly:
+    """Return the stages of a problem; UnsupportedError for dynamics that are not linear, or terms that do not fit.
+
+    Units are the sizes of states (n,) and controls (m,), by default those that the data state.
+    """
     origin, fixed = origin_of(problem)
     program, (T, m), n = LinearProgram(problem, origin), fixed.shape, problem.state_dim
     ends, fixed_ends = _ends(problem)
@@ -186,7 +189,7 @@ def stages_of(problem: OptimalControlProblem) -> Assembly:
     priced = used.copy()
     priced.flat[positions] &= program.priced
     units = np.ones(used.shape)
-    units.flat[positions] = program.column_units(*stated_sizes(problem))
+    units.flat[positions] = program.column_units(*(sizes or stated_sizes(problem)))
     stages, scaled = scale_stages(plain, units, priced)
     stages = fix_unused_entries(stages, used)
     return Assembly(stages, program, fixed, positions, used, priced, scaled, targets, weights)

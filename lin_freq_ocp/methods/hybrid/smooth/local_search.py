@@ -225,7 +225,7 @@ class LocalSearch:
 
     def __post_init__(self):
         self._end = now() + self.seconds
-        self._known: set[tuple[bytes, bytes]] = set()
+        self._known: set[tuple[bytes, bytes, bytes]] = set()
         self._units = stated_sizes(self.problem)[1]
         self._smooth = is_smooth(self.problem)
 
@@ -283,7 +283,11 @@ class LocalSearch:
         return False
 
     def _try(self, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES, warm: bool = False) -> None:
-        key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes()
+        key = (
+            sequence.tobytes(),
+            np.round(start.u / self._units, 6).tobytes(),
+            start.x.tobytes() if self._smooth else b"",
+        )
         if self._late() or key in self._known:
             return
         self._known.add(key)
@@ -325,10 +329,12 @@ class LocalSearch:
             trajectory = self._constant_trajectory(share)
             alone = np.zeros(self.problem.horizon, dtype=np.intp)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
+        if self._smooth:
+            yield self._constant_trajectory(SHARES[0], replayed=False), alone
         for mode in range(len(dynamics.modes)):
             yield self._constant_trajectory(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
-    def _constant_trajectory(self, share: float) -> Trajectory:
+    def _constant_trajectory(self, share: float, replayed: bool = True) -> Trajectory:
         """Return the trajectory of controls at a share between their bounds.
 
         Where there is none, the state is constant. Of one smooth map, whose replay may take long, it then goes straight
@@ -336,7 +342,7 @@ class LocalSearch:
         """
         tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
         u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)
-        if not self._smooth or self.problem.horizon <= LONGEST_REPLAY:
+        if replayed and (not self._smooth or self.problem.horizon <= LONGEST_REPLAY):
             with suppress(NumericalError):
                 return simulate(self.problem, u, start)
         box = self.problem.ends[1]
