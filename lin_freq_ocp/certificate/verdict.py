@@ -70,6 +70,33 @@ class Facts(ABC):
 
 
 @dataclass(frozen=True, eq=False)
+class SecondOrder:
+    """Whether a direction lowers the cost to second order along smooth dynamics.
+
+    Attributes
+    ----------
+    passed : bool or None
+        True: none does. None: the test does not apply or decides nothing, for the ``reason``.
+    curvature : float
+        Of the Lagrangian along the direction, whose largest entry is 1 in the sizes of the data.
+    direction : Trajectory or None
+        If one was found: the change of states (T+1, n) and controls (T, m), in the units of the problem. It keeps
+        dynamics and active constraints to first order.
+    """
+
+    passed: bool | None
+    reason: str
+    curvature: float = 0.0
+    direction: Trajectory | None = None
+
+    def __str__(self) -> str:
+        if self.direction is not None:
+            t = int(np.argmax(np.abs(self.direction.u).max(1)))
+            return f"not satisfied: the cost falls along a direction that changes controls most at t = {t}"
+        return "satisfied" if self.passed else f"not decided: {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
 class Judgement:
     """What a judge returns, for any dynamics; ``extremal`` if a global bound follows from the multipliers.
 
@@ -81,6 +108,7 @@ class Judgement:
     cost_of_residuals: float
     extremal: Extremal | None = None
     cost_scale: float | None = None
+    second_order: SecondOrder | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +138,8 @@ class Certificate:
         meet, it leads into the flip of ``borders`` that improves, and the trajectory is no local minimum.
     borders : SwitchingFacts or None
         The conditions where modes meet; None for linear dynamics.
+    second_order : SecondOrder or None
+        The test of second order along smooth dynamics; None for others, and where the maximum principle is violated.
     rounded : Rounded or None
         If the maximum principle is violated and rounding of the trajectory explains it: to how much it is satisfied.
 
@@ -130,6 +160,7 @@ class Certificate:
     descent: Direction | None = None
     borders: Facts | None = None
     rounded: Rounded | None = None
+    second_order: SecondOrder | None = None
 
     @property
     def lower_bound(self) -> float | None:
@@ -191,14 +222,17 @@ class Certificate:
         return replace(self, cost=self.cost + constant, bound=bound)
 
     def status_within(self, gap: float) -> Status:
-        """Return OPTIMAL, as ``proven_within`` says, else LOCALLY_OPTIMAL or NUMERICAL_ERROR.
+        """Return OPTIMAL, as ``proven_within`` says, else LOCALLY_OPTIMAL, EXTREMAL or NUMERICAL_ERROR.
 
-        Locally optimal means that the maximum principle is satisfied with normal multipliers: where the dynamics are
-        linear, no feasible direction lowers the cost to first order; where they have modes, it is necessary only.
+        Both mean that the maximum principle is satisfied with normal multipliers. Where the dynamics are linear, no
+        feasible direction then lowers the cost to first order; where they are smooth, the test of second order decides
+        between the two; where they have modes, locally optimal is necessary only.
         """
         if self.proven_within(gap):
             return Status.OPTIMAL
         extremal = self.pmp == "satisfied" and self.normal
+        if extremal and self.second_order is not None and self.second_order.passed is False:
+            return Status.EXTREMAL
         return Status.LOCALLY_OPTIMAL if extremal else Status.NUMERICAL_ERROR
 
     @property
@@ -222,6 +256,7 @@ class Certificate:
             f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
         ]
         lines += [f"mask      {condition.peak}: {condition.name}" for condition in self.conditions if condition.peak]
+        lines += [] if self.second_order is None else [f"second    {self.second_order}"]
         lines += [] if self.rounded is None else [f"rounding  {self.rounded}"]
         return "\n".join([*lines, *([] if self.borders is None else [f"borders   {self.borders}"])])
 
@@ -281,6 +316,7 @@ def judge(
             worth_of_residuals=np.inf if _no_price(problem, multipliers, found.conditions) else found.cost_of_residuals,
             bound=bound,
             borders=found.borders,
+            second_order=found.second_order,
         )
         return certificate if tolerance == CONDITION_TOLERANCE else certificate.within(tolerance)
 

@@ -37,6 +37,13 @@ GLOBAL_GAP = 1e-4  # default of the relative gap to prove
 GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short horizons, and not too long to wait for
 # Part of its cost by which a start may be below the answer: the judge's tolerance allows violations as large.
 SAVED_BY_TOLERANCE = 1e-6
+MOST_SADDLES = 10  # that are left one after the other
+PARTS_OF_DIRECTION = (
+    0.1,
+    -0.1,
+    0.01,
+    -0.01,
+)  # of a direction of descent, to start from: its largest entry is of order 1
 FEASIBILITY_LOSS = 1.0  # of each step, where no cost is known and only the existence of a trajectory is asked for
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
@@ -84,13 +91,13 @@ class Nonsmooth:
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
         solved = now()
         best = search.best
-        found = None if best is None or not best.feasible else polished(problem, best)
+        found = None if best is None or not best.feasible else _beyond_saddles(search, polished(problem, best))
         found = found if request.start is None else _not_above(problem, request.start, found)
         status, message = _status(search, found)
         if self.global_bound:
             limited = request.time_limit < np.inf
             left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
-            if status == Status.LOCALLY_OPTIMAL and found is not None:
+            if status.solved and found is not None:
                 bounding = _Bounding(search, found, self.gap or GLOBAL_GAP, now() + left)
                 message = bounding.run() if left > 0 else UNBOUNDED
                 found = bounding.found  # the bound may lead to a better answer
@@ -147,6 +154,20 @@ def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     after = judge(problem, run.trajectory, run.multipliers)
     refined = run.trajectory, run.multipliers, after
     return min(found, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
+
+
+def _beyond_saddles(search: LocalSearch, found: Judged) -> Judged:
+    """Return the answer, or a better one to which its directions of descent of second order lead."""
+    for _ in range(MOST_SADDLES):
+        test, (trajectory, _, _) = found[2].second_order, found
+        if test is None or test.direction is None:
+            break
+        d, sequence = test.direction, np.zeros(search.problem.horizon, dtype=np.intp)
+        starts = (Trajectory(trajectory.x + part * d.x, trajectory.u + part * d.u) for part in PARTS_OF_DIRECTION)
+        if not any(search.look_near(start, sequence) for start in starts) or search.best is None:
+            break
+        found = polished(search.problem, search.best)
+    return found
 
 
 def _not_above(problem: OptimalControlProblem, start: Start, found: Judged | None) -> Judged | None:
@@ -265,4 +286,6 @@ def _status(search: LocalSearch, found: Judged | None) -> tuple[Status, str]:
     status = found[2].status_within(0.0)
     if status == Status.NUMERICAL_ERROR:
         return status, f"the point found does not satisfy the maximum principle: {found[2].worst.name}"
+    if status == Status.EXTREMAL:
+        return status, f"second order {found[2].second_order}"
     return status, LOCAL

@@ -257,16 +257,17 @@ LEAST_DECREASE = 1e-4  # share of the predicted decrease of the infeasibility
 MOST_STEPS = 300
 MOST_RESTORING = 60
 FEW_ROWS = 250  # that couple times
-ACCURATE = 1e-10  # residuals in units of order 1
+ACCURATE, ACCEPTABLE = 1e-10, 1e-7  # residuals in units of order 1 at which it ends, and of a local optimum at most
 
 
 @dataclass(frozen=True, eq=False)
 class BarrierResult:
-    """The last point, and the largest violation of its rows."""
+    """The last point, the largest violation of its rows, and its largest relative residual."""
 
     end: End
     point: EmbeddedPoint
     violation: float
+    error: float
     steps: int
 
 
@@ -304,8 +305,8 @@ class Barrier:
             ended = End.INTERRUPTED
         last = self._last
         if last is None:
-            return BarrierResult(ended, EmbeddedPoint(y, [], {}), np.inf, 0)
-        return BarrierResult(ended, last.point, largest(last.left), self._steps)
+            return BarrierResult(ended, EmbeddedPoint(y, [], {}), np.inf, np.inf, 0)
+        return BarrierResult(ended, last.point, largest(last.left), last.error(0.0), self._steps)
 
     def _iterate_newton(self, y: Array) -> End:
         mu, last, system = self.mu, 0.0, System(self.model.stages, self.loops)
@@ -313,7 +314,7 @@ class Barrier:
         s = {i: cone.raised((system.b[i] - rows[i]) * cone.present, MARGIN) for i, cone in system.cones.items()}
         for i, cone in system.cones.items():
             z[i] = mu * cone.inverse(s[i])
-        local = self._at(EmbeddedPoint(y, z, s))
+        local, self._longest = self._at(EmbeddedPoint(y, z, s)), LONGEST * max(1.0, largest([y]))
         if local is None:
             return End.UNDEFINED
         if not self.unequal:
@@ -351,25 +352,26 @@ class Barrier:
     def _filter_step(self, local: BarrierPoint, entries: Filter, mu: float) -> BarrierPoint | None:
         """Return the next point by a step that the filter takes; None if it takes none."""
         least = 0.0
-        for _ in range(1 if self.unequal else MOST_SHIFTS):
+        for _ in range(MOST_SHIFTS):
             shift = local.factor(mu, self._solvers, self._shift, least)
-            self._shift = shift or self._shift
-            after = self._search_line(local, entries)
+            self._shift, step = shift or self._shift, local.step()
+            short = largest([step[0]]) <= self._longest
+            after = self._search_line(local, entries, *step) if short else None
             if after is not None:
                 return after
+            if short and self.unequal:
+                break
             least = SHIFT_RISE * max(shift, self._shift / SHIFT_FALL) or FIRST_SHIFT
         return None
 
-    def _search_line(self, local: BarrierPoint, entries: Filter) -> BarrierPoint | None:
-        """Return the next point by a part of the step of the factored system; None if the filter takes none."""
-        y, z, s = local.step()
+    def _search_line(
+        self, local: BarrierPoint, entries: Filter, y: Array, z: Values, s: dict[int, Array]
+    ) -> BarrierPoint | None:
+        """Return the next point by a part of a step; None if the filter takes none."""
         current, slope = local.measure(local.mu), local.slope(y, s)
         of_duals = local.longest({i: z[i] for i in s}, 1)
         first = length = local.longest(s, -1)
-        shortest = SHORTEST if self.unequal else LEAST_PART
-        if not self.unequal and not largest([y]) <= LONGEST:
-            return None
-        while length > shortest:
+        while length > (SHORTEST if self.unequal else LEAST_PART):
             trial = local.trial(y, s, length)
             if trial is not None:
                 taken = entries.takes(current, trial.measure, slope, length)
@@ -478,4 +480,5 @@ def smooth_optimum(
     multipliers = model.multipliers(answer.point.y, answer.point.z)
     cost = problem.value(trajectory.x, trajectory.u)
     sequence = np.zeros(problem.horizon, dtype=np.intp)
-    return LocalOptimum(sequence, trajectory, multipliers, cost, answer.violation), answer.end
+    converged = answer.end is End.OPTIMAL or answer.error <= ACCEPTABLE
+    return LocalOptimum(sequence, trajectory, multipliers, cost, answer.violation, converged), answer.end

@@ -178,6 +178,9 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
 LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
+DIVERGED_STATES = (
+    1e2  # size of a state, relative to its data, from which a straight line is a better start of a smooth problem
+)
 DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
 
@@ -225,17 +228,19 @@ class LocalSearch:
 
     def __post_init__(self):
         self._end = now() + self.seconds
-        self._known: set[tuple[bytes, bytes, bytes]] = set()
-        self._units = stated_sizes(self.problem)[1]
+        self._known: set[tuple[object, ...]] = set()
+        self._sizes, self._units = stated_sizes(self.problem)
         self._smooth = is_smooth(self.problem)
 
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
         try:
             if self.start is not None:
-                self._try(self.start.trajectory or self._constant_trajectory(SHARES[0]), self.start.sequence, warm=True)
-                if self._smooth and self.best is not None and self.best.feasible:
-                    return self
+                start = self.start.trajectory or self._constant_trajectory(SHARES[0])
+                for warm in (True, False) if self._smooth else (True,):
+                    self._try(start, self.start.sequence, warm=warm)
+                    if self._smooth and self.best is not None and self.best.feasible and self.best.converged:
+                        return self
             self._on_grid(None)
             for trajectory, sequence in self._starts():
                 feasible = self.best is not None and self.best.feasible
@@ -283,11 +288,8 @@ class LocalSearch:
         return False
 
     def _try(self, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES, warm: bool = False) -> None:
-        key = (
-            sequence.tobytes(),
-            np.round(start.u / self._units, 6).tobytes(),
-            start.x.tobytes() if self._smooth else b"",
-        )
+        own = (start.x.tobytes(), warm) if self._smooth else ()  # of one map, states need not follow from the controls
+        key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes(), own
         if self._late() or key in self._known:
             return
         self._known.add(key)
@@ -302,12 +304,13 @@ class LocalSearch:
         if not self._smooth:
             optimum = local_optimum(self.problem, start, sequence, prices, self._end)
         best = self.best
-        if optimum is not None and best is not None and optimum.feasible == best.feasible:
-            # both are trajectories: the cheaper one; else the one with the smaller violation
+        if optimum is not None and best is not None:
+            # the cheaper one of two trajectories that have converged, or have not; else the smaller violation
+            ranks = [(one.feasible, one.feasible and one.converged) for one in (optimum, best)]
             decrease = DECREASE * search_scale(self.problem, best.trajectory)
-            better = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
-            self.best = optimum if better else best
-        elif optimum is not None and (best is None or optimum.feasible):
+            cheaper = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
+            self.best = optimum if ranks[0] > ranks[1] or (ranks[0] == ranks[1] and cheaper) else best
+        elif optimum is not None:
             self.best = optimum
         if self.progress is not None:
             known = self.best is not None and self.best.feasible
@@ -337,14 +340,16 @@ class LocalSearch:
     def _constant_trajectory(self, share: float, replayed: bool = True) -> Trajectory:
         """Return the trajectory of controls at a share between their bounds.
 
-        Where there is none, the state is constant. Of one smooth map, whose replay may take long, it then goes straight
-        from one end to the other.
+        Where there is none, the state is constant. Of one smooth map, whose replay may take long or diverge, it then goes
+        straight from one end to the other.
         """
         tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
         u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)
         if replayed and (not self._smooth or self.problem.horizon <= LONGEST_REPLAY):
             with suppress(NumericalError):
-                return simulate(self.problem, u, start)
+                trajectory = simulate(self.problem, u, start)
+                if not self._smooth or (np.abs(trajectory.x) <= DIVERGED_STATES * self._sizes).all():
+                    return trajectory
         box = self.problem.ends[1]
         bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
         end = np.where(bounded & self._smooth, _middle(box, middle), start)
