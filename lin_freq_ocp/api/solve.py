@@ -85,7 +85,7 @@ def solve(
         Linear dynamics: relative residuals asked of the solver; above 1e-6 the judge allows as much, up to 1e-2. Over
         modes: the same as ``gap``.
     throw : bool
-        Whether to raise if the status is neither "optimal" nor "locally_optimal"; the error holds the result.
+        Whether to raise unless the status is "optimal", "locally_optimal" or "extremal"; the error holds the result.
     node_limit : int, optional
         Over affine modes: relaxations to solve at most.
     progress : callable, optional
@@ -154,7 +154,7 @@ def result_of(outcome: Outcome, throw: bool, seconds_left: float | None = None) 
 
 
 def raise_for(result: Result) -> None:
-    """Raise the error of a result whose status is neither "optimal" nor "locally_optimal"."""
+    """Raise the error of a result whose status is neither "optimal" nor "locally_optimal" nor "extremal"."""
     if result.status in ERRORS:
         raise ERRORS[result.status](_complaint(result), result)
 

@@ -214,8 +214,8 @@ class Published(NamedTuple):
     cost: float
 
 
-# By IPOPT on the same statement from constant controls or a straight line, or as published; some values of CUTEst differ
-# in the fourth digit, as its files round them
+# By IPOPT on the same statement from constant controls or a straight line, or as published; CUTEst's own values differ
+# in the fourth digit for some
 PUBLISHED = {
     "DTOC1L, N = 10": Published(lambda T: dtoc1l(T, 2, 4), 9, 0.06977261110845),
     "DTOC1L, N = 50": Published(lambda T: dtoc1l(T, 2, 4), 49, 0.2260333478713),

@@ -340,8 +340,8 @@ class LocalSearch:
     def _constant_trajectory(self, share: float, replayed: bool = True) -> Trajectory:
         """Return the trajectory of controls at a share between their bounds.
 
-        Where there is none, the state is constant. Of one smooth map, whose replay may take long or diverge, it then goes
-        straight from one end to the other.
+        Where there is none, the state is constant. Of one smooth map, whose replay may take long or diverge, it then
+        goes straight from one end to the other.
         """
         tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
         u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)

@@ -1,4 +1,4 @@
-"""Saddles are called by their name and left; the recursion agrees with the eigenvalues of the dense projected Hessian."""
+"""Saddles are called by their name and left, and where the test of second order does not apply, that is said."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from lin_freq_ocp.solving.hybrid import smooth
 
 def double_well(horizon=4, **sets):
     """Return x+ = x + u, with the wells x^4/4 - x^2/2 at every time: at rest in between is a saddle."""
-    return smooth_problem(
-        lambda x, u: [x[0] + u[0]], [0.0], 1, horizon, lambda x, u: x[0] ** 4 / 4 - x[0] ** 2 / 2 + u[0] ** 2 / 20, **sets
-    )
+
+    def stage(x, u):
+        return x[0] ** 4 / 4 - x[0] ** 2 / 2 + u[0] ** 2 / 20
+
+    return smooth_problem(lambda x, u: [x[0] + u[0]], [0.0], 1, horizon, stage, **sets)
 
 
 def at_rest(problem):
@@ -92,9 +94,7 @@ def test_functions_without_a_hessian_leave_it_undecided():
     )
     cost = lfo.QuadraticCost(Q=1.0, R=1.0)
     sets = {"initial_state": [2.0]}
-    rough = lfo.OptimalControlProblem(
-        lfo.PiecewiseSmoothDynamics([lfo.dynamics.SmoothMode(f)], 1, 1), 10, cost, **sets
-    )
+    rough = lfo.OptimalControlProblem(lfo.PiecewiseSmoothDynamics([lfo.dynamics.SmoothMode(f)], 1, 1), 10, cost, **sets)
     result = lfo.solve(rough, global_bound=False)
     assert result.status == "locally_optimal"
     assert str(result.certificate.second_order) == "not decided: drag has no exact second derivatives"
