@@ -91,7 +91,9 @@ class Nonsmooth:
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
         solved = now()
         best = search.best
-        found = None if best is None or not best.feasible else _beyond_saddles(search, polished(problem, best))
+        found = (
+            None if best is None or not best.feasible else _beyond_saddles(search, polished(problem, best, search.end))
+        )
         found = found if request.start is None else _not_above(problem, request.start, found)
         status, message = _status(search, found)
         if self.global_bound:
@@ -139,16 +141,19 @@ def judged_outcome(
     )
 
 
-def polished(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
-    """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves both."""
+def polished(problem: OptimalControlProblem, local: LocalOptimum, end: float = np.inf) -> Judged:
+    """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves both.
+
+    Newton's method ends at ``end``, by ``clock.now``.
+    """
     affine = problem.affine_at(local.trajectory)
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     found = local.trajectory, multipliers, certificate
-    if is_smooth(problem):  # the barrier method's point is as accurate
+    if certificate.pmp == "satisfied" and is_smooth(problem):
         return found
     try:
-        run = newton(problem, local.trajectory, multipliers, local.sequence)
+        run = newton(problem, local.trajectory, multipliers, local.sequence, end=end)
     except UnsupportedError:
         return found
     after = judge(problem, run.trajectory, run.multipliers)
@@ -166,7 +171,7 @@ def _beyond_saddles(search: LocalSearch, found: Judged) -> Judged:
         starts = (Trajectory(trajectory.x + part * d.x, trajectory.u + part * d.u) for part in PARTS_OF_DIRECTION)
         if not any(search.look_near(start, sequence) for start in starts) or search.best is None:
             break
-        found = polished(search.problem, search.best)
+        found = polished(search.problem, search.best, search.end)
     return found
 
 
@@ -246,7 +251,7 @@ class _Bounding:
                 continue
             self._known.add(level.sequence.tobytes())
             if self.search.look_near(level.path, level.sequence) and self.search.best is not None:
-                better = polished(self.search.problem, self.search.best)
+                better = polished(self.search.problem, self.search.best, self.deadline)
                 if better[2].pmp == "satisfied":
                     self.found = better
                     return True

@@ -114,11 +114,11 @@ class _StageCosts:
         x_ref, u_ref = np.broadcast_to(self._cost.x_ref, (T + 1, n)), np.broadcast_to(self._cost.u_ref, (T, m))
         self._references, self._last = np.hstack([x_ref[:-1], u_ref]), x_ref[-1]
         linear = np.hstack([np.broadcast_to(self._cost.q, (T, n)), np.broadcast_to(self._cost.r, (T, m))])
-        self._linear, self._end = linear, np.asarray(self._cost.p)
+        self._linear, self.end = linear, np.asarray(self._cost.p)
         if multipliers is not None:
             of_x, of_u = problem.in_time(multipliers.rho_x), time_signal(multipliers.rho_u, T)
             self._linear = linear + np.hstack([of_x[:-1], of_u])
-            self._end = self._end + of_x[-1]
+            self.end = self.end + of_x[-1]
 
     def at(self, t: int, pairs: Array) -> Array:
         """Return the costs at a time, (points,)."""
@@ -128,7 +128,7 @@ class _StageCosts:
     def last(self, states: Array) -> Array:
         """Return the costs of the last state, (points,)."""
         a = states - self._last
-        return 0.5 * np.einsum("pi,ij,pj->p", a, self._cost.P, a) + a @ self._end
+        return 0.5 * np.einsum("pi,ij,pj->p", a, self._cost.P, a) + a @ self.end
 
 
 def _successors(problem: OptimalControlProblem, pairs: Array) -> Array:
@@ -227,7 +227,7 @@ class LocalSearch:
     interrupted: bool = False
 
     def __post_init__(self):
-        self._end = now() + self.seconds
+        self.end = now() + self.seconds
         self._known: set[tuple[object, ...]] = set()
         self._sizes, self._units = stated_sizes(self.problem)
         self._smooth = is_smooth(self.problem)
@@ -270,7 +270,7 @@ class LocalSearch:
         if self._smooth or (local is not None and (not constrained or not local.feasible)):
             return False
         multipliers = None if local is None else local.multipliers
-        for trajectory in grid_trajectories(self.problem, multipliers, self._end):
+        for trajectory in grid_trajectories(self.problem, multipliers, self.end):
             self._try(trajectory, piecewise_smooth(self.problem).sequence_of(trajectory.x, trajectory.u))
         return self.best is not before
 
@@ -297,12 +297,12 @@ class LocalSearch:
         optimum = None
         if self._smooth:
             try:
-                optimum, ended = smooth_optimum(self.problem, start, self._end, warm)
+                optimum, ended = smooth_optimum(self.problem, start, self.end, warm)
                 self.interrupted = ended is End.INTERRUPTED
             except UnsupportedError:  # too large for the structured method
                 self._smooth = False
         if not self._smooth:
-            optimum = local_optimum(self.problem, start, sequence, prices, self._end)
+            optimum = local_optimum(self.problem, start, sequence, prices, self.end)
         best = self.best
         if optimum is not None and best is not None:
             # the cheaper one of two trajectories that have converged, or have not; else the smaller violation
@@ -320,7 +320,7 @@ class LocalSearch:
         if self.interrupted:
             self.message = "interrupted"
             return True
-        if now() <= self._end:
+        if now() <= self.end:
             return False
         self.message = f"time limit of {self.seconds:g} s"
         return True
