@@ -85,7 +85,7 @@ def solve(
         Linear dynamics: relative residuals for the solver. Above 1e-6, up to 1e-2, the judge allows the same. Piecewise
         dynamics: the same as ``gap``.
     throw : bool
-        Whether to raise if the status is neither "optimal" nor "locally_optimal"; the error holds the result.
+        Whether to raise unless the status is "optimal", "locally_optimal" or "extremal"; the error holds the result.
     node_limit : int, optional
         Piecewise-affine dynamics: the largest number of relaxations to solve.
     progress : callable, optional
@@ -152,7 +152,7 @@ def result_of(outcome: Outcome, throw: bool, seconds_left: float | None = None) 
 
 
 def raise_for(result: Result) -> None:
-    """Raise the error of a result whose status is neither "optimal" nor "locally_optimal"."""
+    """Raise the error of a result whose status is neither "optimal" nor "locally_optimal" nor "extremal"."""
     name = result.problem.name or "the problem"
     if result.status not in ERRORS:
         return

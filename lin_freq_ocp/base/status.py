@@ -15,7 +15,12 @@ class Status(StrEnum):
     OPTIMAL
         Feasible, and globally optimal: proven by a rigorous lower bound.
     LOCALLY_OPTIMAL
-        The maximum principle is satisfied with normal multipliers; no global bound proves more.
+        The maximum principle is satisfied with normal multipliers, and no direction lowers the cost to second order;
+        no global bound proves more. Where modes meet, at kinks and in a few other cases the test of second order does
+        not apply, which the certificate states.
+    EXTREMAL
+        The maximum principle is satisfied with normal multipliers, but a direction of second order lowers the cost: a
+        saddle or a maximum. Problems with linear dynamics never have it.
     INFEASIBLE
         No trajectory satisfies all constraints: proven; ``result.bound`` is "numerical" where the proof excludes
         trajectories of practical size alone.
@@ -36,6 +41,7 @@ class Status(StrEnum):
 
     OPTIMAL = "optimal"
     LOCALLY_OPTIMAL = "locally_optimal"
+    EXTREMAL = "extremal"
     INFEASIBLE = "infeasible"
     INFEASIBLE_CLAIMED = "infeasible_claimed"
     UNBOUNDED = "unbounded"
@@ -45,7 +51,7 @@ class Status(StrEnum):
     @property
     def solved(self) -> bool:
         """Whether there is a trajectory that satisfies the maximum principle."""
-        return self in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL)
+        return self in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL, Status.EXTREMAL)
 
     def __repr__(self) -> str:
         return repr(self.value)

@@ -70,6 +70,33 @@ class Facts(ABC):
 
 
 @dataclass(frozen=True, eq=False)
+class SecondOrder:
+    """Whether a direction lowers the cost to second order along smooth dynamics.
+
+    Attributes
+    ----------
+    passed : bool or None
+        True: none does. None: the test does not apply or decides nothing, for the ``reason``.
+    curvature : float
+        Of the Lagrangian along the direction, whose largest entry is 1 in the sizes of the data.
+    direction : Trajectory or None
+        If one was found: the change of states (T+1, n) and controls (T, m), in the units of the problem. It keeps
+        dynamics and active constraints to first order.
+    """
+
+    passed: bool | None
+    reason: str
+    curvature: float = 0.0
+    direction: Trajectory | None = None
+
+    def __str__(self) -> str:
+        if self.direction is not None:
+            t = int(np.argmax(np.abs(self.direction.u).max(1)))
+            return f"not satisfied: the cost falls along a direction that changes controls most at t = {t}"
+        return "satisfied" if self.passed else f"not decided: {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
 class Judgement:
     """The result of the judge of one kind of dynamics.
 
@@ -81,6 +108,7 @@ class Judgement:
     cost_of_residuals: float
     extremal: Extremal | None = None
     cost_scale: float | None = None
+    second_order: SecondOrder | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +138,8 @@ class Certificate:
         boundary it leads into the mode of a flip of ``borders``: the trajectory is not a local minimum.
     borders : SwitchingFacts or None
         The conditions at switching boundaries; None for linear dynamics.
+    second_order : SecondOrder or None
+        The test of second order along smooth dynamics; None for others, and where the maximum principle is violated.
     rounded : Rounded or None
         If rounding of the trajectory explains a violation of the maximum principle: the tolerance that it satisfies.
     subject : (problem, trajectory) or None
@@ -132,6 +162,7 @@ class Certificate:
     descent: Direction | None = None
     borders: Facts | None = None
     rounded: Rounded | None = None
+    second_order: SecondOrder | None = None
     subject: tuple[OptimalControlProblem, Trajectory] | None = None
 
     @cached_property
@@ -199,14 +230,17 @@ class Certificate:
         return replace(self, cost=self.cost + constant, bound=bound)
 
     def status_within(self, gap: float) -> Status:
-        """Return OPTIMAL if ``proven_within(gap)``, else LOCALLY_OPTIMAL or NUMERICAL_ERROR.
+        """Return OPTIMAL if ``proven_within(gap)``, else LOCALLY_OPTIMAL, EXTREMAL or NUMERICAL_ERROR.
 
-        Locally optimal means that the maximum principle is satisfied with normal multipliers. With linear dynamics, no
-        feasible direction then lowers the cost to first order; with modes, the principle is a necessary condition only.
+        Locally optimal and extremal mean that the maximum principle is satisfied with normal multipliers. With linear
+        dynamics, no feasible direction then lowers the cost to first order. With smooth dynamics, the test of second
+        order decides between the two. With modes, the principle is a necessary condition only.
         """
         if self.proven_within(gap):
             return Status.OPTIMAL
         extremal = self.pmp == "satisfied" and self.normal
+        if extremal and self.second_order is not None and self.second_order.passed is False:
+            return Status.EXTREMAL
         return Status.LOCALLY_OPTIMAL if extremal else Status.NUMERICAL_ERROR
 
     @property
@@ -230,6 +264,7 @@ class Certificate:
             f"worst     {worst.relative:.1e} relative, {worst.label} {worst.name}",
         ]
         lines += [f"mask      {condition.peak}: {condition.name}" for condition in self.conditions if condition.peak]
+        lines += [] if self.second_order is None else [f"second    {self.second_order}"]
         lines += [] if self.rounded is None else [f"rounding  {self.rounded}"]
         lines += [] if self.between_samples is None else [f"between   {self.between_samples}"]
         return "\n".join([*lines, *([] if self.borders is None else [f"borders   {self.borders}"])])
@@ -295,6 +330,7 @@ def judge(
             worth_of_residuals=worth,
             bound=bound,
             borders=judgement.borders,
+            second_order=judgement.second_order,
         )
         return certificate if tolerance == CONDITION_TOLERANCE else certificate.within(tolerance)
 

@@ -417,7 +417,7 @@ def measured_solution(label: str, problem: OptimalControlProblem, result: Outcom
 
 def solution_label(result: Outcome) -> str:
     """Return the label of a solution that is shown alone."""
-    return {"optimal": "optimal", "locally_optimal": "locally optimal"}.get(result.status, "best point")
+    return result.status.replace("_", " ") if result.status.solved else "best point"
 
 
 def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:

@@ -50,7 +50,7 @@ CONTROL_PRICE = 1e-6
 LARGEST = 1e6  # an amount above this multiple of the sizes in the data is no cure
 
 # Whether a problem has a solution, by the statuses that decide it.
-DECIDED = {Status.OPTIMAL: True, Status.LOCALLY_OPTIMAL: True, Status.INFEASIBLE: False}
+DECIDED = {Status.INFEASIBLE: False} | {status: True for status in Status if status.solved}
 BUSY = 20.0  # seconds that a solve may last for each processor second that is left: solves watch the other clock
 
 

@@ -19,9 +19,22 @@ from lin_freq_ocp.formulas.operations import EXTERNAL
 
 Arguments = ArrayLike | Formula | Sequence[Formula | float]  # formulas or numbers in place of x, or of u
 _UNDEFINED = float("nan")  # stands for values where the function is not defined
+
+
 # Step of central differences of the Jacobian, relative to the size of an argument: there the error of the formula, of
 # the order of the step squared, and that of rounding, eps over the step, are both near 4e-11 of the Jacobian.
 DIFFERENCE_STEP = float(np.finfo(np.float64).eps) ** (1 / 3)
+
+
+@dataclass(frozen=True)
+class FlatHessian:
+    """A Hessian of zeros in place of one that is not known."""
+
+    shape: tuple[int, int, int]
+
+    def __call__(self, x: Array, u: Array) -> Array:
+        """Return zeros."""
+        return np.zeros(self.shape)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -224,6 +237,11 @@ class DifferentiableFunction:
         if self.dimensions not in (None, (states, controls)):
             expected = "x ({},) and u ({},)".format(*self.dimensions)
             raise ProblemError(self.title, f"x ({states},) and u ({controls},)", expected)
+
+    @property
+    def exact_curvature(self) -> bool:
+        """Whether its second derivatives are those of a Hessian of its own, neither differences nor zeros."""
+        return self.hessian is not None and not isinstance(self.hessian, FlatHessian)
 
     def values_at(self, x: Array, u: Array) -> Array:
         """Return the values at points, (points, outputs); nan at points outside its domain.

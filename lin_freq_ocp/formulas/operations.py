@@ -32,6 +32,11 @@ class External(Protocol):
         """Return its name, for messages."""
         ...
 
+    @property
+    def exact_curvature(self) -> bool:
+        """Return whether its second derivatives are exact."""
+        ...
+
     def values_at(self, x: Array, u: Array) -> Array:
         """Return (points, outputs); nan where it is undefined."""
         ...

@@ -109,7 +109,7 @@ def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfal
     if inverse.given.dynamics.mode_names:
         after = replace(after, bound=before.bound, borders=before.borders)
     status, message = outcome.status, outcome.message
-    if status in (Status.OPTIMAL, Status.LOCALLY_OPTIMAL):
+    if status.solved:
         gap = max(before.gap or 0.0, 0.0) + GAP_TOLERANCE
         confirmed = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
         if confirmed != status:

@@ -111,7 +111,7 @@ def require_words(summary):
     """Assert what the words and numbers of a summary may be, beyond their types."""
     assert summary["schema"] == 2
     assert summary["version"] == lfo.__version__
-    assert summary.get("status", "optimal") in ("optimal", "locally_optimal", *ERRORS)
+    assert summary.get("status", "optimal") in ("optimal", "locally_optimal", "extremal", *ERRORS)
     if "method" in summary:
         assert summary["method"] in ("spectral", "structured", "convex")
         assert (summary["backend"] is None) == (summary["method"] != "convex")

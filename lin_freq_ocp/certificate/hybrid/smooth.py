@@ -24,9 +24,10 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
     required_slopes,
     stationarity_scale,
 )
+from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
 from lin_freq_ocp.certificate.sizes import floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
-from lin_freq_ocp.certificate.verdict import Judgement
+from lin_freq_ocp.certificate.verdict import Judgement, SecondOrder
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -48,7 +49,15 @@ def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         printed=facts.printed and not rising,
         regular=facts.regular and not rising,
     )
-    return replace(judgement, borders=facts)
+    satisfied, test = all(condition.passed for condition in judgement.conditions), None
+    if satisfied and facts.applicable and multipliers.eta_C == 1:
+        kinked = facts.times or norms
+        test = (
+            SecondOrder(None, "modes meet or norms are zero")
+            if kinked
+            else second_order_test(problem, trajectory, multipliers)
+        )
+    return replace(judgement, borders=facts, second_order=test)
 
 
 def _judge_norms(

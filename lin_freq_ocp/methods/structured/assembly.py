@@ -157,8 +157,11 @@ class Assembly:
         return y.ravel()[self.positions]
 
 
-def assemble_stages(problem: OptimalControlProblem) -> Assembly:
-    """Return the stages of a problem; UnsupportedError if its dynamics are not linear, or a term does not fit."""
+def assemble_stages(problem: OptimalControlProblem, sizes: tuple[Array, Array] | None = None) -> Assembly:
+    """Return the stages of a problem; UnsupportedError if its dynamics are not linear, or a term does not fit.
+
+    Units are the sizes of states (n,) and controls (m,), by default those that the data state.
+    """
     origin, fixed = choose_origin(problem)
     program, (T, m), n = LinearProgram(problem, origin), fixed.shape, problem.state_dim
     ends, fixed_ends = _ends(problem)
@@ -195,7 +198,7 @@ def assemble_stages(problem: OptimalControlProblem) -> Assembly:
     priced = used.copy()
     priced.flat[positions] &= program.priced
     units = np.ones(used.shape)
-    units.flat[positions] = program.column_units(*stated_sizes(problem))
+    units.flat[positions] = program.column_units(*(sizes or stated_sizes(problem)))
     stages, scaled = scale_stages(plain, units, priced)
     stages = fix_unused_entries(stages, used)
     return Assembly(stages, program, fixed, positions, used, priced, scaled, targets, weights)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, brief, positive_integer, positive_number, real_array, times_vectors
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
-from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
+from lin_freq_ocp.formulas.differentiable import DifferentiableFunction, FlatHessian
 
 # Step of the differences, relative to a component's size: near eps^(1/5), where h^4 and eps/h are about equal.
 RELATIVE_STEP = 2.0**-10
@@ -134,8 +134,8 @@ def sampled_map(
         A, B, _, _ = linearisation(system, x, u, sampling_time, params, sizes, integrator)
         return np.hstack([A, B])
 
-    flat = np.zeros((n, n + m, n + m))
-    return DifferentiableFunction(_defined_model(value), _defined_model(jacobian), lambda x, u: flat, n, "system"), step
+    flat = FlatHessian((n, n + m, n + m))
+    return DifferentiableFunction(_defined_model(value), _defined_model(jacobian), flat, n, "system"), step
 
 
 def _defined_model(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:

@@ -38,6 +38,9 @@ GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short h
 # relative cost by which a start may be below the answer: violations within the judge's tolerance gain as much
 SAVED_BY_TOLERANCE = 1e-6
 FEASIBILITY_LOSS = 1.0  # of each step, if no cost is known and only the existence of a trajectory is in question
+MOST_SADDLES = 10  # that are left one after the other
+# Parts of a direction of descent to start from; its largest entry is of order 1
+PARTS_OF_DIRECTION = (0.1, -0.1, 0.01, -0.01)
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
@@ -84,13 +87,15 @@ class Nonsmooth:
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
         solved = now()
         best = search.best
-        judged = None if best is None or not best.feasible else refine_optimum(problem, best)
+        judged = None
+        if best is not None and best.feasible:
+            judged = _leave_saddles(search, refine_optimum(problem, best, search.end))
         judged = judged if request.start is None else _take_start(problem, request.start, judged)
         status, message = _status(search, judged)
         if self.global_bound:
             limited = request.time_limit < np.inf
             left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
-            if status == Status.LOCALLY_OPTIMAL and judged is not None:
+            if status.solved and judged is not None:
                 bounding = _Bounding(search, judged, self.gap or GLOBAL_GAP, now() + left)
                 message = bounding.run() if left > 0 else UNBOUNDED
                 judged = bounding.judged  # the bound may lead to a better answer
@@ -132,8 +137,11 @@ def outcome_of_search(
     )
 
 
-def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
-    """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves them."""
+def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: float = np.inf) -> Judged:
+    """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves them.
+
+    Newton's method ends at ``end``, by ``clock.now``.
+    """
     affine = problem.affine_at(local.trajectory)
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
@@ -141,12 +149,26 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum) -> Judge
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
     try:
-        run = newton(problem, local.trajectory, multipliers, local.sequence)
+        run = newton(problem, local.trajectory, multipliers, local.sequence, end=end)
     except UnsupportedError:
         return plain
     after = judge(problem, run.trajectory, run.multipliers)
     refined = run.trajectory, run.multipliers, after
     return min(plain, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
+
+
+def _leave_saddles(search: LocalSearch, judged: Judged) -> Judged:
+    """Return the answer, or a better one to which its directions of descent of second order lead."""
+    for _ in range(MOST_SADDLES):
+        test, (trajectory, _, _) = judged[2].second_order, judged
+        if test is None or test.direction is None:
+            break
+        d, sequence = test.direction, np.zeros(search.problem.horizon, dtype=np.intp)
+        starts = (Trajectory(trajectory.x + part * d.x, trajectory.u + part * d.u) for part in PARTS_OF_DIRECTION)
+        if not any(search.look_near(start, sequence) for start in starts) or search.best is None:
+            break
+        judged = refine_optimum(search.problem, search.best, search.end)
+    return judged
 
 
 def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | None) -> Judged | None:
@@ -225,7 +247,7 @@ class _Bounding:
                 continue
             self._known.add(level.sequence.tobytes())
             if self.search.look_near(level.path, level.sequence) and self.search.best is not None:
-                better = refine_optimum(self.search.problem, self.search.best)
+                better = refine_optimum(self.search.problem, self.search.best, self.deadline)
                 if better[2].pmp == "satisfied":
                     self.judged = better
                     return True
@@ -266,4 +288,6 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
     status = judged[2].status_within(0.0)
     if status == Status.NUMERICAL_ERROR:
         return status, f"the best point does not satisfy the maximum principle: {judged[2].worst.name}"
+    if status == Status.EXTREMAL:
+        return status, f"second order {judged[2].second_order}"
     return status, LOCAL

@@ -4,10 +4,14 @@
 
 Newton's method solves the conditions of this problem, with the scalings of Nesterov and Todd for z o s = mu e, while mu
 falls to zero. Each step is one system of the structured method. Its Hessian is that of the Lagrangian if the reduced
-problem is convex with it, otherwise that of the cost: the multipliers are then those of a convex problem. Steps are
-shortened until a filter accepts them (Waechter and Biegler, 2006: pairs of infeasibility theta and objective phi), and
-corrected if the filter rejects them for the curvature of the dynamics. If even short steps fail, steps to the nearest
-point of the linearised constraints first reduce the infeasibility alone.
+problem is convex with it, otherwise that of the cost: the multipliers are then those of a convex problem. If the cost
+alone is not convex enough, a multiple of the identity is added to the Hessian of the Lagrangian. Steps are shortened
+until a filter accepts them (Waechter and Biegler, 2006: pairs of infeasibility theta and objective phi), and corrected
+if the filter rejects them for the curvature of the dynamics. If even short steps fail, steps to the nearest point of
+the linearised constraints first reduce the infeasibility alone.
+
+Without inequalities there is no mu. The first multipliers are those of least squares, and a step that the filter does
+not accept is replaced by one with a larger multiple of the identity, instead of being shortened further.
 
 The file has, in this order: the filter, the barrier problem at a point, the iteration, and the local optimum of a
 problem from a trajectory that need not be feasible.
@@ -91,6 +95,9 @@ MARGIN = 1e-2  # distance of the first point to the boundary, in units in which 
 
 
 NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second solver to know that a step is convex
+# Multiples of the identity that make a Hessian convex, in units of order 1: the first and the least, the factor from
+# one to the next, that by which the next step begins lower (Waechter and Biegler, 2006), and the largest
+FIRST_SHIFT, LEAST_SHIFT, SHIFT_RISE, SHIFT_FALL, LARGEST_SHIFT = 1e-4, 1e-10, 8.0, 24.0, 1e20
 FRACTION = 0.99  # of the way to the boundary, at least
 
 
@@ -156,31 +163,48 @@ class BarrierPoint:
         """Return the infeasibility and the objective here."""
         return Measure(self.theta, self.phi(self.point.y, self.point.s, mu))
 
-    def factor(self, mu: float, solvers: Sequence[KKTSolver]) -> None:
-        """Factor the system of a step, with the curvature of the dynamics if the problem stays convex.
+    def fitted_multipliers(self, solver: KKTSolver) -> Values:
+        """Return the multipliers of least squares at this point, of a problem without inequalities."""
+        self._is_convex(np.broadcast_to(np.eye(self._objective.H.shape[1]), self._objective.H.shape), 0.0)
+        self._factor_system(solver)
+        return self._step.solve(-self._gradient, [np.zeros_like(part) for part in self.left])[1]
 
-        Convexity is that on the dynamics or, if a solver can detect it, on the rows that couple times. The first solver
-        is taken unless only another one detects it.
+    def factor(self, mu: float, solvers: Sequence[KKTSolver], shift: float = 0.0, least: float = 0.0) -> float:
+        """Factor the system of a step, and return the multiple of the identity in its Hessian, ``least`` or more.
+
+        The Hessian is that of the Lagrangian if the problem is convex with it, on the dynamics or, if a solver can
+        detect it, on the rows that couple times; else that of the cost, if it is convex on the dynamics. Otherwise the
+        multiple of the identity that is added to the first grows; it begins near that of an earlier step, ``shift``.
+        The first solver is taken unless only another one detects convexity.
         """
-        stages, self.mu = self.system.stages, mu
+        lagrangian, self.mu, applied = self._objective.H.copy(), mu, least
         for i, cone in self.cones.items():
             cone.scale(self.point.s[i], self.point.z[i])
-        convex = False
-        if self._objective.curved and self.point.z[DYNAMICS].any():
-            curved = -np.einsum("ti,tijk->tjk", self.point.z[DYNAMICS][:-1], self._derivatives.curvatures)
-            count, cone = curved.shape[1], self.cones[STAGES]
-            stages.H[:-1, :count, :count] += curved
-            Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
-            if self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed):  # on the dynamics
-                self._factor_system(solvers[0])
-                convex = True
-            elif self.theta <= NEAR:
-                convex = any(solver.indefinite and self._factor_system(solver) for solver in solvers)
-        if not convex:
-            stages.H[:] = self._objective.H
+        eta, curved = self.point.z[DYNAMICS][:-1], self._objective.curved
+        if curved and eta.any():
+            curvature = np.einsum("ti,tijk->tjk", eta, self._derivatives.curvatures)
+            lagrangian[:-1, : curvature.shape[1], : curvature.shape[1]] -= curvature
+        convex = curved and eta.any() and self._is_convex(lagrangian, applied)
+        if not convex and curved and eta.any() and self.theta <= NEAR:
+            convex = detected = any(solver.indefinite and self._factor_system(solver) for solver in solvers)
+        else:
+            detected = False
+        if not convex and not self._is_convex(self._objective.H, applied) and curved:
+            applied = max(least, shift / SHIFT_FALL)
+            while not self._is_convex(lagrangian, applied) and applied < LARGEST_SHIFT:
+                applied = max(FIRST_SHIFT if shift == 0 else LEAST_SHIFT, SHIFT_RISE * applied)
+        if not detected:
             self._factor_system(solvers[0])
         squares = {i: cone.product(cone.lam, cone.lam) - mu * cone.identity for i, cone in self.cones.items()}
         self._centred = {i: cone.scaled(cone.quotient(squares[i]), 1) for i, cone in self.cones.items()}
+        return applied
+
+    def _is_convex(self, H: Array, shift: float) -> bool:
+        """Give the stages a Hessian with a multiple of the identity; return if they are convex on the dynamics."""
+        stages, cone = self.system.stages, self.cones[STAGES]
+        stages.H[:] = H + shift * np.eye(H.shape[1])
+        Phi = self._loops.gram(stages.H, stages.G, *cone.inverse_squares, stages.cones)
+        return self._loops.is_convex(stages.A, stages.B, Phi, stages.fixed)
 
     def _factor_system(self, solver: KKTSolver) -> bool:
         """Factor the system; return whether the solver finds the problem convex."""
@@ -222,6 +246,9 @@ FIRST_MU, LEAST_MU = 0.1, 1e-11  # in units in which the steepest slope of the c
 MU_FACTOR, MU_POWER = 0.2, 1.5  # mu falls to the smaller of MU_FACTOR mu and mu^MU_POWER
 SOLVED = 10.0  # error of a barrier problem, in units of mu, at which mu falls
 SHORTEST = 1e-7  # part of a step
+# Without inequalities: part of a step below which a larger multiple of the identity takes its place, how often, and the
+# longest step that is tried and the largest first multipliers, in units of order 1
+LEAST_PART, MOST_SHIFTS, LONGEST, LARGEST_DUAL = 0.1, 20, 100.0, 1e3
 CORRECTIONS = 4  # of a step at most
 CORRECTED = 0.99  # infeasibility after a correction, relative to that before, from which no further one is made
 RESTORED = 0.1  # infeasibility to reach where steps fail, relative to that there
@@ -230,16 +257,17 @@ LEAST_DECREASE = 1e-4  # share of the predicted decrease of the infeasibility
 MOST_STEPS = 300
 MOST_RESTORING = 60
 FEW_ROWS = 250  # that couple times
-ACCURATE = 1e-10  # residuals in units of order 1
+ACCURATE, ACCEPTABLE = 1e-10, 1e-7  # residuals in units of order 1 at which it ends, and of a local optimum at most
 
 
 @dataclass(frozen=True, eq=False)
 class BarrierResult:
-    """The last point, and the largest violation of its rows."""
+    """The last point, the largest violation of its rows, and its largest relative residual."""
 
     end: End
     point: EmbeddedPoint
     violation: float
+    error: float
     steps: int
 
 
@@ -261,7 +289,9 @@ class Barrier:
             # the null-space solver, which detects convexity on stop bands, is slower with few rows: it comes second
             null_space = (NullSpaceSolver(stages, self.loops, DenseReduced),) if sort_rows(stages)[0] else ()
             self._solvers = range_space_solver(stages, self.loops), *null_space
-        self._steps = 0
+        self._steps, self._shift = 0, 0.0
+        coupled = self.model.stages.coupling
+        self.unequal = bool(stages.present.any() or coupled.inequalities or coupled.balls)
         self._last: BarrierPoint | None = None
 
     def run(self, y: Array) -> BarrierResult:
@@ -275,8 +305,8 @@ class Barrier:
             ended = End.INTERRUPTED
         last = self._last
         if last is None:
-            return BarrierResult(ended, EmbeddedPoint(y, [], {}), np.inf, 0)
-        return BarrierResult(ended, last.point, largest(last.left), self._steps)
+            return BarrierResult(ended, EmbeddedPoint(y, [], {}), np.inf, np.inf, 0)
+        return BarrierResult(ended, last.point, largest(last.left), last.error(0.0), self._steps)
 
     def _iterate_newton(self, y: Array) -> End:
         mu, last, system = self.mu, 0.0, System(self.model.stages, self.loops)
@@ -284,9 +314,13 @@ class Barrier:
         s = {i: cone.raised((system.b[i] - rows[i]) * cone.present, MARGIN) for i, cone in system.cones.items()}
         for i, cone in system.cones.items():
             z[i] = mu * cone.inverse(s[i])
-        local = self._at(EmbeddedPoint(y, z, s))
+        local, self._longest = self._at(EmbeddedPoint(y, z, s)), LONGEST * max(1.0, largest([y]))
         if local is None:
             return End.UNDEFINED
+        if not self.unequal:
+            mu, fitted = 0.0, local.fitted_multipliers(self._solvers[0])
+            local.point = replace(local.point, z=fitted) if largest(fitted) <= LARGEST_DUAL else local.point
+            local = self._at(local.point) or local
         entries = Filter(local.theta)
         while self._steps < self.most_steps:
             self._last = local
@@ -317,16 +351,32 @@ class Barrier:
 
     def _filter_step(self, local: BarrierPoint, entries: Filter, mu: float) -> BarrierPoint | None:
         """Return the next point by a step that the filter takes; None if it takes none."""
-        local.factor(mu, self._solvers)
-        y, z, s = local.step()
-        current, slope = local.measure(mu), local.slope(y, s)
+        least = 0.0
+        for _ in range(MOST_SHIFTS):
+            shift = local.factor(mu, self._solvers, self._shift, least)
+            self._shift, step = shift or self._shift, local.step()
+            short = largest([step[0]]) <= self._longest
+            after = self._search_line(local, entries, *step) if short else None
+            if after is not None:
+                return after
+            if short and self.unequal:
+                break
+            least = SHIFT_RISE * max(shift, self._shift / SHIFT_FALL) or FIRST_SHIFT
+        return None
+
+    def _search_line(
+        self, local: BarrierPoint, entries: Filter, y: Array, z: Values, s: dict[int, Array]
+    ) -> BarrierPoint | None:
+        """Return the next point by a part of a step; None if the filter takes none."""
+        current, slope = local.measure(local.mu), local.slope(y, s)
         of_duals = local.longest({i: z[i] for i in s}, 1)
         first = length = local.longest(s, -1)
-        while length > SHORTEST:
+        while length > (SHORTEST if self.unequal else LEAST_PART):
             trial = local.trial(y, s, length)
             if trial is not None:
                 taken = entries.takes(current, trial.measure, slope, length)
-                if not taken and length == first and trial.measure.theta >= current.theta:
+                correct = length == first or not self.unequal
+                if not taken and correct and trial.measure.theta >= current.theta:
                     trial = self._corrected_step(local, entries, trial, slope, length)
                     taken = trial is not None
                 if taken and trial is not None:
@@ -394,6 +444,7 @@ def _point_after(point: EmbeddedPoint, trial: Trial, z: list[Array], length: flo
 
 
 WARM_MU = 1e-3  # first weight of the barrier at a start that is taken to be near
+REVISIONS = 3  # of the units, each in those of a point at which the iteration stalled
 FEW_STEPS = 60  # from others: 15 to 50 are common, and another start is better than many more
 
 
@@ -418,7 +469,16 @@ def smooth_optimum(
     if answer.end is End.UNDEFINED:
         return None, answer.end
     trajectory = model.trajectory(answer.point.y)
+    for _ in range(REVISIONS):
+        stalled = answer.end is End.STALLED and not barrier.unequal
+        revised = model.assembly.revised(answer.point.y) if stalled else None
+        if revised is None:
+            break
+        model = replace(model, assembly=revised)
+        answer = Barrier(model, loops(wait=end == np.inf), end, *first).run(model.assembly.point(trajectory))
+        trajectory = model.trajectory(answer.point.y)
     multipliers = model.multipliers(answer.point.y, answer.point.z)
     cost = problem.value(trajectory.x, trajectory.u)
     sequence = np.zeros(problem.horizon, dtype=np.intp)
-    return LocalOptimum(sequence, trajectory, multipliers, cost, answer.violation), answer.end
+    converged = answer.end is End.OPTIMAL or answer.error <= ACCEPTABLE
+    return LocalOptimum(sequence, trajectory, multipliers, cost, answer.violation, converged), answer.end

@@ -114,11 +114,11 @@ class _StageCosts:
         x_ref, u_ref = np.broadcast_to(self._cost.x_ref, (T + 1, n)), np.broadcast_to(self._cost.u_ref, (T, m))
         self._references, self._last = np.hstack([x_ref[:-1], u_ref]), x_ref[-1]
         linear = np.hstack([np.broadcast_to(self._cost.q, (T, n)), np.broadcast_to(self._cost.r, (T, m))])
-        self._linear, self._end = linear, np.asarray(self._cost.p)
+        self._linear, self.end = linear, np.asarray(self._cost.p)
         if multipliers is not None:
             of_x, of_u = problem.in_time(multipliers.rho_x), time_signal(multipliers.rho_u, T)
             self._linear = linear + np.hstack([of_x[:-1], of_u])
-            self._end = self._end + of_x[-1]
+            self.end = self.end + of_x[-1]
 
     def at(self, t: int, pairs: Array) -> Array:
         """Return the costs at a time, (points,)."""
@@ -128,7 +128,7 @@ class _StageCosts:
     def last(self, states: Array) -> Array:
         """Return the costs of the last state, (points,)."""
         a = states - self._last
-        return 0.5 * np.einsum("pi,ij,pj->p", a, self._cost.P, a) + a @ self._end
+        return 0.5 * np.einsum("pi,ij,pj->p", a, self._cost.P, a) + a @ self.end
 
 
 def _successors(problem: OptimalControlProblem, pairs: Array) -> Array:
@@ -178,6 +178,9 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
 LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
+DIVERGED_STATES = (
+    1e2  # size of a state, relative to its data, from which a straight line is a better start of a smooth problem
+)
 DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
 
@@ -224,18 +227,20 @@ class LocalSearch:
     interrupted: bool = False
 
     def __post_init__(self):
-        self._end = now() + self.seconds
-        self._known: set[tuple[bytes, bytes]] = set()
-        self._units = stated_sizes(self.problem)[1]
+        self.end = now() + self.seconds
+        self._known: set[tuple[object, ...]] = set()
+        self._sizes, self._units = stated_sizes(self.problem)
         self._smooth = is_smooth(self.problem)
 
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
         try:
             if self.start is not None:
-                self._try(self.start.trajectory or self._constant_trajectory(SHARES[0]), self.start.sequence, warm=True)
-                if self._smooth and self.best is not None and self.best.feasible:
-                    return self
+                start = self.start.trajectory or self._constant_trajectory(SHARES[0])
+                for warm in (True, False) if self._smooth else (True,):
+                    self._try(start, self.start.sequence, warm=warm)
+                    if self._smooth and self.best is not None and self.best.feasible and self.best.converged:
+                        return self
             self._on_grid(None)
             for trajectory, sequence in self._starts():
                 feasible = self.best is not None and self.best.feasible
@@ -265,7 +270,7 @@ class LocalSearch:
         if self._smooth or (local is not None and (not constrained or not local.feasible)):
             return False
         multipliers = None if local is None else local.multipliers
-        for trajectory in grid_trajectories(self.problem, multipliers, self._end):
+        for trajectory in grid_trajectories(self.problem, multipliers, self.end):
             self._try(trajectory, piecewise_smooth(self.problem).sequence_of(trajectory.x, trajectory.u))
         return self.best is not before
 
@@ -283,7 +288,8 @@ class LocalSearch:
         return False
 
     def _try(self, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES, warm: bool = False) -> None:
-        key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes()
+        own = (start.x.tobytes(), warm) if self._smooth else ()  # of one map, states need not follow from the controls
+        key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes(), own
         if self._late() or key in self._known:
             return
         self._known.add(key)
@@ -291,19 +297,20 @@ class LocalSearch:
         optimum = None
         if self._smooth:
             try:
-                optimum, ended = smooth_optimum(self.problem, start, self._end, warm)
+                optimum, ended = smooth_optimum(self.problem, start, self.end, warm)
                 self.interrupted = ended is End.INTERRUPTED
             except UnsupportedError:  # too large for the structured method
                 self._smooth = False
         if not self._smooth:
-            optimum = local_optimum(self.problem, start, sequence, prices, self._end)
+            optimum = local_optimum(self.problem, start, sequence, prices, self.end)
         best = self.best
-        if optimum is not None and best is not None and optimum.feasible == best.feasible:
-            # both are trajectories: the cheaper one; else the one with the smaller violation
+        if optimum is not None and best is not None:
+            # the cheaper one of two trajectories that have converged, or have not; else the smaller violation
+            ranks = [(one.feasible, one.feasible and one.converged) for one in (optimum, best)]
             decrease = DECREASE * search_scale(self.problem, best.trajectory)
-            better = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
-            self.best = optimum if better else best
-        elif optimum is not None and (best is None or optimum.feasible):
+            cheaper = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
+            self.best = optimum if ranks[0] > ranks[1] or (ranks[0] == ranks[1] and cheaper) else best
+        elif optimum is not None:
             self.best = optimum
         if self.progress is not None:
             known = self.best is not None and self.best.feasible
@@ -313,7 +320,7 @@ class LocalSearch:
         if self.interrupted:
             self.message = "interrupted"
             return True
-        if now() <= self._end:
+        if now() <= self.end:
             return False
         self.message = f"time limit of {self.seconds:g} s"
         return True
@@ -325,20 +332,24 @@ class LocalSearch:
             trajectory = self._constant_trajectory(share)
             alone = np.zeros(self.problem.horizon, dtype=np.intp)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
+        if self._smooth:
+            yield self._constant_trajectory(SHARES[0], replayed=False), alone
         for mode in range(len(dynamics.modes)):
             yield self._constant_trajectory(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
-    def _constant_trajectory(self, share: float) -> Trajectory:
+    def _constant_trajectory(self, share: float, replayed: bool = True) -> Trajectory:
         """Return the trajectory of controls at a share between their bounds.
 
-        Where there is none, the state is constant. Of one smooth map, whose replay may take long, it then goes straight
-        from one end to the other.
+        Where there is none, the state is constant. Of one smooth map, whose replay may take long or diverge, it then
+        goes straight from one end to the other.
         """
         tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
         u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)
-        if not self._smooth or self.problem.horizon <= LONGEST_REPLAY:
+        if replayed and (not self._smooth or self.problem.horizon <= LONGEST_REPLAY):
             with suppress(NumericalError):
-                return simulate(self.problem, u, start)
+                trajectory = simulate(self.problem, u, start)
+                if not self._smooth or (np.abs(trajectory.x) <= DIVERGED_STATES * self._sizes).all():
+                    return trajectory
         box = self.problem.ends[1]
         bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
         end = np.where(bounded & self._smooth, _middle(box, middle), start)

@@ -19,6 +19,7 @@ from lin_freq_ocp.methods.structured.kkt.system import Values
 from lin_freq_ocp.methods.structured.stages import Stages
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 
@@ -48,8 +49,8 @@ class SmoothModel:
 
     @classmethod
     def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
-        """Return the model with units that follow from the linearisation at a trajectory."""
-        assembly = assemble_stages(replace(problem, dynamics=problem.dynamics_along(trajectory)))
+        """Return the model linearised at a trajectory, with units that follow from the problem's own data."""
+        assembly = assemble_stages(replace(problem, dynamics=problem.dynamics_along(trajectory)), stated_sizes(problem))
         stages = assembly.stages
         H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
         largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))

@@ -23,8 +23,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
 
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula
@@ -43,7 +46,7 @@ class SystemValue:
     """Phi, an element of its generalised derivative, and F, all in natural units."""
 
     phi: Array
-    slopes: Array
+    slopes: sp.csc_array
     F: Array
 
 
@@ -120,15 +123,15 @@ class NewtonSystem:
     def at(self, v: Array) -> SystemValue:
         """Return Phi and an element of its generalised derivative."""
         F, derivative = self.equations(v * self.units)
-        F, J = F * self.scales, derivative * self.scales[:, None] * self.units
+        F, J = F * self.scales, sp.diags_array(self.scales) @ derivative @ sp.diags_array(self.units)
         free, fixed = np.isinf(self.lower) & np.isinf(self.upper), self.lower == self.upper
         phi, by_v, by_F = _bounded_complementarity(v, F, self.lower, self.upper)
         phi, by_v, by_F = np.where(free, F, phi), np.where(free, 0.0, by_v), np.where(free, 1.0, by_F)
         phi = np.where(fixed, v - np.where(fixed, self.lower, 0.0), phi)
         by_v, by_F = np.where(fixed, 1.0, by_v), np.where(fixed, 0.0, by_F)
-        return SystemValue(phi, np.diag(by_v) + by_F[:, None] * J, F)
+        return SystemValue(phi, sp.csc_array(sp.diags_array(by_v) + sp.diags_array(by_F) @ J), F)
 
-    def equations(self, v: Array) -> tuple[Array, Array]:
+    def equations(self, v: Array) -> tuple[Array, sp.csr_array]:
         """Return F and its derivative, in the problem's units."""
         problem, T = self.problem, self.problem.horizon
         x, u, eta, alpha = v[self.x], v[self.u], v[self.eta], v[self.alpha]
@@ -140,15 +143,15 @@ class NewtonSystem:
         times = np.arange(T)
         values, slopes, curvatures = jets_of(mode_jets, times, self.sequence)
         active = slopes.copy()
-        F, J = np.zeros(len(v)), np.zeros((len(v), len(v)))
+        F, J = np.zeros(len(v)), _Blocks(len(v))
         for k, (t, second, row) in enumerate(self.switches):
             second_jets = jets_of(mode_jets, np.array([t]), np.array([second]))
             region = mode_jets.regions[self.sequence[t]]
             switch, gradient = region.values[t, row], region.slopes[t, row]
             kink = second_jets[1][0] - slopes[t]
             F[self.alpha[k]] = -switch
-            J[self.alpha[k], at[t]] = -gradient
-            J[at[t], self.alpha[k]] -= kink.T @ eta[t]
+            J.add(self.alpha[[k]], at[t], -gradient[None, :])
+            J.add(at[t], self.alpha[[k]], -(kink.T @ eta[t])[:, None])
             if switch > 0:
                 values[t], active[t] = second_jets[0][0], second_jets[1][0]
             slopes[t] = slopes[t] + alpha[k] * kink
@@ -160,21 +163,21 @@ class NewtonSystem:
         F[self.eta] = x[1:] - values
         hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, at.shape[1], at.shape[1]))
         curved = hessians - np.einsum("ti,tijk->tjk", eta, curvatures)
-        for t in range(T):
-            J[np.ix_(at[t], at[t])] += curved[t]
-            J[np.ix_(at[t], self.eta[t])] -= slopes[t].T
-            J[np.ix_(self.eta[t], at[t])] -= active[t]
-            J[self.eta[t], self.x[t + 1]] += 1.0
-            J[self.x[t + 1], self.eta[t]] += 1.0
-        J[np.ix_(self.x[T], self.x[T])] += problem.quadratic.P
+        J.add(at, at, curved)
+        J.add(at, self.eta, -slopes.swapaxes(1, 2))
+        J.add(self.eta, at, -active)
+        single = self.eta.reshape(-1, 1), self.x[1:].reshape(-1, 1), np.ones((self.eta.size, 1, 1))
+        J.add(single[0], single[1], single[2])
+        J.add(single[1], single[0], single[2])
+        J.add(self.x[T], self.x[T], problem.quadratic.P)
         for rho, rows, signals in (
             (self.rho_x, self.rows_x, self.x.ravel()),
             (self.rho_u, self.rows_u, self.u.ravel()),
         ):
             F[signals] += rows.T @ v[rho]
             F[rho] = rows @ v[signals]
-            J[np.ix_(signals, rho)] += rows.T
-            J[np.ix_(rho, signals)] += rows
+            J.add(signals, rho, rows.T)
+            J.add(rho, signals, rows)
         for (norm, t), columns in zip(self.norms, self.xi, strict=True):
             inner = jets(norm.arguments, y[t : t + 1])
             q, of_q, xi = inner.values[0], inner.slopes[0], v[columns]
@@ -185,11 +188,28 @@ class NewtonSystem:
                 projection = reached / length
                 onto = (np.eye(len(q)) - np.outer(projection, projection)) / length
             F[columns] = xi - projection
-            J[np.ix_(columns, columns)] = np.eye(len(q)) - onto
-            J[np.ix_(columns, at[t])] = -onto @ of_q
+            J.add(columns, columns, np.eye(len(q)) - onto)
+            J.add(columns, at[t], -onto @ of_q)
             pull = dynamics.pull_of_norm(norm, y[t], int(self.sequence[t]), eta[t])
-            J[np.ix_(at[t], columns)] -= pull * of_q.T
-        return F, J
+            J.add(at[t], columns, -pull * of_q.T)
+        return F, J.matrix()
+
+
+class _Blocks:
+    """A sparse square matrix that is a sum of dense blocks."""
+
+    def __init__(self, size: int):
+        self._size, self._parts = size, list[tuple[Indices, Indices, Array]]()
+
+    def add(self, rows: Indices, columns: Indices, block: Array) -> None:
+        """Add blocks (..., rows, columns) at rows (..., rows) and columns (..., columns)."""
+        row, column = np.broadcast_arrays(rows[..., :, None], columns[..., None, :])
+        self._parts.append((row.ravel(), column.ravel(), np.broadcast_to(block, row.shape).ravel()))
+
+    def matrix(self) -> sp.csr_array:
+        """Return the sum."""
+        row, column, value = (np.concatenate(part) for part in zip(*self._parts, strict=True))
+        return sp.csr_array((value, (row, column)), shape=(self._size, self._size))
 
 
 def jets_of(mode_jets: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
@@ -281,28 +301,30 @@ def newton(
     sequence: Indices,
     near: float = NEAR_KINK,
     most_steps: int = MOST_STEPS,
+    end: float = np.inf,
 ) -> NewtonRun:
     """Solve the conditions of the maximum principle from a point near to a solution, in a mode sequence (T,).
 
     Kinks nearer than ``near``, in natural units, get a selection. Of the multipliers, eta, rho and weights are used;
-    None: the best fit, with normals to the bounds nearer than ``near``. Raises UnsupportedError if the problem has more
-    than bounds, stop bands and a quadratic cost.
+    None: the best fit, with normals to the bounds nearer than ``near``. It ends at ``end``, by ``clock.now``. Raises
+    UnsupportedError if the problem has more than bounds, stop bands and a quadratic cost.
     """
     if problem.terms:
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
     system = NewtonSystem.around(problem, trajectory, sequence, near)
     runs: list[NewtonRun] = []
     for halved in (False, True):
-        runs.append(_iterate_from(system, starting_point(system, trajectory, multipliers, near, halved), most_steps))
+        start = starting_point(system, trajectory, multipliers, near, halved)
+        runs.append(_iterate_from(system, start, most_steps, end))
         if runs[-1].converged or multipliers is not None or not system.switches:
             break
     return min(runs, key=lambda run: run.residuals[-1])
 
 
-def _iterate_from(system: NewtonSystem, v: Array, most_steps: int) -> NewtonRun:
+def _iterate_from(system: NewtonSystem, v: Array, most_steps: int, end: float) -> NewtonRun:
     value = system.at(v)
     residuals = [float(np.linalg.norm(value.phi))]
-    while residuals[-1] > CONVERGED and len(residuals) <= most_steps:
+    while residuals[-1] > CONVERGED and len(residuals) <= most_steps and now() <= end:
         stepped = _damped_step(system, v, value)
         if stepped is None:
             break
@@ -331,13 +353,22 @@ def _iterate_from(system: NewtonSystem, v: Array, most_steps: int) -> NewtonRun:
 
 def _damped_step(system: NewtonSystem, v: Array, value: SystemValue) -> tuple[Array, SystemValue] | None:
     """Return the point after a step that decreases |Phi|^2, damped as little as possible, or None."""
-    U, sizes, V = np.linalg.svd(value.slopes)
-    gradient, along = value.slopes.T @ value.phi, U.T @ value.phi
+    J, count = value.slopes, len(v)
+    gradient, sizes = J.T @ value.phi, abs(J)
+    square = float(sizes.sum(axis=0).max() * sizes.sum(axis=1).max())  # of the largest singular value, or more
     for damping in DAMPINGS:
-        if not damping and sizes[-1] <= SINGULAR * sizes[0]:
+        weight = damping * square * min(1.0, float(np.linalg.norm(value.phi)))
+        # the least |J step + phi|^2 + weight |step|^2, by the system of residual and step
+        augmented = sp.csc_array(sp.block_array([[sp.eye_array(count), J], [J.T, -weight * sp.eye_array(count)]]))
+        try:
+            factors = splu(augmented if damping else J)
+        except RuntimeError:  # exactly singular
             continue
-        weight = damping * sizes[0] ** 2 * min(1.0, float(np.linalg.norm(value.phi)))
-        step = -V.T @ (sizes / (sizes**2 + weight) * along)
+        pivots = np.abs(factors.U.diagonal())
+        if not damping and not pivots.min() > SINGULAR * pivots.max():
+            continue
+        right = np.concatenate([-value.phi, np.zeros(count)]) if damping else -value.phi
+        step = factors.solve(right)[-count:]
         slope, length = float(gradient @ step), 1.0
         while length >= SHORTEST:
             after = system.at(v + length * step)
@@ -387,7 +418,7 @@ def _fit_multipliers(system: NewtonSystem, v: Array, near: float) -> Array:
     at_lower, at_upper = v[signals] <= system.lower[signals] + near, v[signals] >= system.upper[signals] - near
     at_bounds = np.flatnonzero(at_lower | at_upper)
     multipliers = np.concatenate([system.eta.ravel(), system.rho_x, system.rho_u])
-    slopes = system.scales[signals, None] * J[np.ix_(signals, multipliers)] * system.units[multipliers]
+    slopes = system.scales[signals, None] * J[signals][:, multipliers].toarray() * system.units[multipliers]
     normals = np.zeros((len(signals), len(at_bounds)))
     normals[at_bounds, np.arange(len(at_bounds))] = 1.0
     small = np.hstack([np.zeros((len(at_bounds), len(multipliers))), SMALL_NORMALS * np.eye(len(at_bounds))])

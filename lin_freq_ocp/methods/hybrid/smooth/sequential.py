@@ -43,7 +43,8 @@ QP_TOLERANCE = 1e-10
 class LocalOptimum:
     """The end of a sequence of programs; ``violation`` is that of dynamics and regions in natural units.
 
-    The multipliers are those of the linearised problem of the mode sequence, with those of regions under REGION.
+    The multipliers are those of the linearised problem of the mode sequence, with those of regions under REGION. If it
+    has not ``converged``, a limit of steps ended the iteration before its residuals were small.
     """
 
     sequence: Indices
@@ -51,6 +52,7 @@ class LocalOptimum:
     multipliers: Multipliers
     cost: float
     violation: float
+    converged: bool = True
 
     @property
     def feasible(self) -> bool:

@@ -1,6 +1,7 @@
 const DATA = JSON.parse(document.getElementById("data").textContent);
 const BADGES = {
-  optimal: ["holds", "optimal, proven"], locally_optimal: ["holds", "locally optimal"], infeasible: ["broken", "infeasible, proven"],
+  optimal: ["holds", "optimal, proven"], locally_optimal: ["holds", "locally optimal"],
+  extremal: ["", "extremal, no minimum"], infeasible: ["broken", "infeasible, proven"],
   infeasible_claimed: ["broken", "infeasible, not proven"], unbounded: ["broken", "unbounded"], limit: ["", "stopped at a limit"],
   numerical_error: ["broken", "no accurate solution"], error: ["broken", "not a problem"],
 };

@@ -1,0 +1,160 @@
+"""The second-order test: whether the Hessian of the Lagrangian is positive where the critical cone reaches.
+
+    sum_t d_t' H_t d_t + dx_T' P dx_T >= 0   for all d_t = (dx_t, du_t) with dx_{t+1} = A_t dx_t + B_t du_t, C_t d_t = 0
+
+H_t is the Hessian of c_t - <eta_t, f_t>, and C_t are the bounds and rows that are active with a multiplier: they span
+the critical cone. The Riccati recursion decides in O(T): the problem is convex if all its pivots
+
+    H_uu + B' P_{t+1} B     with    P_t = Q_t - K_t' (H_uu + B' P_{t+1} B) K_t
+
+are positive. C_t d_t = 0 is a weight on |C_t d_t|^2 that rises: a problem that is convex with one weight is convex on
+C_t d_t = 0. A pivot below zero leads to a direction, from its time on by the gains of the recursion, which is then
+checked itself: its curvature, and that it keeps the active constraints with one of its two signs.
+
+Everything is in the sizes of the data. Rounding and errors of multipliers are some digits of the terms of H: so much is
+added to it, which makes no direction of descent disappear that is more than that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.certificate.verdict import SecondOrder
+from lin_freq_ocp.formulas.nodes import kinks
+from lin_freq_ocp.formulas.operations import EXTERNAL
+from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import stated_sizes
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+NEAR = 1e-6  # distance to a bound, relative to its size, at which it is active: the tolerance of the judge
+# Part of the largest multiplier above which one counts as not zero. Interior points leave less of inactive bounds.
+STRONG = 1e-6
+CURVATURE = 1e-7  # part of the terms of the Hessian that errors of multipliers make: these are right to 1e-6 at most
+LEAST_CURVATURE = 1e-12  # the same, relative to the largest component
+WEIGHTS = (1e2, 1e5, 1e8)  # of active constraints, relative to the largest curvature
+KEPT = 1e-3  # violation of active constraints, relative to a direction, that the largest weight leaves
+
+
+def second_order_test(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> SecondOrder:
+    """Test a trajectory of smooth dynamics on which no kink and no switching boundary is active."""
+    dynamics, T, n = piecewise_smooth(problem), problem.horizon, problem.state_dim
+    formulas = [formula for mode in dynamics.modes for formula in mode.f]
+    rough = [node.function for node in kinks(formulas, EXTERNAL) if node.function and not node.function.exact_curvature]
+    if rough:
+        return SecondOrder(None, f"{rough[0].title} has no exact second derivatives")
+    x, u, units = trajectory.x, trajectory.u, np.concatenate(stated_sizes(problem))
+    modes, y = dynamics.sequence_of(x, u), np.hstack([x[:-1], u])
+    jets = dynamics.jets_at(y).f
+    slopes, curvatures = (
+        np.stack([getattr(jet, part) for jet in jets])[modes, np.arange(T)] for part in ("slopes", "curvatures")
+    )
+    cost = np.broadcast_to(problem.quadratic.stage_hessians(), (T, len(units), len(units)))
+    bent, scale = np.einsum("ti,tijk->tjk", multipliers.eta, curvatures), units[:, None] * units
+    H, terms = (cost - bent) * scale, np.zeros((T + 1, len(units)))
+    terms[:-1] = np.einsum(
+        "tii->ti", np.abs(cost) + np.einsum("ti,tijk->tjk", np.abs(multipliers.eta), np.abs(curvatures))
+    )
+    P = problem.quadratic.P * scale[:n, :n]
+    terms[-1, :n] = np.abs(np.diag(problem.quadratic.P))
+    sizes = (terms * units**2).max(axis=0)
+    largest = float(sizes.max())
+    if largest == 0:
+        return SecondOrder(True, "")
+    error = np.diag(CURVATURE * sizes + LEAST_CURVATURE * largest)
+    AB, rows = slopes * units / units[:n, None], _active_rows(problem, trajectory, multipliers, units)
+    strong = np.zeros((T + 1, len(units), len(units)))
+    for t, row, sign, is_strong in rows:
+        strong[t] += np.outer(row, row) if is_strong or sign == 0 else 0.0
+    d, first = np.zeros((T + 1, len(units))), problem.initial_box.fixed
+    for weight in WEIGHTS if strong.any() else (0.0,):
+        held = weight * largest * strong
+        found = _negative_direction(AB, H + error + held[:-1], P + error[:n, :n] + held[-1, :n, :n], ~first)
+        if found is None:
+            return SecondOrder(True, "")
+        d = found / np.abs(found).max()
+    curvature = float(np.einsum("ti,tij,tj->", d[:-1], H, d[:-1]) + d[-1, :n] @ P @ d[-1, :n])
+    moved = [(float(row @ d[t]), sign, is_strong) for t, row, sign, is_strong in rows]
+    keeps = all(abs(change) <= KEPT for change, sign, is_strong in moved if is_strong or sign == 0)
+    weak = [change * sign for change, sign, is_strong in moved if sign and not is_strong]
+    others = [term.name for term in problem.terms if term.polyhedron(n, problem.control_dim) is None]
+    reason = "constraints couple all times" if problem.control_stop.any() or problem.state_stop.any() else ""
+    reason = reason or (f"{others[0]} is curved or couples times" if others else "")
+    if reason or curvature >= 0 or not keeps:
+        return SecondOrder(None, reason or "active constraints leave it open")
+    if max(weak, default=0.0) > KEPT:
+        d, weak = -d, [-change for change in weak]
+    if max(weak, default=0.0) > KEPT:
+        return SecondOrder(None, "bounds that are active without a multiplier leave it open")
+    return SecondOrder(False, "", curvature, Trajectory(d[:, :n] * units[:n], d[:-1, n:] * units[n:]))
+
+
+def _active_rows(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, units: Array
+) -> list[tuple[int, Array, float, bool]]:
+    """Return (time, row of length 1 in units, sign, whether it has a multiplier) of active bounds and rows.
+
+    A direction d keeps a row if sign times row'd <= 0, of fixed components (sign 0) if row'd = 0.
+    """
+    n, found = problem.state_dim, list[tuple[int, Array, float, bool]]()
+    slopes = np.concatenate([multipliers.eta * units[:n], multipliers.nu * units[n:]], axis=1)
+    threshold = STRONG * max(float(np.abs(slopes).max(initial=0.0)), float(np.abs(multipliers.mu * units[:n]).max()))
+    identity = np.eye(len(units))
+    for first, signal, normals, tube in (
+        (0, trajectory.x, multipliers.mu, problem.state_tube),
+        (n, trajectory.u, multipliers.nu, problem.control_tube),
+    ):
+        unit = units[first : first + signal.shape[1]]
+        upper, lower = tube.upper - signal <= NEAR * unit, signal - tube.lower <= NEAR * unit
+        strong, fixed = np.abs(normals * unit) > threshold, tube.lower == tube.upper
+        for t, k in np.argwhere(upper | lower):
+            sign = 0.0 if fixed[t, k] else 1.0 if upper[t, k] else -1.0
+            found.append((int(t), identity[first + k], sign, bool(strong[t, k])))
+    for term in problem.terms:
+        rows = term.polyhedron(n, problem.control_dim)
+        if rows is None:
+            continue
+        values, given = (
+            term.map.values(trajectory.x, trajectory.u),
+            multipliers.stage.get(term.name, np.zeros(term.shape)),
+        )
+        near = NEAR * np.maximum(term.map.sizes(trajectory.x, trajectory.u).max(0), 0.0)
+        for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
+            normal = rows.matrix(int(group))[row] * units
+            length = float(np.linalg.norm(normal))
+            if length > 0:
+                is_strong = abs(float(given[group, row])) * length > threshold
+                found.append((int(rows.times[group]), normal / length, 1.0, is_strong))
+    return found
+
+
+def _negative_direction(AB: Array, H: Array, P: Array, free: Array) -> Array | None:
+    """Return d (T+1, n + m) along which the curvature is not positive, from a pivot that is not; None if all are."""
+    T, n = len(H), len(P)
+    gains, d = np.zeros((T, H.shape[1] - n, n)), np.zeros((T + 1, H.shape[1]))
+    first = 0
+    for t in range(T - 1, -1, -1):
+        M = H[t] + AB[t].T @ P @ AB[t]
+        try:
+            L = np.linalg.cholesky(M[n:, n:])
+        except np.linalg.LinAlgError:
+            d[t, n:] = np.linalg.eigh(M[n:, n:])[1][:, 0]
+            first = t
+            break
+        gains[t] = -np.linalg.solve(L.T, np.linalg.solve(L, M[n:, :n]))
+        P = M[:n, :n] + M[:n, n:] @ gains[t]
+        P = (P + P.T) / 2
+    else:
+        if not free.any():
+            return None
+        values, vectors = np.linalg.eigh(P[np.ix_(free, free)])
+        if values[0] > 0:
+            return None
+        d[0, :n][free] = vectors[:, 0]
+        d[0, n:] = gains[0] @ d[0, :n]
+    for t in range(first, T):
+        if t > first:
+            d[t, n:] = gains[t] @ d[t, :n]
+        d[t + 1, :n] = AB[t] @ d[t]
+    return d

@@ -1,0 +1,102 @@
+"""Saddles are called by their name and left, and where the test of second order does not apply, that is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.published import clnlbeam, runge_kutta, smooth_problem
+from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.methods.candidate import zero_multipliers
+from lin_freq_ocp.solving.hybrid import smooth
+
+
+def double_well(horizon=4, **sets):
+    """Return x+ = x + u, with the wells x^4/4 - x^2/2 at every time: at rest in between is a saddle."""
+
+    def stage(x, u):
+        return x[0] ** 4 / 4 - x[0] ** 2 / 2 + u[0] ** 2 / 20
+
+    return smooth_problem(lambda x, u: [x[0] + u[0]], [0.0], 1, horizon, stage, **sets)
+
+
+def at_rest(problem):
+    """Return the trajectory without controls, and its multipliers: the cost is counted by the last state."""
+    trajectory = lfo.simulate(problem, np.zeros((problem.horizon, 1)))
+    multipliers = zero_multipliers(problem, 1.0)
+    eta = np.zeros_like(multipliers.eta)
+    eta[:, -1] = -1.0
+    mu = np.zeros_like(multipliers.mu)
+    mu[0, -1] = -1.0  # the first state is fixed
+    return trajectory, lfo.results.Multipliers(1.0, eta, mu, multipliers.nu, multipliers.rho_u, multipliers.rho_x)
+
+
+def test_a_saddle_is_extremal_and_its_direction_lowers_the_cost():
+    problem = double_well()
+    trajectory, multipliers = at_rest(problem)
+    certificate = judge(problem, trajectory, multipliers)
+    assert certificate.pmp == "satisfied"
+    assert certificate.status_within(0.0) == "extremal"
+    assert certificate.status_within(0.0).solved
+    test = certificate.second_order
+    assert test.passed is False
+    assert test.curvature < 0
+    assert "the cost falls along a direction" in str(certificate)
+    after = lfo.simulate(problem, trajectory.u + 1e-2 * test.direction.u)
+    assert problem.value(after.x, after.u) < certificate.cost
+
+
+def test_a_saddle_is_left_by_the_search():
+    result = lfo.solve(double_well(), global_bound=False, start=np.zeros((4, 1)))
+    assert result.status == "locally_optimal"
+    assert result.certificate.second_order.passed
+    assert result.cost < -0.5
+
+
+def test_a_saddle_that_is_not_left_is_an_answer(monkeypatch):
+    monkeypatch.setattr(smooth, "MOST_SADDLES", 0)
+    result = lfo.solve(double_well(), global_bound=False, start=np.zeros((4, 1)))
+    assert result.status == "extremal"
+    assert "the cost falls along a direction" in result.message
+
+
+def test_a_bound_that_is_active_with_a_multiplier_takes_the_direction_away():
+    # u at its upper bound everywhere: no direction is left, though the cost is concave in u
+    problem = smooth_problem(
+        lambda x, u: [x[0] + u[0]], [0.0], 1, 3, lambda x, u: -(u[0] ** 2) - u[0], control_set=lfo.Box(-1.0, 1.0)
+    )
+    result = lfo.solve(problem, global_bound=False)
+    assert (result.status, result.certificate.second_order.passed) == ("locally_optimal", True)
+    np.testing.assert_allclose(result.control, 1.0, atol=1e-6)
+
+
+def test_the_buckled_beam_is_found_behind_the_straight_one():
+    result = lfo.solve(clnlbeam(10), global_bound=False)
+    assert result.status == "locally_optimal"
+    assert result.cost == pytest.approx(345.03110763, rel=1e-8)  # IPOPT from this answer
+
+
+@pytest.mark.parametrize("part", [1.02, 0.9])
+def test_a_good_start_of_the_beam_is_not_lost(part):
+    problem = clnlbeam(10)
+    known = lfo.solve(problem, global_bound=False)
+    start = lfo.Trajectory(part * known.trajectory.x, part * known.trajectory.u)
+    assert lfo.solve(problem, global_bound=False, start=start).cost == pytest.approx(known.cost, rel=1e-8)
+
+
+def test_functions_without_a_hessian_leave_it_undecided():
+    def rates(x, u):
+        return [u[0] - np.sin(x[0])]
+
+    f = lfo.DifferentiableFunction(
+        lambda x, u: [x[0] + 0.1 * (u[0] - np.sin(x[0]))], lambda x, u: [[1.0 - 0.1 * np.cos(x[0]), 0.1]], name="drag"
+    )
+    cost = lfo.QuadraticCost(Q=1.0, R=1.0)
+    sets = {"initial_state": [2.0]}
+    rough = lfo.OptimalControlProblem(lfo.PiecewiseSmoothDynamics([lfo.dynamics.SmoothMode(f)], 1, 1), 10, cost, **sets)
+    result = lfo.solve(rough, global_bound=False)
+    assert result.status == "locally_optimal"
+    assert str(result.certificate.second_order) == "not decided: drag has no exact second derivatives"
+    exact = smooth_problem(runge_kutta(rates, 0.1), [2.0], 1, 10, Q=1.0, R=1.0)
+    assert lfo.solve(exact, global_bound=False).certificate.second_order.passed
