@@ -306,8 +306,8 @@ def newton(
     """Solve the conditions of the maximum principle from a point near to a solution, in a mode sequence (T,).
 
     Kinks nearer than ``near``, in natural units, get a selection. Of the multipliers, eta, rho and weights are used;
-    None: the best fit, with normals to the bounds nearer than ``near``. It ends at ``end``, by ``clock.now``. Raises UnsupportedError if the problem has more
-    than bounds, stop bands and a quadratic cost.
+    None: the best fit, with normals to the bounds nearer than ``near``. It ends at ``end``, by ``clock.now``. Raises
+    UnsupportedError if the problem has more than bounds, stop bands and a quadratic cost.
     """
     if problem.terms:
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
