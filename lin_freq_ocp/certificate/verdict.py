@@ -68,6 +68,11 @@ class Facts(ABC):
     def applicable(self) -> bool:
         """Whether the theorem applies at all."""
 
+    @property
+    @abstractmethod
+    def stationary_on_rims(self) -> bool:
+        """Whether the trajectory touches rims of regions, where it does not, and is stationary within the regions."""
+
 
 @dataclass(frozen=True, eq=False)
 class SecondOrder:
@@ -234,11 +239,13 @@ class Certificate:
 
         Locally optimal and extremal mean that the maximum principle is satisfied with normal multipliers. With linear
         dynamics, no feasible direction then lowers the cost to first order. With smooth dynamics, the test of second
-        order decides between the two. With modes, the principle is a necessary condition only.
+        order decides between the two. With modes, the principle is a necessary condition only. At the rim of a region
+        of a smooth mode, the conditions are those with the region as a constraint.
         """
         if self.proven_within(gap):
             return Status.OPTIMAL
-        extremal = self.pmp == "satisfied" and self.normal
+        on_rims = self.borders is not None and self.borders.stationary_on_rims
+        extremal = (self.pmp == "satisfied" or on_rims) and self.normal
         if extremal and self.second_order is not None and self.second_order.passed is False:
             return Status.EXTREMAL
         return Status.LOCALLY_OPTIMAL if extremal else Status.NUMERICAL_ERROR

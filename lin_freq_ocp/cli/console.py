@@ -26,6 +26,7 @@ from rich.text import Text
 from lin_freq_ocp.base.errors import LinFreqOCPError, first_line
 from lin_freq_ocp.base.interrupts import INTERRUPTED
 from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 
 if TYPE_CHECKING:
     from lin_freq_ocp.api.result import Result
@@ -113,8 +114,7 @@ def exit_status(result: Result) -> int:
 
 def certificate_status(certificate: Certificate) -> int:
     """Return the exit status of a certificate."""
-    extremal = certificate.pmp == "satisfied" and certificate.normal
-    return PROVEN if extremal or certificate.globally_optimal else NOT_PROVEN
+    return PROVEN if certificate.status_within(GAP_TOLERANCE).solved else NOT_PROVEN
 
 
 def say(text: str) -> None:

@@ -121,6 +121,8 @@ class SwitchingFacts(Facts):
     gaps : tuple of int
         Where the trajectory touches a gap between regions: f_t is not defined around it, so that the theorem does not
         apply.
+    rim_modes : tuple of int
+        Of smooth modes, the mode whose region ends at each of the ``gaps``.
     """
 
     elsewhere: bool
@@ -136,11 +138,25 @@ class SwitchingFacts(Facts):
     mode_names: tuple[str, ...]
     norms: tuple[NormKink, ...] = ()
     gaps: tuple[int, ...] = ()
+    rim_modes: tuple[int, ...] = ()
 
     @property
     def applicable(self) -> bool:
         """Whether the theorem applies: the map does not jump, and is defined around the trajectory."""
         return self.jumping is None and not self.gaps
+
+    @property
+    def stationary_on_rims(self) -> bool:
+        """Whether all conditions hold with the regions as constraints, where the trajectory touches their rims."""
+        return bool(self.rim_modes) and self.jumping is None and self.flip_stationary
+
+    @property
+    def touched_gaps(self) -> str:
+        """Return where the trajectory touches gaps, and in which modes, in words."""
+        where = runs_in_words(runs_of(np.array(self.gaps)))
+        alone = sorted({self.mode_names[mode] for mode in self.rim_modes})
+        what = f"the rim of the region of {' and of '.join(map(repr, alone))}" if alone else "a gap between regions"
+        return f"the trajectory touches {what} at t = {where}"
 
     def __str__(self) -> str:
         parts = list[str]()
@@ -148,8 +164,7 @@ class SwitchingFacts(Facts):
             first, second = (self.mode_names[i] for i in (self.jumping.first, self.jumping.second))
             parts.append(f"the map jumps between {first} and {second}: the theorem does not apply")
         if self.gaps:
-            where = runs_in_words(runs_of(np.array(self.gaps)))
-            parts.append(f"the trajectory touches a gap between regions at t = {where}: the theorem does not apply")
+            parts.append(f"{self.touched_gaps}: the theorem does not apply")
         parts += [kink.describe() for kink in self.norms]
         if not self.times and not self.norms:
             return "; ".join([*parts, "modes meet nowhere along the trajectory"])
@@ -379,17 +394,21 @@ def _cone_residual(vector: Array, generators: Array, scale: Array) -> Array:
 OF_WEIGHTS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary in u", "Hamiltonian maximal in u")
 
 
-def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
-    """Judge a trajectory of affine modes."""
+def judge_modes(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, linearised: bool = False
+) -> Judgement:
+    """Judge a trajectory of affine modes, which may be smooth modes ``linearised`` along it."""
     problem.require(trajectory)
     arrays, sizes = modes_along(problem, trajectory), trajectory_sizes(problem, trajectory)
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
     gaps = np.zeros(0, dtype=np.intp)
-    if problem.gap is not None:  # where the regions of the active modes leave a part of the sets out
+    if problem.gap is not None or linearised:  # where the regions of the active modes leave a part of the sets out
         x, u, sets = trajectory.x, trajectory.u, problem.stage_sets
-        touched = np.flatnonzero((arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)).tolist()
+        touches = (arrays.active_facets(x, u).any(axis=2) & active).any(axis=1)
+        # regions that are linearised need not cover the sets where several meet: a region ends where it is alone
+        touched = np.flatnonzero(touches & (active.sum(axis=1) == 1) if linearised else touches).tolist()
         gaps = np.array([t for t in touched if meets_gap(arrays, sets, t, np.append(x[t], u[t]), active[t])], np.intp)
     weights = multipliers.weights
     if weights is not None and weights.shape != active.shape:
@@ -440,6 +459,7 @@ def judge_modes(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     conditions = (*linear, active_mode, of_weights)
     joint = all(condition.passed for condition in conditions)
     facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere)
+    facts = replace(facts, rim_modes=tuple(sequence[gaps].tolist()) if linearised else ())
     return Judgement(conditions, facts, cost_of_residuals(extremal))
 
 

@@ -38,7 +38,7 @@ def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     """Judge a trajectory of smooth pieces."""
     problem.require(trajectory)
     selections, norms = _judge_norms(problem, trajectory, multipliers)
-    judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers)
+    judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers, linearised=True)
     facts, rising = judgement.borders, any(kink.rate > 0 for kink in norms)
     if not isinstance(facts, SwitchingFacts):
         return judgement

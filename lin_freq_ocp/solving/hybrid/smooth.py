@@ -12,6 +12,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
+from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -286,6 +287,11 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
             nearest = f"; the nearest violates dynamics by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
     status = judged[2].status_within(0.0)
+    facts = facts_where_modes_meet(judged[2])
+    if facts is not None and facts.gaps and not judged[2].globally_optimal:
+        holds = "hold" if facts.stationary_on_rims else "do not hold"
+        advice = f"the map is not defined beyond it, and the conditions {holds} with the region as a constraint"
+        return status, f"{facts.touched_gaps}; {advice} (docs/borders.md, Gaps)"
     if status == Status.NUMERICAL_ERROR:
         return status, f"the best point does not satisfy the maximum principle: {judged[2].worst.name}"
     if status == Status.EXTREMAL:

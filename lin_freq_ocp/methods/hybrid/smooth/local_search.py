@@ -244,7 +244,8 @@ class LocalSearch:
             self._on_grid(None)
             for trajectory, sequence in self._starts():
                 feasible = self.best is not None and self.best.feasible
-                if self._late() or (self._smooth and feasible and self.tried >= SMOOTH_STARTS):
+                alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
+                if self._late() or (alone and feasible and self.tried >= SMOOTH_STARTS):
                     break
                 self._try(trajectory, sequence)
             if self._smooth and self.best is not None and not self.best.feasible:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.published import PUBLISHED
+from helpers.published import PUBLISHED, mass_around_disc
 
 QUICK = [
     "DTOC1L, N = 10",
@@ -32,3 +33,23 @@ def test_a_published_optimum_is_found_or_a_better_one(name):
     assert result.status == "locally_optimal"
     assert result.cost <= case.cost * (1 + 1e-7)
     assert result.certificate.worst.relative <= 1e-6
+
+
+def test_an_optimum_at_the_rim_of_a_region_is_named():
+    result = lfo.solve(mass_around_disc(), global_bound=False)
+    assert result.cost == pytest.approx(PUBLISHED["mass around a disc"].cost, rel=1e-7)
+    assert (result.status, result.certificate.pmp) == ("locally_optimal", "not_applicable")
+    assert result.message.startswith(
+        "the trajectory touches the rim of the region of 'outside the disc' at t = 6 to 7, "
+    )
+    assert "docs/borders.md" in result.message
+    distance = (result.trajectory.x[:, :2] ** 2).sum(axis=1)
+    assert list(result.certificate.borders.gaps) == [t for t in range(20) if distance[t] <= 1 + 1e-6]
+
+
+def test_a_rim_that_is_passed_by_for_no_reason_is_not_optimal():
+    problem = mass_around_disc()
+    known = lfo.solve(problem, global_bound=False).trajectory
+    u = known.u + 0.01 * (-1.0) ** np.arange(20)[:, None] * (np.arange(20)[:, None] >= 15)
+    certificate = lfo.certify(problem, lfo.simulate(problem, u))
+    assert certificate.status_within(0.0) == "numerical_error"
