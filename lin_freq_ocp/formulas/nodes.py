@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lin_freq_ocp.base.arrays import Array, brief, positive_integer, real_array
 from lin_freq_ocp.base.errors import ProblemError
@@ -38,11 +38,12 @@ class Formula(Node):
     dimensions : (n, m)
     kind : str
         The name of its operation: "variable", "sum", "product", "quotient", "power", "norm", "maximum", "minimum",
-        "external", or that of a function of one variable.
+        "time", "table", "external", or that of a function of one variable.
     arguments : tuple of Formula
     data : tuple of float
         Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
-        external function the number of the output, and how many of the arguments are its x.
+        external function the number of the output, and how many of the arguments are its x; of a table a number for
+        each time.
     names : tuple of str
         Of a maximum or minimum, the names of the modes in which each argument is the largest or smallest.
     function : DifferentiableFunction, optional
@@ -137,6 +138,32 @@ class Formula(Node):
             return lambda: self.node(name, (self,))
         raise AttributeError(f"a formula has no attribute {name!r}")
 
+    def look_up(self, values: ArrayLike) -> Formula:
+        """Return the number at each time: values[t] where t is the time.
+
+        Parameters
+        ----------
+        values : (T,)
+            One for each step of the horizon.
+
+        Raises
+        ------
+        ProblemError
+            If the formula is not the time, or these are not numbers in a row.
+
+        Examples
+        --------
+        >>> mass = [1.0, 0.9, 0.8]
+        >>> lfo.costs.SmoothCost(stage=lambda t, x, u: t.look_up(mass) * u[0] ** 2).describe()
+        'the sum of look_up(t, 1, 0.9, 0.8) * ((u_0)**2)'
+        """
+        numbers = real_array("look_up", values)
+        if self.kind != operations.TIME:
+            raise ProblemError("look_up", text_of(self), "the time t: t.look_up(values)")
+        if numbers.ndim != 1 or not len(numbers):
+            raise ProblemError("look_up", f"shape {numbers.shape}", "numbers in a row, one for each time")
+        return self.node(operations.TABLE, (), tuple(numbers.tolist()))
+
     def __repr__(self) -> str:
         return f"Formula({text_of(self)})"
 
@@ -169,6 +196,11 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
     made = np.empty(n + m, dtype=object)
     made[:] = [Formula((n, m), operations.VARIABLE, (), (float(i),)) for i in range(n + m)]
     return made[:n], made[n:]
+
+
+def time_of(dimensions: tuple[int, int]) -> Formula:
+    """Return the time t = 0, 1, ..., T-1 as a formula beside signals of these dimensions."""
+    return Formula(dimensions, operations.TIME)
 
 
 def norm(components: Formula | Sequence[Formula | float] | NDArray[np.object_]) -> Formula:
@@ -330,6 +362,28 @@ def translated(formulas: Sequence[Formula], origin: Array) -> list[Formula]:
     """Return the formulas as functions of x - origin, origin (n,), and u."""
     variables = [one for one in in_order(formulas) if one.kind == operations.VARIABLE and one.data[0] < len(origin)]
     return rebuilt(formulas, {one: one + float(origin[int(one.data[0])]) for one in variables})
+
+
+def with_states(formulas: Sequence[Formula], added: int) -> list[Formula]:
+    """Return formulas of (x, u) as formulas of (x, w, u), w (added,)."""
+    if not formulas:
+        return []
+    n, m = formulas[0].dimensions
+
+    def moved(node: Formula, arguments: list[Formula]) -> Formula:
+        i = node.data[0] if node.kind == operations.VARIABLE else -1.0
+        data = (i + added,) if i >= n else node.data
+        return replace(node, dimensions=(n + added, m), arguments=tuple(arguments), data=data)
+
+    return evaluated(formulas, moved)
+
+
+def require_times(field: str, formulas: Sequence[Formula], horizon: int) -> None:
+    """Raise ProblemError unless tables over time have ``horizon`` numbers."""
+    for node in kinks(formulas, operations.TABLE):
+        if len(node.data) != horizon:
+            advice = "t.look_up(values) takes values[t] at each time."
+            raise ProblemError(f"{field}.look_up", f"{len(node.data)} numbers", f"{horizon}, one for each step", advice)
 
 
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:

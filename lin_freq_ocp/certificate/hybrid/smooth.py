@@ -76,7 +76,7 @@ def _judge_norms(
             missing = (required[t] - base[t, mode]) / scale
             selection[t] = nearest_in_ball((columns[:, t, mode] / scale).T, missing)
             signals = np.append(trajectory.x[t], trajectory.u[t])
-            pull = dynamics.pull_of_norm(norm, signals, mode, multipliers.eta[t])
+            pull = dynamics.pull_of_norm(norm, signals, int(t), mode, multipliers.eta[t])
             rate = pull if pull > CONDITION_TOLERANCE * float(scale.max()) else min(pull, 0.0)
             kinks.append(NormKink(int(t), _norm_text(problem, norm), tuple(float(part) for part in selection[t]), rate))
     return selections, tuple(kinks)

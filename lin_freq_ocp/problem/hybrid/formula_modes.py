@@ -25,11 +25,12 @@ from lin_freq_ocp.base.polyhedra import (
 )
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, rebuilt, text_of
-from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS
+from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS, TABLE, TIME
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import unique_names
 from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 
+VARYING = (EXTERNAL, TIME, TABLE)  # operations that are no constants where their arguments are
 MOST_MODES = 64  # choices of the arguments of maxima and minima
 
 
@@ -115,7 +116,7 @@ def affine_row(formula: Formula) -> Array | None:
         if len(rows) < len(parts):
             return None
         row = OPERATIONS[formula.kind].affine(formula, rows)
-        if row is None and formula.kind != EXTERNAL and not any(part[:-1].any() for part in rows):
+        if row is None and formula.kind not in VARYING and not any(part[:-1].any() for part in rows):
             value = float(values_of([formula], np.zeros((1, k)))[0, 0])
             row = value * np.eye(k + 1)[k] if np.isfinite(value) else None
         return row

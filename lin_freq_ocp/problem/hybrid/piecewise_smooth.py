@@ -13,8 +13,8 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, positi
 from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import first_few, split_unit
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, text_of, translated
-from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
+from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, require_times, text_of, translated
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, TABLE, TIME, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -35,7 +35,8 @@ class SmoothMode:
     Parameters
     ----------
     f : sequence of Formula, or function
-        x_{t+1}: a formula for each state, or a function of (x, u) that returns them when it is called with signals.
+        x_{t+1}: a formula for each state, or a function of (x, u) or (t, x, u) that returns them when it is called with
+        signals; t is the time 0 .. T-1, and ``t.look_up(values)`` a number for each.
         Wrap a function that needs numbers in a ``DifferentiableFunction``, or use ``from_casadi``.
     region : sequence of Formula, or function
         Switching functions: the piece holds where all of them are <= 0. Empty: everywhere.
@@ -172,7 +173,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         Parameters
         ----------
         f : sequence of Formula, or function
-            One formula for each state, or a function of (x, u) that returns them.
+            One formula for each state, or a function of (x, u) or (t, x, u) that returns them.
         state_dim, control_dim, sampling_time, state_names, control_names
             As for the class.
         domain : sequence of Formula, or function
@@ -244,21 +245,31 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         norms = list(dict.fromkeys(text_of(norm, names) for norm in self.norms))
         return [*facts, *([("kinks", f"{first_few(norms, 4)}, not differentiable at zero")] if norms else [])]
 
+    @cached_property
+    def formulas(self) -> tuple[Formula, ...]:
+        """All formulas of all modes: maps, switching functions and domains."""
+        return tuple(formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.domain))
+
+    @cached_property
+    def depends_on_time(self) -> bool:
+        """Whether a formula has the time t."""
+        return next(kinks(self.formulas, TIME, TABLE), None) is not None
+
     def require_horizon(self, horizon: int) -> None:
-        """Accept every horizon: no data depend on time."""
+        """Raise ProblemError unless tables over time have ``horizon`` numbers."""
+        require_times("dynamics", self.formulas, horizon)
 
     def gains(self) -> tuple[Array, Array, Array]:
         """Return rough sizes of the derivatives, (n, n) and (n, m), and of the constant, (n,)."""
         n, m = self.state_dim, self.control_dim
-        maps = self.jets_at(np.stack([np.zeros(n + m), np.ones(n + m)])).f
+        maps = self.jets_at(np.stack([np.zeros(n + m), np.ones(n + m)]), times=np.zeros(2, dtype=np.intp)).f
         slopes = np.nan_to_num(np.abs([jet.slopes for jet in maps]), nan=1.0, posinf=1.0).max(axis=(0, 1))
         constant = np.nan_to_num(np.abs([jet.values[0] for jet in maps]), nan=0.0, posinf=0.0).max(axis=0)
         return slopes[:, :n], slopes[:, n:], constant
 
     def translated(self, origin: Array) -> PiecewiseSmoothDynamics:
         """Return the dynamics of x - origin, with the same modes."""
-        formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.domain)]
-        moved = iter(translated(formulas, origin))
+        moved = iter(translated(self.formulas, origin))
         modes = list[SmoothMode]()
         for mode in self.modes:
             images = [next(moved) - float(value) for value in origin]
@@ -271,10 +282,13 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         A, B, d = (np.nan_to_num(part, posinf=0.0) for part in self.affine_at(x, u).gains())
         return A, B, d
 
-    def jets_at(self, y: Array, selections: Mapping[Formula, Array] | None = None) -> ModeJets:
-        """Return all modes with derivatives at points y = (x, u), (points, n + m)."""
+    def jets_at(
+        self, y: Array, selections: Mapping[Formula, Array] | None = None, times: Indices | None = None
+    ) -> ModeJets:
+        """Return all modes with derivatives at points y = (x, u), (points, n + m), and times as for ``jets``."""
         parts = [
-            tuple(jets(getattr(mode, part), y, selections) for mode in self.modes) for part in ("f", "region", "domain")
+            tuple(jets(getattr(mode, part), y, selections, times) for mode in self.modes)
+            for part in ("f", "region", "domain")
         ]
         return ModeJets(parts[0], parts[1], parts[2])
 
@@ -317,9 +331,9 @@ class PiecewiseSmoothDynamics(StandardDynamics):
             active[norm] = size <= ZERO_NORM * max(1.0, float(np.nanmax(size, initial=0.0)))
         return active
 
-    def pull_of_norm(self, norm: Formula, y: Array, mode: int, eta: Array) -> float:
+    def pull_of_norm(self, norm: Formula, y: Array, time: int, mode: int, eta: Array) -> float:
         """Return the derivative of <eta, f_mode> by a norm at y = (x, u), with the norm as an additional variable."""
-        k, (n, m) = len(y), norm.dimensions
+        (k, (n, m)), times = (len(y), norm.dimensions), np.array([time])
 
         def with_variable(node: Formula, arguments: list[Formula]) -> Formula:  # of (x, u, w), w the norm
             if node is norm:
@@ -327,7 +341,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
             return replace(node, dimensions=(n, m + 1), arguments=tuple(arguments))
 
         f = evaluated(self.modes[mode].f, with_variable)
-        slopes = jets(f, np.append(y, values_of([norm], y[None])[0])[None]).slopes
+        slopes = jets(f, np.append(y, values_of([norm], y[None], times)[0])[None], times=times).slopes
         return float(eta @ slopes[0, :, k])
 
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:
@@ -354,18 +368,18 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         def step(t: int, x: Array, u: Array) -> Array:
             if not np.isfinite(x).all():
                 return np.full_like(x, np.nan)
-            y = np.append(x, u)[None]
+            y, at = np.append(x, u)[None], np.array([t])
             if len(self.modes) == 1 and not self.modes[0].region:
-                after, domain = values_of(self.modes[0].f, y)[0], values_of(self.modes[0].domain, y)
+                after, domain = (values_of(part, y, at)[0] for part in (self.modes[0].f, self.modes[0].domain))
                 if np.isfinite(after).all() and (domain > 0).all():
                     return after
-            modes, sizes = self.jets_at(y), np.abs(np.append(x, u))
+            modes, sizes = self.jets_at(y, times=at), np.abs(np.append(x, u))
             for i in np.flatnonzero(modes.defined()[0]):
                 region = modes.regions[i]
                 rounding = SIMULATION_ROUNDING * (np.abs(region.slopes[0]) @ sizes + np.abs(region.values[0]))
                 if (region.values[0] <= rounding).all():
                     return modes.f[i].values[0]
-            at = f"t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}"
-            raise NumericalError(f"No mode of the dynamics is defined and holds at {at}.")
+            where = f"t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}"
+            raise NumericalError(f"No mode of the dynamics is defined and holds at {where}.")
 
         return step

@@ -240,12 +240,13 @@ class BackwardStep:
         possible, (y, r) = np.ones(len(boxes.cell), dtype=bool), (boxes.centre, boxes.radius)
         for formulas, inside in ((mode.region, 1.0), (mode.domain, -1.0)):
             if formulas:
-                jets = (interval_jets(formulas, *box, curved=False) for box in ((y, y), (y - r, y + r)))
+                jets = (interval_jets(formulas, *box, curved=False, time=self._t) for box in ((y, y), (y - r, y + r)))
                 low, high = enclose(*jets, r)
                 possible &= ~(low > 0 if inside > 0 else high <= 0).any(axis=1)
         boxes = boxes.take(possible)
         y, r = boxes.centre, boxes.radius
-        whole, centre = interval_jets(mode.f, y - r, y + r), interval_jets(mode.f, y, y, curved=False)
+        whole = interval_jets(mode.f, y - r, y + r, time=self._t)
+        centre = interval_jets(mode.f, y, y, curved=False, time=self._t)
         boxes.low[:], boxes.high[:] = enclose(centre, whole, r)
         meets = _meets(boxes, after)
         first, final = after.indices(boxes.low, -1), after.indices(boxes.high, 1)
@@ -278,7 +279,7 @@ class BackwardStep:
         largest = np.maximum(np.abs(whole.slopes[0]), np.abs(whole.slopes[1])) * r[:, None]
         everywhere = np.where(r[:, None] > 0, extent[:, None], 0.0)
         steep += np.einsum("i,pij->pj", worth, np.where(np.isfinite(largest), largest, everywhere))
-        reached = np.where(holds(mode, y), self._after.at(0.5 * (centre.values[0] + centre.values[1])), np.inf)
+        reached = np.where(holds(mode, y, self._t), self._after.at(0.5 * (centre.values[0] + centre.values[1])), np.inf)
         return boxes, bounds, offset + reached[:, None], steep
 
     def _second_order(

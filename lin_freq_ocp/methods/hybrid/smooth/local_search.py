@@ -46,15 +46,17 @@ END_PRICES = (2.0, 10.0, 50.0)
 def grid_trajectories(
     problem: OptimalControlProblem, multipliers: Multipliers | None = None, deadline: float = np.inf
 ) -> Iterator[Trajectory]:
-    """Yield trajectories of the grid's values until ``deadline``; none with more than two states, or without bounds.
+    """Yield trajectories of the grid's values until ``deadline``.
 
-    The frequency multipliers are in the cost.
+    There are none with more than two states, without bounds, or where the map depends on time. The frequency
+    multipliers are in the cost.
     """
     from scipy.interpolate import RegularGridInterpolator  # slow to import
 
     n, m = problem.state_dim, problem.control_dim
     tube = problem.control_tube
-    if (n, m) not in POINTS or not np.isfinite([tube.lower, tube.upper]).all():
+    bounded = np.isfinite([tube.lower, tube.upper]).all()
+    if (n, m) not in POINTS or not bounded or piecewise_smooth(problem).depends_on_time:
         return
     of_states, of_controls = POINTS[n, m]
     lower, upper = _state_range(problem)

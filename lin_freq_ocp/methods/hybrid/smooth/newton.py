@@ -176,7 +176,7 @@ class NewtonSystem:
             J[np.ix_(signals, rho)] += rows.T
             J[np.ix_(rho, signals)] += rows
         for (norm, t), columns in zip(self.norms, self.xi, strict=True):
-            inner = jets(norm.arguments, y[t : t + 1])
+            inner = jets(norm.arguments, y[t : t + 1], times=np.array([t]))
             q, of_q, xi = inner.values[0], inner.slopes[0], v[columns]
             reached = xi + q
             length = float(np.linalg.norm(reached))
@@ -187,7 +187,7 @@ class NewtonSystem:
             F[columns] = xi - projection
             J[np.ix_(columns, columns)] = np.eye(len(q)) - onto
             J[np.ix_(columns, at[t])] = -onto @ of_q
-            pull = dynamics.pull_of_norm(norm, y[t], int(self.sequence[t]), eta[t])
+            pull = dynamics.pull_of_norm(norm, y[t], t, int(self.sequence[t]), eta[t])
             J[np.ix_(at[t], columns)] -= pull * of_q.T
         return F, J
 
