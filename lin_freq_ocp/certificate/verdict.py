@@ -290,6 +290,7 @@ def _no_price(problem: OptimalControlProblem, multipliers: Multipliers, conditio
     if any(part.any() for part in (*parts, *multipliers.stage.values())):
         return False
     costs_nothing = problem.quadratic.zero and all(term.hard for term in problem.terms)
+    costs_nothing &= not problem.cost.has_formulas
     exact = (condition.exact for condition in conditions if _of_feasibility(condition))
     return not costs_nothing and not all(exact)
 

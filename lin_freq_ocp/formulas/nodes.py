@@ -153,9 +153,10 @@ class Formula(Node):
 
         Examples
         --------
-        >>> mass = [1.0, 0.9, 0.8]
-        >>> lfo.costs.SmoothCost(stage=lambda t, x, u: t.look_up(mass) * u[0] ** 2).describe()
-        'the sum of look_up(t, 1, 0.9, 0.8) * ((u_0)**2)'
+        >>> def f(t, x, u):
+        ...     return [x[0] + t.look_up([1.0, 0.9, 0.8]) * u[0]]
+        >>> print(lfo.PiecewiseSmoothDynamics.from_formulas(f, 1, 1).modes[0].f[0])
+        Formula(x_0 + look_up(t, 1, 0.9, 0.8) * (u_0))
         """
         numbers = real_array("look_up", values)
         if self.kind != operations.TIME:

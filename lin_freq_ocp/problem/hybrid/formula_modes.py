@@ -83,15 +83,19 @@ class FormulaPiece:
                 )
 
 
-def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[FormulaPiece]:
-    """Return a piece for each choice of arguments that can hold, at most ``most``.
+def formula_pieces(
+    formulas: Sequence[Formula], most: int = MOST_MODES, region: Sequence[Formula] = ()
+) -> list[FormulaPiece]:
+    """Return a piece for each choice of arguments that can hold in a region, at most ``most``.
 
     There is no piece for a choice whose affine switching functions leave no interior, or with another switching
     function above zero everywhere by interval bounds. Pieces are closed, so that the others cover everything. Of
     arguments that are the same function, the first is chosen.
     """
     whole = tuple(formulas)
-    pieces = [FormulaPiece(whole, np.zeros((0, sum(whole[0].dimensions) + 1)))] if whole else []
+    rows = np.array([row for row in map(affine_row, region) if row is not None])
+    rows = rows.reshape(-1, sum(whole[0].dimensions) + 1 if whole else 1)
+    pieces = [FormulaPiece(whole, rows, tuple(region))] if whole else []
     for branching in kinks(whole, MAXIMUM, MINIMUM):
         pieces = [part for piece in pieces for part in piece.split(branching)]
         if len(pieces) > most:

@@ -10,10 +10,20 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, positive_integer
-from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError, ProblemError
 from lin_freq_ocp.base.phrases import first_few, split_unit
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, evaluated, kinks, require_times, text_of, translated
+from lin_freq_ocp.formulas.nodes import (
+    Formula,
+    evaluated,
+    kinks,
+    require_times,
+    signals,
+    text_of,
+    time_of,
+    translated,
+    with_states,
+)
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, TABLE, TIME, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
@@ -45,6 +55,8 @@ class SmoothMode:
         but not be zero.
     name : str
         The name in reports; default "mode i".
+    cost : tuple of Formula
+        The stage cost by formulas in this mode, one formula or none; from the cost of a problem.
 
     Examples
     --------
@@ -58,6 +70,7 @@ class SmoothMode:
     region: Any = ()
     domain: Any = ()
     name: str = ""
+    cost: tuple[Formula, ...] = ()
 
     def with_signals(self, field: str, dimensions: tuple[int, int]) -> SmoothMode:
         """Return the mode with tuples of formulas, checked: n formulas of f, and no maxima or minima."""
@@ -66,10 +79,27 @@ class SmoothMode:
         domain = listed_formulas(f"{field}.domain", self.domain, dimensions)
         if len(f) != dimensions[0]:
             raise ProblemError(f"{field}.f", f"{len(f)} formulas", f"{dimensions[0]}, one for each state")
-        if next(kinks([*f, *region, *domain], MAXIMUM, MINIMUM), None) is not None:
+        if next(kinks([*f, *region, *domain, *self.cost], MAXIMUM, MINIMUM), None) is not None:
             advice = "PiecewiseSmoothDynamics.from_formulas makes the pieces."
             raise ProblemError(field, "a maximum or minimum", "smooth pieces", advice)
-        return SmoothMode(f, region, domain, self.name)
+        return SmoothMode(f, region, domain, self.name, self.cost)
+
+
+def affine_formulas(rows: Array, offset: Array, dimensions: tuple[int, int]) -> list[Formula]:
+    """Return rows (x, u) + offset as formulas, rows (k, n + m) and offset (k,), or (T, ...) each, one per time."""
+    y, zero = np.concatenate(signals(*dimensions)), 0.0 * signals(*dimensions)[0][0]
+
+    def coefficient(values: Array) -> Formula | float:
+        varies = values.ndim and (values != values[0]).any()
+        return time_of(dimensions).look_up(values) if varies else float(values.flat[0])
+
+    return [
+        sum(
+            (coefficient(rows[..., i, j]) * y[j] for j in range(len(y)) if rows[..., i, j].any()),
+            zero + coefficient(offset[..., i]),
+        )
+        for i in range(rows.shape[-2])
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,8 +264,8 @@ class PiecewiseSmoothDynamics(StandardDynamics):
 
     @cached_property
     def norms(self) -> tuple[Formula, ...]:
-        """The norms in the maps and switching functions, inner ones first."""
-        formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region)]
+        """The norms in the maps, switching functions and costs, inner ones first."""
+        formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.cost)]
         return tuple(kinks(formulas, NORM))
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
@@ -247,8 +277,8 @@ class PiecewiseSmoothDynamics(StandardDynamics):
 
     @cached_property
     def formulas(self) -> tuple[Formula, ...]:
-        """All formulas of all modes: maps, switching functions and domains."""
-        return tuple(formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.domain))
+        """All formulas of all modes: maps, switching functions, domains and costs."""
+        return tuple(one for mode in self.modes for one in (*mode.f, *mode.region, *mode.domain, *mode.cost))
 
     @cached_property
     def depends_on_time(self) -> bool:
@@ -273,8 +303,8 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         modes = list[SmoothMode]()
         for mode in self.modes:
             images = [next(moved) - float(value) for value in origin]
-            region, domain = ([next(moved) for _ in part] for part in (mode.region, mode.domain))
-            modes.append(SmoothMode(images, region, domain, mode.name))
+            region, domain, cost = ([next(moved) for _ in part] for part in (mode.region, mode.domain, mode.cost))
+            modes.append(SmoothMode(images, region, domain, mode.name, tuple(cost)))
         return replace(self, modes=modes)
 
     def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -349,11 +379,14 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         return self.affine_at(x, u).linear_at(x, u)
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> PiecewiseSmoothDynamics:
-        """Raise UnsupportedError."""
-        raise UnsupportedError(
-            "dynamics: got PiecewiseSmoothDynamics; only linear and piecewise-affine dynamics take added states. Add "
-            "the previous control as a state of the formulas."
-        )
+        """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
+        n, m, k = self.state_dim, self.control_dim, len(A)
+        added, modes = affine_formulas(np.hstack([np.zeros((k, n)), A, B]), np.zeros(k), (n + k, m)), list[SmoothMode]()
+        for mode in self.modes:
+            f, region, domain = (with_states(part, k) for part in (mode.f, mode.region, mode.domain))
+            modes.append(SmoothMode([*f, *added], region, domain, mode.name))
+        labels = self.sampling_time, [*self.state_names, *names], self.control_names
+        return PiecewiseSmoothDynamics(modes, n + k, m, *labels)
 
     def sequence_of(self, x: Array, u: Array) -> Indices:
         """Return the mode at every time, (T,): of the modes that hold, the one with the image nearest to x_{t+1}."""
