@@ -22,6 +22,7 @@ from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothP
 from lin_freq_ocp.methods.hybrid.smooth.newton import newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -134,6 +135,12 @@ def outcome_of_search(
 
 def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum) -> Judged:
     """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves them."""
+    priced = cost_as_state(problem, local.trajectory)
+    if priced is not None:  # the same with the cost by formulas as a state
+        given = priced.with_cost(local.trajectory), priced.with_adjoint(local.multipliers)
+        refined = refine_optimum(priced.problem, replace(local, trajectory=given[0], multipliers=given[1]))
+        trajectory, multipliers = priced.trajectory(refined[0]), priced.multipliers(refined[1])
+        return trajectory, multipliers, judge(problem, trajectory, multipliers)
     affine = problem.affine_at(local.trajectory)
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)

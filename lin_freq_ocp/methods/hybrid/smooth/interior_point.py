@@ -15,7 +15,7 @@ problem from a trajectory that need not be feasible.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -105,12 +105,28 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """1/2 y'H y + h'y + constant, and whether the curvature of the dynamics counts."""
+    """1/2 y'H y + h'y + constant, and whether the curvature of the dynamics counts.
+
+    Of a cost by formulas these are H and h to second order at a point, and ``exact`` is the cost at any point.
+    """
 
     H: Array
     h: Array
     constant: float
     curved: bool
+    exact: Callable[[Array], float] | None = None
+
+    def defined_at(self, y: Array) -> bool:
+        """Whether the cost and its derivatives are numbers at the point where it was expanded."""
+        return self.exact is None or bool(np.isfinite([self.exact(y), self.H.sum(), self.h.sum()]).all())
+
+    @property
+    def convex(self) -> Array:
+        """Return H, of a cost by formulas with the size of the curvature where that is negative."""
+        if self.exact is None:
+            return self.H
+        values, vectors = np.linalg.eigh(self.H)
+        return np.einsum("tij,tj,tkj->tik", vectors, np.abs(values), vectors)
 
 
 class BarrierPoint:
@@ -127,6 +143,7 @@ class BarrierPoint:
             derivatives,
         )
         self.system = System(model.linearised(point.y, derivatives), loops)
+        self.system.stages.H[:] = objective.H
         rows = zip(self.system.rows(point.y), self.system.b, strict=True)
         self.left: Values = [values - right for values, right in rows]
         for i, s in point.s.items():
@@ -148,9 +165,11 @@ class BarrierPoint:
 
     def phi(self, y: Array, s: dict[int, Array], mu: float) -> float:
         """Return the objective with the barrier."""
-        objective = self._objective
+        objective, barrier = self._objective, mu * sum(cone.log_determinant(s[i]) for i, cone in self.cones.items())
+        if objective.exact is not None:
+            return objective.exact(y) - barrier
         cost = 0.5 * float(np.vdot(y, self._loops.times(objective.H, y))) + float(np.vdot(objective.h, y))
-        return cost + objective.constant - mu * sum(cone.log_determinant(s[i]) for i, cone in self.cones.items())
+        return cost + objective.constant - barrier
 
     def measure(self, mu: float) -> Measure:
         """Return the infeasibility and the objective here."""
@@ -166,7 +185,7 @@ class BarrierPoint:
         for i, cone in self.cones.items():
             cone.scale(self.point.s[i], self.point.z[i])
         convex = False
-        if self._objective.curved and self.point.z[DYNAMICS].any():
+        if self._objective.curved and (self.point.z[DYNAMICS].any() or self._objective.exact is not None):
             curved = -np.einsum("ti,tijk->tjk", self.point.z[DYNAMICS][:-1], self._derivatives.curvatures)
             count, cone = curved.shape[1], self.cones[STAGES]
             stages.H[:-1, :count, :count] += curved
@@ -177,7 +196,7 @@ class BarrierPoint:
             elif self.theta <= NEAR:
                 convex = any(solver.indefinite and self._factor_system(solver) for solver in solvers)
         if not convex:
-            stages.H[:] = self._objective.H
+            stages.H[:] = self._objective.convex
             self._factor_system(solvers[0])
         squares = {i: cone.product(cone.lam, cone.lam) - mu * cone.identity for i, cone in self.cones.items()}
         self._centred = {i: cone.scaled(cone.quotient(squares[i]), 1) for i, cone in self.cones.items()}
@@ -309,11 +328,13 @@ class Barrier:
     def _at(self, point: EmbeddedPoint, objective: Objective | None = None) -> BarrierPoint | None:
         """Return the barrier problem at a point; None if the map is not defined there."""
         derivatives = self.model.derivatives(point.y)
-        return (
-            BarrierPoint(self.model, objective or self._cost, self.loops, point, derivatives)
-            if derivatives.finite
-            else None
-        )
+        if objective is None and self.model.problem.cost.has_formulas:
+            H, h = self.model.expanded_cost(point.y)
+            objective = Objective(H, h, 0.0, curved=True, exact=self.model.cost)
+        objective = objective or self._cost
+        if not derivatives.finite or not objective.defined_at(point.y):
+            return None
+        return BarrierPoint(self.model, objective, self.loops, point, derivatives)
 
     def _filter_step(self, local: BarrierPoint, entries: Filter, mu: float) -> BarrierPoint | None:
         """Return the next point by a step that the filter takes; None if it takes none."""
