@@ -406,7 +406,7 @@ class CostSum(Cost):
             raise ProblemError("cost", brief(costs), "a list of costs")
         for cost in costs:
             if not isinstance(cost, Cost):
-                raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
+                raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, SmoothCost, or a sum of them")
         quadratic = [cost.quadratic for cost in costs if not cost.quadratic.zero]
         if len(quadratic) > 1:
             raise ProblemError("cost", "a sum of two quadratic costs", "at most one", "Add their matrices.")
