@@ -200,7 +200,25 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
 
 
 def time_of(dimensions: tuple[int, int]) -> Formula:
-    """Return the time t = 0, 1, ..., T-1 as a formula beside signals of these dimensions."""
+    """Return the time t = 0, 1, ..., T-1 as a formula, for use with ``signals``.
+
+    Functions of (t, x, u) get it, and texts have it as t.
+
+    Parameters
+    ----------
+    dimensions : (n, m)
+        The numbers of states and controls.
+
+    Returns
+    -------
+    Formula
+
+    Examples
+    --------
+    >>> x, u = lfo.signals(1, 1)
+    >>> print(lfo.dynamics.time_of((1, 1)) * x[0])
+    Formula(t * (x_0))
+    """
     return Formula(dimensions, operations.TIME)
 
 

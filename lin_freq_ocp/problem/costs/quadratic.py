@@ -58,7 +58,7 @@ class Cost(ABC):
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> Cost:
         """Return the same cost with every term an array of the right shape, checked."""
-        complete = CostSum([norm.with_signals(n, m, horizon) for norm in self.norms])
+        complete = CostSum([norm.with_signals(n, m, horizon, f"cost.norms[{i}]") for i, norm in enumerate(self.norms)])
         assign(complete, smooth=self.quadratic.at_dimensions(n, m, horizon))
         return complete
 
@@ -126,7 +126,7 @@ class NonsmoothCost(Cost):
     def formula_values(self, x: Array, u: Array) -> Array:
         return np.zeros(len(x))
 
-    def with_signals(self, n: int, m: int, horizon: int) -> NonsmoothCost:
+    def with_signals(self, n: int, m: int, horizon: int, field: str) -> NonsmoothCost:
         """Return the cost with its formulas, if it has any, as those of n states and m controls."""
         return self
 

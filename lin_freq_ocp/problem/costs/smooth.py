@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -14,7 +14,7 @@ from lin_freq_ocp.base.phrases import listed
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula, in_order, require_times, text_of, translated, with_states
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, TABLE, TIME, VARIABLE
-from lin_freq_ocp.formulas.text import Formulas, listed_formulas
+from lin_freq_ocp.formulas.text import Formulas, defined, formula_from_text, listed_formulas
 from lin_freq_ocp.problem.costs.quadratic import Cost, NonsmoothCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.terms.term import Term
@@ -37,6 +37,8 @@ class SmoothCost(NonsmoothCost):
         signals.
     terminal : Formula, str, function or DifferentiableFunction, optional
         c_T, without kinks, time and controls: a function of x.
+    let : table of str, optional
+        Named formulas that the texts of both may use; each may use those before it.
 
     Raises
     ------
@@ -55,29 +57,36 @@ class SmoothCost(NonsmoothCost):
 
     stage: Any  # a Formula or None in a problem
     terminal: Any
+    let: Any
 
-    def __init__(self, stage: Formulas | None = None, terminal: Formulas | Callable[[Any], object] | None = None):
+    def __init__(
+        self,
+        stage: Formulas | None = None,
+        terminal: Formulas | Callable[[Any], object] | None = None,
+        let: Mapping[str, str] | None = None,
+    ):
         if stage is None and terminal is None:
             advice = 'As in SmoothCost(stage="sin(x_0)**2"), or SmoothCost(stage=lambda t, x, u: np.sin(x[0]) ** 2).'
             raise ProblemError("SmoothCost", "no formula", "a stage cost, a terminal cost, or both", advice)
-        assign(self, stage=stage, terminal=terminal)
+        assign(self, stage=stage, terminal=terminal, let=let)
 
-    def with_signals(self, n: int, m: int, horizon: int) -> SmoothCost:
-        """Return the cost with formulas of n states and m controls, checked."""
+    def with_signals(self, n: int, m: int, horizon: int, field: str) -> SmoothCost:
+        """Return the cost with formulas of n states and m controls, checked; errors name the field."""
         stage = terminal = None
+        known = defined(f"{field}.let", {} if self.let is None else self.let, (n, m))
         if self.stage is not None:
-            stage = _one_formula("SmoothCost.stage", self.stage, (n, m))
-            require_times("SmoothCost.stage", [stage], horizon)
+            stage = _one_formula(f"{field}.stage", self.stage, (n, m), known)
+            require_times(f"{field}.stage", [stage], horizon)
         if self.terminal is not None:
             given = self.terminal
             states = (lambda x, u: given(x)) if callable(given) else given
-            terminal = _one_formula("SmoothCost.terminal", states, (n, m))
+            terminal = _one_formula(f"{field}.terminal", states, (n, m), known)
             for node in in_order([terminal]):
                 if node.kind in (MAXIMUM, MINIMUM, NORM):
                     advice = "L1Cost(terminal=...) is a sum of absolute values."
-                    raise ProblemError("SmoothCost.terminal", f"a kink, {text_of(node)}", "a smooth formula", advice)
+                    raise ProblemError(f"{field}.terminal", f"a kink, {text_of(node)}", "a smooth formula", advice)
                 if node.kind in (TIME, TABLE) or (node.kind == VARIABLE and node.data[0] >= n):
-                    raise ProblemError("SmoothCost.terminal", text_of(node), "a formula of the last state x alone")
+                    raise ProblemError(f"{field}.terminal", text_of(node), "a formula of the last state x alone")
         return SmoothCost(stage, terminal)
 
     @property
@@ -118,7 +127,9 @@ def with_cost(dynamics: Dynamics, cost: Cost) -> Dynamics:
     return entry_for(PRICED, stated)(stated, cost.formulas[0]) if cost.has_formulas else stated
 
 
-def _one_formula(field: str, given: object, dimensions: tuple[int, int]) -> Formula:
+def _one_formula(field: str, given: object, dimensions: tuple[int, int], known: Mapping[str, Formula]) -> Formula:
+    if isinstance(given, str):
+        return formula_from_text(field, given, dimensions, known)
     found = listed_formulas(field, given, dimensions)
     if len(found) != 1:
         raise ProblemError(field, f"{len(found)} formulas", "one: a cost is one number")
