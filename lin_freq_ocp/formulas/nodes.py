@@ -1,8 +1,8 @@
 """Formulas of states and controls: a graph of operations, written with operators.
 
 ``signals(n, m)`` makes the components of x and u. Sums, products, quotients, whole powers, ``abs``, ``maximum``,
-``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin``, ``cos``, ``tanh`` and ``arctan`` of formulas are
-formulas. A Python function of (x, u) that is made of these can be traced: it is called once, with signals.
+``minimum``, ``norm``, and NumPy's elementary functions (``exp``, ``tan``, ``arctan2`` ...) of formulas are formulas. A
+Python function of (x, u) that is made of these can be traced: it is called once, with signals.
 """
 
 from __future__ import annotations
@@ -126,7 +126,8 @@ class Formula(Node):
         raise ProblemError("formula", "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
 
     def __float__(self) -> float:
-        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(operations.scalar_functions())}"
+        functions = ", ".join([*operations.scalar_functions(), operations.ANGLE])
+        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {functions}"
         raise ProblemError("formula", "what takes numbers only, as math.sin", expected, FUNCTIONS)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
@@ -137,6 +138,14 @@ class Formula(Node):
         if name in operations.scalar_functions():
             return lambda: self.node(name, (self,))
         raise AttributeError(f"a formula has no attribute {name!r}")
+
+    def arctan2(self, other: Formula | float) -> Formula:
+        """Return the angle of the point (other, self), as np.arctan2; it jumps at the negative half of the axis."""
+        return self.node(operations.ANGLE, (self, as_formula(self, "arctan2", other)))
+
+    def hypot(self, other: Formula | float) -> Formula:
+        """Return the norm of both, as np.hypot."""
+        return norm([self, as_formula(self, "hypot", other)])
 
     def look_up(self, values: ArrayLike) -> Formula:
         """Return the number at each time: values[t] where t is the time.

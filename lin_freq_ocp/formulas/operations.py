@@ -19,7 +19,7 @@ from lin_freq_ocp.formulas.intervals import Interval, IntervalJet, inverse, mult
 
 VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
 MAXIMUM, MINIMUM, NORM, EXTERNAL = "maximum", "minimum", "norm", "external"
-TIME, TABLE = "time", "table"
+TIME, TABLE, ANGLE = "time", "table", "arctan2"
 LOOK_UP = "look_up"  # the name of a table in texts: look_up(t, 1.0, 2.0) is 1 at t = 0 and 2 at t = 1
 # Value (points,), gradient (k, points) and Hessian (k, k, points) by the k components of (x, u).
 Jet = tuple[Array, Array, Array | None]
@@ -272,6 +272,25 @@ class _Norm(Operation):
         return intervals.norm_rule(arguments, curved)
 
 
+class _Angle(Operation):
+    """The angle arctan2(a, b) of the point (b, a), which jumps where a = 0 and b < 0."""
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        return np.where(np.hypot(*arguments) > 0, np.arctan2(*arguments), np.nan)
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        (a, b), square = (jet[0] for jet in arguments), sum(jet[0] ** 2 for jet in arguments)
+        first = np.stack([b, -a], axis=-1) / square[:, None]
+        across = np.stack([-2 * a * b, a**2 - b**2, a**2 - b**2, 2 * a * b], axis=-1) / (square**2)[:, None]
+        value = self.value(node, [a, b], at)
+        stacked = stack_jets(arguments)
+        found = compose_jets(stacked, value[:, None], first[:, None], across.reshape(-1, 1, 2, 2))
+        return found[0][0], found[1][0], found[2][0]
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+        raise UnsupportedError("a global bound: arctan2 jumps and has no bounds over boxes; write it with arctan.")
+
+
 class _Extreme(Operation):
     """A maximum or minimum: only its modes have derivatives."""
 
@@ -353,6 +372,11 @@ def _tanh(a: Array, value: Array) -> tuple[Array, Array]:
     return slope, -2 * value * slope
 
 
+def _arcsin(a: Array, _: Array) -> tuple[Array, Array]:
+    left = 1 - a**2
+    return left**-0.5, a * left**-1.5
+
+
 def _arctan(a: Array, _: Array) -> tuple[Array, Array]:
     slope = 1 / (1 + a**2)
     return slope, -2 * (a * slope) * slope
@@ -378,6 +402,18 @@ OPERATIONS: dict[str, Operation] = {
     "cos": ScalarFunction(np.cos, lambda a, value: (-np.sin(a), -value), intervals.cosine),
     "tanh": ScalarFunction(np.tanh, _tanh, intervals.hyperbolic_tangent),
     "arctan": ScalarFunction(np.arctan, _arctan, intervals.arc_tangent),
+    "tan": ScalarFunction(np.tan, lambda _, value: (1 + value**2, 2 * value * (1 + value**2)), intervals.tangent),
+    "sinh": ScalarFunction(np.sinh, lambda a, value: (np.cosh(a), value), intervals.hyperbolic_sine),
+    "cosh": ScalarFunction(np.cosh, lambda a, value: (np.sinh(a), value), intervals.hyperbolic_cosine),
+    "arcsin": ScalarFunction(np.arcsin, _arcsin, intervals.arc_sine),
+    "arccos": ScalarFunction(np.arccos, lambda a, _: (-_arcsin(a, a)[0], -_arcsin(a, a)[1]), intervals.arc_cosine),
+    "arcsinh": ScalarFunction(
+        np.arcsinh, lambda a, _: ((1 + a**2) ** -0.5, -a * (1 + a**2) ** -1.5), intervals.area_sine
+    ),
+    "arctanh": ScalarFunction(
+        np.arctanh, lambda a, _: (1 / (1 - a**2), 2 * a * (1 - a**2) ** -2.0), intervals.area_tangent
+    ),
+    ANGLE: _Angle(),
 }
 
 

@@ -22,6 +22,7 @@ from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas import nodes
 from lin_freq_ocp.formulas.nodes import Formula, post_order
 from lin_freq_ocp.formulas.operations import (
+    ANGLE,
     LOOK_UP,
     MAXIMUM,
     MINIMUM,
@@ -46,7 +47,7 @@ ARITHMETIC: dict[type[ast.operator], Callable[..., float]] = {  # of formulas, t
 
 def function_names() -> tuple[str, ...]:
     """Return the names of all functions that a text may call."""
-    return ("abs", "max", "min", "norm", *scalar_functions(), LOOK_UP)
+    return ("abs", "max", "min", "norm", *scalar_functions(), ANGLE, LOOK_UP)
 
 
 def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
@@ -195,6 +196,11 @@ class _Reader:
             if constant:
                 return max(numbers) if name == "max" else min(numbers)
             return nodes.extreme(MAXIMUM if name == "max" else MINIMUM, arguments, None)
+        if name == ANGLE and len(arguments) == 2:
+            if constant:
+                return self._number(lambda: math.atan2(*numbers))
+            like = next(one for one in arguments if isinstance(one, Formula))
+            return nodes.as_formula(like, name, arguments[0]).arctan2(arguments[1])
         if name == LOOK_UP and len(arguments) > 1 and isinstance(arguments[0], Formula):
             if len(numbers) < len(arguments) - 1:
                 raise self._other()

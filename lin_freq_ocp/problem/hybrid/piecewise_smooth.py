@@ -72,17 +72,24 @@ class SmoothMode:
     name: str = ""
     cost: tuple[Formula, ...] = ()
 
-    def with_signals(self, field: str, dimensions: tuple[int, int]) -> SmoothMode:
-        """Return the mode with tuples of formulas, checked: n formulas of f, and no maxima or minima."""
+    def pieces(self, field: str, dimensions: tuple[int, int]) -> list[SmoothMode]:
+        """Return the mode with tuples of formulas, checked: a mode for each choice of maxima and minima of f."""
         f = listed_formulas(f"{field}.f", self.f, dimensions)
         region = listed_formulas(f"{field}.region", self.region, dimensions)
         domain = listed_formulas(f"{field}.domain", self.domain, dimensions)
         if len(f) != dimensions[0]:
             raise ProblemError(f"{field}.f", f"{len(f)} formulas", f"{dimensions[0]}, one for each state")
-        if next(kinks([*f, *region, *domain, *self.cost], MAXIMUM, MINIMUM), None) is not None:
-            advice = "PiecewiseSmoothDynamics.from_formulas makes the pieces."
-            raise ProblemError(field, "a maximum or minimum", "smooth pieces", advice)
-        return SmoothMode(f, region, domain, self.name, self.cost)
+        if next(kinks([*region, *domain, *self.cost], MAXIMUM, MINIMUM), None) is not None:
+            advice = "Those of f make modes of their own."
+            raise ProblemError(field, "a maximum or minimum in a region or domain", "smooth functions", advice)
+        if next(kinks(f, MAXIMUM, MINIMUM), None) is None:
+            return [SmoothMode(f, region, domain, self.name, self.cost)]
+        return [
+            SmoothMode(
+                piece.formulas, piece.region, domain, ", ".join(filter(None, (self.name, piece.name))), self.cost
+            )
+            for piece in formula_pieces(f, region=region)
+        ]
 
 
 def affine_formulas(rows: Array, offset: Array, dimensions: tuple[int, int]) -> list[Formula]:
@@ -181,7 +188,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         n, m = positive_integer("dynamics.state_dim", state_dim), positive_integer("dynamics.control_dim", control_dim)
         if not isinstance(modes, Sequence) or not modes or not all(isinstance(mode, SmoothMode) for mode in modes):
             raise ProblemError("dynamics.modes", brief(modes), "a list of at least one SmoothMode")
-        checked = tuple(mode.with_signals(f"dynamics.modes[{i}]", (n, m)) for i, mode in enumerate(modes))
+        checked = tuple(one for i, mode in enumerate(modes) for one in mode.pieces(f"dynamics.modes[{i}]", (n, m)))
         assign(self, modes=checked, **signal_labels(n, m, sampling_time, state_names, control_names))
         _ = self.mode_names  # all different
 
