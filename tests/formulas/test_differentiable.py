@@ -410,7 +410,8 @@ def test_the_converter_by_casadi_has_the_optimum_of_the_converter_by_formulas(ca
         (lambda c: lfo.from_casadi(lambda x, u: x, 2, 1)([1], [1]), r"expected x \(2,\)"),
         (lambda c: lfo.PiecewiseSmoothDynamics.from_formulas(c.Function("f", [c.SX.sym("x")], [c.SX(1)]), 1, 1),
          "lfo.from_casadi"),
-        (lambda c: lfo.PiecewiseSmoothDynamics([SmoothMode(["x_0"], lfo.from_casadi(lambda x, u: c.fabs(x), 1, 1))], 1, 1),
+        (lambda c: lfo.PiecewiseSmoothDynamics(
+            [SmoothMode(["x_0"], lfo.from_casadi(lambda x, u: c.fabs(x), 1, 1))], 1, 1),
          "a maximum or minimum in a region"),
     ],
 )  # fmt: skip
