@@ -181,7 +181,7 @@ def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
 def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
     """Whether the cost is a sum of squares, norms and penalties: no linear terms, and exactly semidefinite Hessians."""
     cost = problem.quadratic
-    if any(np.any(part) for part in (cost.q, cost.r, cost.p)):
+    if any(np.any(part) for part in (cost.q, cost.r, cost.p)) or problem.cost.has_formulas:
         return False
     stage, end = cost.rises
     return not stage.any() and end == 0

@@ -112,7 +112,8 @@ def cost_scale(
 def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
     """Return the sum of the absolute values of the terms of the cost."""
     x, u = trajectory.x, trajectory.u
-    return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(t.cost(x, u)).sum()) for t in problem.terms)
+    parts = problem.cost.formula_values(x, u), *(term.cost(x, u) for term in problem.terms)
+    return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(part).sum()) for part in parts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -325,6 +325,7 @@ def judge(
         if not any(part.any() for part in (*parts, *multipliers.stage.values())):
             # multipliers that are all zero do not price residuals: these must be rounding, or the cost zero
             costs_nothing = problem.quadratic.zero and all(term.hard for term in problem.terms)
+            costs_nothing &= not problem.cost.has_formulas
             on_feasibility = (condition for condition in judgement.conditions if condition.on_feasibility)
             worth = worth if costs_nothing or all(condition.exact for condition in on_feasibility) else np.inf
         applicable = judgement.borders is None or judgement.borders.applicable

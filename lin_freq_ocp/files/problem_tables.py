@@ -20,6 +20,7 @@ from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
 from lin_freq_ocp.formulas.text import formula_from_text, read_definitions, require_formula, with_definitions
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
+from lin_freq_ocp.problem.costs.smooth import SmoothCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -331,11 +332,23 @@ BOUNDS.records |= {kind: SPECTRUM.records[kind] for kind in ("magnitude_bound", 
 SPECTRUM.records["spectrogram"] = TableRecord(Spectrogram, bound=BOUNDS)
 OUTPUTS = TableRecord(OutputSpectrum, own="output_spectrum", required=["constraints"], constraints=Tables(SPECTRUM))
 
+
+def _formula_cost_values(cost: SmoothCost) -> FileTable:
+    """Return the keys of a cost by formulas, with ``let`` if they are long."""
+    given = {key: one for key, one in zip(("stage", "terminal"), cost.formulas, strict=True) if one is not None}
+    for key, formula in given.items():
+        for node in nodes_in_order([formula]):
+            require_formula(node, f"cost.norms.{key}")
+    texts, definitions = with_definitions(list(given.values()))
+    return dict(zip(given, texts, strict=True)) | {"let": definitions or None}
+
+
 NORM_COSTS = Kinds("cost")
 NORM_COSTS.records |= {
     kind: TableRecord(make, **dict.fromkeys(("x", "u", "terminal", "x_ref", "u_ref"), nonzero(2)))
     for kind, make in {"L1": L1Cost, "Linf": LInfCost}.items()
 }
+NORM_COSTS.records["formula"] = TableRecord(SmoothCost, values=_formula_cost_values)
 
 
 def _cost(norms: FileValue = None, **terms: FileValue) -> Cost:
@@ -389,11 +402,12 @@ def _problem_values(problem: OptimalControlProblem) -> FileTable:
     # a rate limit is written as its states and rows
     fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in ("schema", "rate_limit")}
     dynamics, finite = problem.dynamics.given
+    fields["dynamics"] = dynamics
     if finite is not None:
         if problem.control_set is not finite.hull:
             got, expected = brief(problem.control_set), "the FiniteSet of the dynamics' levels"
             raise ProblemError("control_set", got, expected, "A file has one control set: another cannot stand beside.")
-        fields |= {"dynamics": dynamics, "control_set": finite}
+        fields["control_set"] = finite
     for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):
         given = fields[key]
         if isinstance(given, (list, tuple)) and not any(member.members for member in given):

@@ -19,6 +19,7 @@ from lin_freq_ocp.files import problem_tables
 from lin_freq_ocp.files.codec import TableRecord
 from lin_freq_ocp.files.problem_tables import FORMULA_KEYS
 from lin_freq_ocp.files.reading import FileTable, FileValue
+from lin_freq_ocp.formulas.operations import LOOK_UP
 from lin_freq_ocp.formulas.text import function_names
 from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
@@ -40,6 +41,7 @@ MODULES: Mapping[str, Iterable[TableRecord]] = {
     "lin_freq_ocp.sets": [*problem_tables.SETS.records.values(), problem_tables.STAGE_ROWS],
     "lin_freq_ocp.spectrum": [*problem_tables.SPECTRUM.records.values(), problem_tables.OUTPUTS],
 }
+LOOK_UP_IN = "def look_up(t, *values):\n    return t.look_up(values)\n"
 NORM_OF = "def norm_of(*components):\n    return norm(components)\n"  # a text of formulas has norm(x_0, x_1)
 
 
@@ -124,6 +126,9 @@ class _Script:
                 return array_code(value)
             case list() | tuple():
                 return Code("[", tuple(map(self.expression, value)), "]")
+            case dict():
+                entries = [self.expression(entry).named(f'"{key}": ') for key, entry in value.items()]
+                return Code("{", tuple(entries), "}")
             case CostSum():
                 return self._call("lin_freq_ocp.costs", "CostSum", [self.expression([value.quadratic, *value.norms])])
             case Dynamics():
@@ -161,6 +166,11 @@ class _Script:
         control_dim: int = entries["control_dim"]
         x, u = (", ".join(f"{name}_{i}" for i in range(size)) for name, size in (("x", state_dim), ("u", control_dim)))
         self.definitions.append(f"[{x}], [{u}] = signals({state_dim}, {control_dim})")
+        texts = [*(entries.get("let") or {}).values()]
+        texts += [text for mode in entries["modes"] for key in FORMULA_KEYS for text in getattr(mode, key)]
+        if any(re.search(r"\bt\b", text) for text in texts):
+            self.names.add(("lin_freq_ocp.dynamics", "time_of"))
+            self.definitions.append(f"t = time_of(({state_dim}, {control_dim}))")
         self.definitions += [f"{name} = {self._formula(text)}" for name, text in (entries.get("let") or {}).items()]
         return [
             replace(mode, **{key: [Symbol(self._formula(text)) for text in getattr(mode, key)] for key in FORMULA_KEYS})
@@ -173,7 +183,9 @@ class _Script:
         if "norm" in called and NORM_OF not in self.definitions:
             self.names.add(("lin_freq_ocp", "norm"))
             self.definitions.insert(0, NORM_OF)
-        self.names |= {("numpy", name) for name in called - {"norm"}}
+        if LOOK_UP in called and LOOK_UP_IN not in self.definitions:
+            self.definitions.insert(0, LOOK_UP_IN)
+        self.names |= {("numpy", name) for name in called - {"norm", LOOK_UP}}
         return re.sub(r"\bnorm\(", "norm_of(", text)
 
 

@@ -140,6 +140,66 @@ def arc_tangent(a: Interval) -> WithDerivatives:
     return value, slope(a), second
 
 
+def tangent(a: Interval) -> WithDerivatives:
+    """Return v = tan(a), unbounded across a pole, and its derivatives 1 + v^2 and 2 v (1 + v^2)."""
+    lower, upper = outward(np.tan(a[0]), np.tan(a[1]))
+    branch = [np.floor(bound / np.pi + 0.5 + side) for bound, side in zip(a, (-TURN, TURN), strict=True)]
+    within = (branch[0] == branch[1]) & (lower <= upper)
+    value = np.where(within, lower, -np.inf), np.where(within, upper, np.inf)
+    one = np.ones_like(lower)
+    first = add((one, one), power(value, 2))
+    return value, first, scale(2.0, multiply(value, first))
+
+
+def hyperbolic_sine(a: Interval) -> WithDerivatives:
+    """Return sinh(a), cosh(a) and sinh(a)."""
+    value = outward(np.sinh(a[0]), np.sinh(a[1]))
+    return value, hyperbolic_cosine(a)[0], value
+
+
+def hyperbolic_cosine(a: Interval) -> WithDerivatives:
+    """Return cosh(a), sinh(a) and cosh(a)."""
+    ends, through = (np.cosh(a[0]), np.cosh(a[1])), (a[0] <= 0) & (a[1] >= 0)
+    lower, upper = outward(np.minimum(*ends), np.maximum(*ends))
+    value = np.where(through, 1.0, np.maximum(lower, 1.0)), upper
+    return value, outward(np.sinh(a[0]), np.sinh(a[1])), value
+
+
+def arc_sine(a: Interval) -> WithDerivatives:
+    """Return arcsin of the part of a in [-1, 1], and its derivatives (1 - a^2)^(-1/2) and a (1 - a^2)^(-3/2)."""
+    inside = np.clip(a[0], -1.0, 1.0), np.clip(a[1], -1.0, 1.0)
+    one = np.ones_like(a[0])
+    left = add((one, one), scale(-1.0, power(a, 2)))  # 1 - a^2
+    first = _where_positive(left, inverse(root(left)))
+    cube = _where_positive(left, multiply(first, inverse(left)))
+    return outward(np.arcsin(inside[0]), np.arcsin(inside[1])), first, _where_positive(left, multiply(a, cube))
+
+
+def arc_cosine(a: Interval) -> WithDerivatives:
+    """Return arccos(a) = pi/2 - arcsin(a)."""
+    value, first, second = arc_sine(a)
+    right = np.full_like(a[0], np.pi / 2)
+    return add((right, right), scale(-1.0, value)), scale(-1.0, first), scale(-1.0, second)
+
+
+def area_sine(a: Interval) -> WithDerivatives:
+    """Return arcsinh(a), and its derivatives (1 + a^2)^(-1/2) and -a (1 + a^2)^(-3/2)."""
+    one = np.ones_like(a[0])
+    total = add((one, one), power(a, 2))
+    first = inverse(root(total))
+    second = scale(-1.0, multiply(a, multiply(first, inverse(total))))
+    return outward(np.arcsinh(a[0]), np.arcsinh(a[1])), first, second
+
+
+def area_tangent(a: Interval) -> WithDerivatives:
+    """Return arctanh of the part of a in (-1, 1), and its derivatives 1/(1 - a^2) and 2 a/(1 - a^2)^2."""
+    one = np.ones_like(a[0])
+    left = add((one, one), scale(-1.0, power(a, 2)))
+    ends = (np.where(np.abs(end) < 1, np.arctanh(np.clip(end, -1.0, 1.0)), np.sign(end) * np.inf) for end in a)
+    first = _where_positive(left, inverse(left))
+    return outward(*ends), first, _where_positive(left, scale(2.0, multiply(a, multiply(first, first))))
+
+
 def meet(a: Interval, b: Interval) -> Interval:
     """Return the intersection; its lower bound is above its upper one if it is empty."""
     return np.maximum(a[0], b[0]), np.minimum(a[1], b[1])

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.formulas.intervals import Interval, outward
 from lin_freq_ocp.formulas.nodes import Formula, evaluate
-from lin_freq_ocp.formulas.operations import OPERATIONS, Points
+from lin_freq_ocp.formulas.operations import OPERATIONS, Box, Points
 
 # Sums of a few products of numbers that are not negative are widened by this part.
 OUTWARD_SUM = 64 * float(np.finfo(np.float64).eps)
@@ -39,14 +39,21 @@ class IntervalJets:
     curvatures: Interval
 
 
-def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Array] | None = None) -> Jets:
+def jets(
+    formulas: Sequence[Formula],
+    y: Array,
+    selections: Mapping[Formula, Array] | None = None,
+    times: Indices | None = None,
+) -> Jets:
     """Return formulas without maxima and minima at points y (points, n + m); nan where they are undefined.
 
+    ``times`` are those of the points, (points,), or (1,) for all; None: 0, 1, 2, ..., those of a trajectory.
     Where the selection of a norm, (points, components), is a number, it is the derivative of the norm by its arguments,
     and its curvature is 0. At zero without a selection, the derivative is 0.
     """
     points, k = y.shape
-    at, shape = Points(y, {} if selections is None else {**selections}), (points, len(formulas))
+    shape = points, len(formulas)
+    at = Points(y, np.arange(points) if times is None else times, {} if selections is None else {**selections})
     with np.errstate(all="ignore"):
         results = evaluate(formulas, lambda node, arguments: OPERATIONS[node.kind].jet(node, arguments, at))
     values, slopes, curvatures = np.empty(shape), np.empty((*shape, k)), np.zeros((*shape, k, k))
@@ -57,21 +64,24 @@ def jets(formulas: Sequence[Formula], y: Array, selections: Mapping[Formula, Arr
     return Jets(values, slopes, curvatures)
 
 
-def values_of(formulas: Sequence[Formula], y: Array) -> Array:
-    """Return the values of formulas without maxima and minima alone, (points, formulas), at y (points, n + m)."""
-    at = Points(y, {})
+def values_of(formulas: Sequence[Formula], y: Array, times: Indices | None = None) -> Array:
+    """Return the values of formulas alone, (points, formulas), at y (points, n + m) and times as for ``jets``."""
+    at = Points(y, np.arange(len(y)) if times is None else times, {})
     with np.errstate(all="ignore"):
         results = evaluate(formulas, lambda node, arguments: OPERATIONS[node.kind].value(node, arguments, at))
     return np.stack(results, axis=1) if results else np.empty((len(y), 0))
 
 
-def interval_jets(formulas: Sequence[Formula], lower: Array, upper: Array, curved: bool = True) -> IntervalJets:
+def interval_jets(
+    formulas: Sequence[Formula], lower: Array, upper: Array, curved: bool = True, time: int | None = None
+) -> IntervalJets:
     """Return enclosures of formulas without maxima and minima over boxes lower <= y <= upper, (boxes, n + m).
 
+    They are those at a time; None: at all times.
     Without ``curved`` the Hessians are not computed: they are zeros. UnsupportedError: a function has no enclosures.
     """
     boxes, k = lower.shape
-    shape, box = (boxes, len(formulas)), (lower, upper)
+    shape, box = (boxes, len(formulas)), Box(lower, upper, time)
     with np.errstate(all="ignore"):
         results = evaluate(
             formulas, lambda node, arguments: OPERATIONS[node.kind].interval_jet(node, arguments, box, curved)

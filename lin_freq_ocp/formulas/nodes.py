@@ -1,8 +1,8 @@
 """Formulas of states and controls: a graph of operations, written with operators.
 
 ``signals(n, m)`` makes the components of x and u. Sums, products, quotients, whole powers, ``abs``, ``maximum``,
-``minimum``, ``norm``, and NumPy's ``exp``, ``log``, ``sqrt``, ``sin``, ``cos``, ``tanh`` and ``arctan`` of formulas are
-formulas. A Python function of (x, u) with these operations only can be traced: it is called once, with signals.
+``minimum``, ``norm``, and NumPy's elementary functions (``exp``, ``tan``, ``arctan2`` ...) of formulas are formulas. A
+Python function of (x, u) that is made of these can be traced: it is called once, with signals.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lin_freq_ocp.base.arrays import Array, brief, positive_integer, real_array
 from lin_freq_ocp.base.errors import ProblemError
@@ -38,11 +38,12 @@ class Formula(Node):
     dimensions : (n, m)
     kind : str
         The name of its operation: "variable", "sum", "product", "quotient", "power", "norm", "maximum", "minimum",
-        "external", or that of a function of one variable.
+        "time", "table", "external", or that of a function of one variable.
     arguments : tuple of Formula
     data : tuple of float
         Of a variable its number in (x, u); of a sum the factors and the constant; of a power the exponent; of an
-        external function the number of the output, and how many of the arguments are its x.
+        external function the number of the output, and how many of the arguments are its x; of a table a number for
+        each time.
     names : tuple of str
         Of a maximum or minimum, the names of the modes in which each argument is the largest or smallest.
     function : DifferentiableFunction, optional
@@ -125,7 +126,8 @@ class Formula(Node):
         raise ProblemError("formula", "an if or while", "lfo.maximum or lfo.minimum", FUNCTIONS)
 
     def __float__(self) -> float:
-        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {', '.join(operations.scalar_functions())}"
+        functions = ", ".join([*operations.scalar_functions(), operations.ANGLE])
+        expected = f"+ - * /, whole powers, abs, lfo.norm, and NumPy's {functions}"
         raise ProblemError("formula", "a function of numbers only, as math.sin", expected, FUNCTIONS)
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, object.__hash__
@@ -136,6 +138,41 @@ class Formula(Node):
         if name in operations.scalar_functions():
             return lambda: self.node(name, (self,))
         raise AttributeError(f"a formula has no attribute {name!r}")
+
+    def arctan2(self, other: Formula | float) -> Formula:
+        """Return the angle of the point (other, self), as np.arctan2; it jumps at the negative half of the axis."""
+        return self.node(operations.ANGLE, (self, as_formula(self, "arctan2", other)))
+
+    def hypot(self, other: Formula | float) -> Formula:
+        """Return the norm of both, as np.hypot."""
+        return norm([self, as_formula(self, "hypot", other)])
+
+    def look_up(self, values: ArrayLike) -> Formula:
+        """Return the number at each time: values[t] where t is the time.
+
+        Parameters
+        ----------
+        values : (T,)
+            One for each step of the horizon.
+
+        Raises
+        ------
+        ProblemError
+            If the formula is not the time, or these are not numbers in a row.
+
+        Examples
+        --------
+        >>> def f(t, x, u):
+        ...     return [x[0] + t.look_up([1.0, 0.9, 0.8]) * u[0]]
+        >>> print(lfo.PiecewiseSmoothDynamics.from_formulas(f, 1, 1).modes[0].f[0])
+        Formula(x_0 + look_up(t, 1, 0.9, 0.8) * (u_0))
+        """
+        numbers = real_array("look_up", values)
+        if self.kind != operations.TIME:
+            raise ProblemError("look_up", text_of(self), "the time t: t.look_up(values)")
+        if numbers.ndim != 1 or not len(numbers):
+            raise ProblemError("look_up", f"shape {numbers.shape}", "numbers in a row, one for each time")
+        return self.node(operations.TABLE, (), tuple(numbers.tolist()))
 
     def __repr__(self) -> str:
         return f"Formula({text_of(self)})"
@@ -169,6 +206,29 @@ def signals(states: int, controls: int) -> tuple[NDArray[np.object_], NDArray[np
     variables = np.empty(n + m, dtype=object)
     variables[:] = [Formula((n, m), operations.VARIABLE, (), (float(i),)) for i in range(n + m)]
     return variables[:n], variables[n:]
+
+
+def time_of(dimensions: tuple[int, int]) -> Formula:
+    """Return the time t = 0, 1, ..., T-1 as a formula, for use with ``signals``.
+
+    Functions of (t, x, u) get it, and texts have it as t.
+
+    Parameters
+    ----------
+    dimensions : (n, m)
+        The numbers of states and controls.
+
+    Returns
+    -------
+    Formula
+
+    Examples
+    --------
+    >>> x, u = lfo.signals(1, 1)
+    >>> print(lfo.dynamics.time_of((1, 1)) * x[0])
+    Formula(t * (x_0))
+    """
+    return Formula(dimensions, operations.TIME)
 
 
 def norm(components: Formula | Sequence[Formula | float] | NDArray[np.object_]) -> Formula:
@@ -332,6 +392,28 @@ def translate_formulas(formulas: Sequence[Formula], origin: Array) -> list[Formu
         one for one in nodes_in_order(formulas) if one.kind == operations.VARIABLE and one.data[0] < len(origin)
     ]
     return rebuild(formulas, {one: one + float(origin[int(one.data[0])]) for one in variables})
+
+
+def with_states(formulas: Sequence[Formula], added: int) -> list[Formula]:
+    """Return formulas of (x, u) as formulas of (x, w, u), w (added,)."""
+    if not formulas:
+        return []
+    n, m = formulas[0].dimensions
+
+    def moved(node: Formula, arguments: list[Formula]) -> Formula:
+        i = node.data[0] if node.kind == operations.VARIABLE else -1.0
+        data = (i + added,) if i >= n else node.data
+        return replace(node, dimensions=(n + added, m), arguments=tuple(arguments), data=data)
+
+    return evaluate(formulas, moved)
+
+
+def require_times(field: str, formulas: Sequence[Formula], horizon: int) -> None:
+    """Raise ProblemError unless tables over time have ``horizon`` numbers."""
+    for node in kinks(formulas, operations.TABLE):
+        if len(node.data) != horizon:
+            advice = "t.look_up(values) takes values[t] at each time."
+            raise ProblemError(f"{field}.look_up", f"{len(node.data)} numbers", f"{horizon}, one for each step", advice)
 
 
 def kinks(formulas: Sequence[Formula], *kinds: str) -> Iterator[Formula]:

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas import intervals
 from lin_freq_ocp.formulas.intervals import Interval, IntervalJet, inverse, multiply, power, scale
 
 VARIABLE, SUM, PRODUCT, QUOTIENT, POWER = "variable", "sum", "product", "quotient", "power"
 MAXIMUM, MINIMUM, NORM, EXTERNAL = "maximum", "minimum", "norm", "external"
+TIME, TABLE, ANGLE = "time", "table", "arctan2"
+LOOK_UP = "look_up"  # the name of a table in texts: look_up(t, 1.0, 2.0) is 1 at t = 0 and 2 at t = 1
 # Value (points,), gradient (k, points) and Hessian (k, k, points) by the k components of (x, u).
 Jet = tuple[Array, Array, Array | None]
 Stacked = tuple[Array, Array, Array]
@@ -60,12 +62,21 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points y = (x, u), (points, n + m), at which formulas are evaluated."""
+    """Points y = (x, u), (points, n + m), at which formulas are evaluated, and their times, (points,) or (1,)."""
 
     y: Array
+    times: Indices
     selections: Mapping[Node, Array]  # of norms: derivatives by the arguments, (points, components), where numbers
     # The values of external functions, each evaluated once for all its outputs
     calls: dict[Hashable, tuple[Array, ...]] = field(default_factory=dict[Hashable, tuple[Array, ...]])
+
+
+class Box(NamedTuple):
+    """Boxes lower <= (x, u) <= upper, (boxes, n + m), at a time; None: at all times."""
+
+    lower: Array
+    upper: Array
+    time: int | None = None
 
 
 @dataclass(frozen=True)
@@ -93,8 +104,8 @@ class Operation:
         """Return the values with first and second derivatives, points along the last axis."""
         raise self._refusal(node)
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
-        """Return enclosures over boxes lower <= (x, u) <= upper, (boxes, n + m); ``curved``: also of the Hessian."""
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+        """Return enclosures over boxes of (x, u); ``curved``: also of the Hessian."""
         raise self._refusal(node)
 
     def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
@@ -120,11 +131,11 @@ class _Variable(Operation):
         slope[int(node.data[0])] = 1.0
         return self.value(node, (), at), slope, None
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
         i = int(node.data[0])
-        slope = np.zeros(box[0].shape)
+        slope = np.zeros(box.lower.shape)
         slope[:, i] = 1.0
-        return (box[0][:, i], box[1][:, i]), (slope, slope), None
+        return (box.lower[:, i], box.upper[:, i]), (slope, slope), None
 
     def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
         return np.eye(sum(node.dimensions) + 1)[int(node.data[0])]
@@ -132,6 +143,28 @@ class _Variable(Operation):
     def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
         n, i = node.dimensions[0], int(node.data[0])
         return notation.labels[i] if notation.labels else f"x_{i}" if i < n else f"u_{i - n}"
+
+
+class _OfTime(Operation):
+    """A number at each time: that of the data, or without data the time itself."""
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        values = np.array(node.data)[at.times] if node.data else at.times.astype(np.float64)
+        return np.broadcast_to(values, len(at.y))
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        return self.value(node, (), at), np.zeros(at.y.shape[::-1]), None
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+        if box.time is None:
+            least, largest = (min(node.data), max(node.data)) if node.data else (0.0, np.inf)
+        else:
+            least = largest = node.data[box.time] if node.data else float(box.time)
+        slope = np.zeros(box.lower.shape)
+        return (np.full(len(slope), least), np.full(len(slope), largest)), (slope, slope), None
+
+    def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
+        return f"{LOOK_UP}({', '.join(['t', *map(notation.number, node.data)])})" if node.data else "t"
 
 
 class _Sum(Operation):
@@ -148,8 +181,8 @@ class _Sum(Operation):
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         return sum_rule(node.data[:-1], arguments, node.data[-1], at.y.shape[::-1])
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
-        return intervals.sum_rule(node.data[:-1], arguments, node.data[-1], box)
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+        return intervals.sum_rule(node.data[:-1], arguments, node.data[-1], box[:2])
 
     def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
         k = sum(node.dimensions)
@@ -177,7 +210,7 @@ class _Product(Operation):
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         return product_rule(arguments[0], arguments[1])
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
         return intervals.product_rule(arguments[0], arguments[1], curved)
 
     def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
@@ -201,7 +234,7 @@ class _Quotient(Operation):
         d = under[0]
         return product_rule(over, chain_rule(under, 1 / d, -(d**-2.0), 2 * d**-3.0))
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
         over, under = arguments
         once = inverse(under[0])
         twice = multiply(once, once)
@@ -222,7 +255,7 @@ class _Power(Operation):
         p, base = node.data[0], arguments[0][0]
         return chain_rule(arguments[0], base**p, p * base ** (p - 1), p * (p - 1) * base ** (p - 2))
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
         p, base = int(node.data[0]), arguments[0][0]
         first, second = scale(p, power(base, p - 1)), scale(p * (p - 1), power(base, p - 2))
         return intervals.chain_rule(arguments[0], power(base, p), first, second, curved)
@@ -240,15 +273,37 @@ class _Norm(Operation):
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         return norm_rule(arguments, at.selections.get(node))
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
         return intervals.norm_rule(arguments, curved)
 
 
-class _Extreme(Operation):
-    """A maximum or minimum: only its modes have values and derivatives."""
+class _Angle(Operation):
+    """The angle arctan2(a, b) of the point (b, a), which jumps where a = 0 and b < 0."""
 
-    def __init__(self, name: str):
-        self._name = name
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        return np.where(np.hypot(*arguments) > 0, np.arctan2(*arguments), np.nan)
+
+    def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
+        (a, b), square = (jet[0] for jet in arguments), sum(jet[0] ** 2 for jet in arguments)
+        first = np.stack([b, -a], axis=-1) / square[:, None]
+        across = np.stack([-2 * a * b, a**2 - b**2, a**2 - b**2, 2 * a * b], axis=-1) / (square**2)[:, None]
+        value = self.value(node, [a, b], at)
+        stacked = stack_jets(arguments)
+        found = compose_jets(stacked, value[:, None], first[:, None], across.reshape(-1, 1, 2, 2))
+        return found[0][0], found[1][0], found[2][0]
+
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+        raise UnsupportedError("a global bound: arctan2 jumps and has no bounds over boxes; write it with arctan.")
+
+
+class _Extreme(Operation):
+    """A maximum or minimum: only its modes have derivatives."""
+
+    def __init__(self, name: str, largest: np.ufunc):
+        self._name, self._largest = name, largest
+
+    def value(self, node: Node, arguments: Sequence[Array], at: Points) -> Array:
+        return np.asarray(self._largest.reduce(list(arguments)))
 
     def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
         return f"{self._name}({', '.join(parts)})"
@@ -275,7 +330,7 @@ class _ExternalOutput(Operation):
         value, slope, hessian = at.calls[key]
         return value[output], slope[output], hessian[output]
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
         name = _call(node)[0].title
         raise UnsupportedError(f"a global bound: {name} is no formula; only formulas have bounds over boxes.")
 
@@ -300,7 +355,7 @@ class ScalarFunction(Operation):
         value = self.function(arguments[0][0])
         return chain_rule(arguments[0], value, *self.derivatives(arguments[0][0], value))
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Interval, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
         """Return enclosures, by the chain rule."""
         return intervals.chain_rule(arguments[0], *self.enclosures(arguments[0][0]), curved)
 
@@ -317,6 +372,21 @@ def _factor(node: Node, parts: Sequence[str], i: int, whole: Set[int]) -> str:
     return f"({parts[i]})" if bracketed else parts[i]
 
 
+def _tanh(a: Array, value: Array) -> tuple[Array, Array]:
+    slope = np.cosh(a) ** -2.0
+    return slope, -2 * value * slope
+
+
+def _arcsin(a: Array, _: Array) -> tuple[Array, Array]:
+    left = 1 - a**2
+    return left**-0.5, a * left**-1.5
+
+
+def _arctan(a: Array, _: Array) -> tuple[Array, Array]:
+    slope = 1 / (1 + a**2)
+    return slope, -2 * (a * slope) * slope
+
+
 # All operations by the kind of their nodes.
 OPERATIONS: dict[str, Operation] = {
     VARIABLE: _Variable(),
@@ -325,20 +395,30 @@ OPERATIONS: dict[str, Operation] = {
     QUOTIENT: _Quotient(),
     POWER: _Power(),
     NORM: _Norm(),
-    MAXIMUM: _Extreme("max"),
-    MINIMUM: _Extreme("min"),
+    MAXIMUM: _Extreme("max", np.maximum),
+    MINIMUM: _Extreme("min", np.minimum),
+    TIME: _OfTime(),
+    TABLE: _OfTime(),
     EXTERNAL: _ExternalOutput(),
     "exp": ScalarFunction(np.exp, lambda _, value: (value, value), intervals.exponential),
     "log": ScalarFunction(np.log, lambda a, _: (1 / a, -(a**-2.0)), intervals.logarithm),
     "sqrt": ScalarFunction(np.sqrt, lambda a, value: (0.5 / value, -0.25 / (value * a)), intervals.square_root),
     "sin": ScalarFunction(np.sin, lambda a, value: (np.cos(a), -value), intervals.sine),
     "cos": ScalarFunction(np.cos, lambda a, value: (-np.sin(a), -value), intervals.cosine),
-    "tanh": ScalarFunction(
-        np.tanh, lambda a, value: (slope := np.cosh(a) ** -2.0, -2 * value * slope), intervals.hyperbolic_tangent
+    "tanh": ScalarFunction(np.tanh, _tanh, intervals.hyperbolic_tangent),
+    "arctan": ScalarFunction(np.arctan, _arctan, intervals.arc_tangent),
+    "tan": ScalarFunction(np.tan, lambda _, value: (1 + value**2, 2 * value * (1 + value**2)), intervals.tangent),
+    "sinh": ScalarFunction(np.sinh, lambda a, value: (np.cosh(a), value), intervals.hyperbolic_sine),
+    "cosh": ScalarFunction(np.cosh, lambda a, value: (np.sinh(a), value), intervals.hyperbolic_cosine),
+    "arcsin": ScalarFunction(np.arcsin, _arcsin, intervals.arc_sine),
+    "arccos": ScalarFunction(np.arccos, lambda a, _: (-_arcsin(a, a)[0], -_arcsin(a, a)[1]), intervals.arc_cosine),
+    "arcsinh": ScalarFunction(
+        np.arcsinh, lambda a, _: ((1 + a**2) ** -0.5, -a * (1 + a**2) ** -1.5), intervals.area_sine
     ),
-    "arctan": ScalarFunction(
-        np.arctan, lambda a, _: (slope := 1 / (1 + a**2), -2 * (a * slope) * slope), intervals.arc_tangent
+    "arctanh": ScalarFunction(
+        np.arctanh, lambda a, _: (1 / (1 - a**2), 2 * a * (1 - a**2) ** -2.0), intervals.area_tangent
     ),
+    ANGLE: _Angle(),
 }
 
 

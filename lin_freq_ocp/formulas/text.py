@@ -12,6 +12,7 @@ import operator
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from inspect import signature
 
 import numpy as np
 
@@ -20,7 +21,17 @@ from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas import nodes
 from lin_freq_ocp.formulas.nodes import Formula, post_order
-from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, OPERATIONS, SUM, VARIABLE, Notation, scalar_functions
+from lin_freq_ocp.formulas.operations import (
+    ANGLE,
+    LOOK_UP,
+    MAXIMUM,
+    MINIMUM,
+    OPERATIONS,
+    SUM,
+    VARIABLE,
+    Notation,
+    scalar_functions,
+)
 
 LONGEST_FORMULA = 100_000  # characters of one formula
 # User input for formulas of x and u, such as "x_0 + u_0"; a function is called with signals
@@ -36,20 +47,21 @@ ARITHMETIC: dict[type[ast.operator], Callable[..., float]] = {  # of numbers, an
 
 def function_names() -> tuple[str, ...]:
     """Return the names of all functions that a text may call."""
-    return ("abs", "max", "min", "norm", *scalar_functions())
+    return ("abs", "max", "min", "norm", *scalar_functions(), ANGLE, LOOK_UP)
 
 
 def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
-    """Return x_0 .. and u_0 .. by name."""
+    """Return x_0 .., u_0 .. and the time t by name."""
     x, u = nodes.signals(*dimensions)
-    return {f"x_{i}": variable for i, variable in enumerate(x)} | {f"u_{i}": variable for i, variable in enumerate(u)}
+    names = {f"x_{i}": variable for i, variable in enumerate(x)} | {f"u_{i}": variable for i, variable in enumerate(u)}
+    return names | {"t": nodes.time_of(dimensions)}
 
 
 def listed_formulas(field: str, formulas: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
     """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
     if callable(formulas):
         try:
-            formulas = formulas(*nodes.signals(*dimensions))
+            formulas = formulas(*_arguments(formulas, dimensions))
         except LinFreqOCPError:
             raise
         except Exception as error:  # any error of a function that was not made for formulas
@@ -74,12 +86,24 @@ def listed_formulas(field: str, formulas: object, dimensions: tuple[int, int]) -
     return tuple(converted)
 
 
+def _arguments(function: Callable[..., object], dimensions: tuple[int, int]) -> list[object]:
+    """Return what a function is called with: x and u, and the time where a parameter has the name t."""
+    given: list[object] = [*nodes.signals(*dimensions)]
+    try:
+        names = list(signature(function).parameters)
+    except (TypeError, ValueError):  # compiled functions may have no signature
+        return given
+    if "t" in names:
+        given.insert(names.index("t"), nodes.time_of(dimensions))
+    return given
+
+
 def formula_from_text(
     field: str, text: str, dimensions: tuple[int, int], known: Mapping[str, Formula] | None = None
 ) -> Formula:
     """Return the formula of a text; errors name the field.
 
-    It has numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1} or the names in ``known``, + - * / **, and ``function_names``.
+    It has numbers, x_0 .. x_{n-1}, u_0 .. u_{m-1}, t or the names in ``known``, + - * / **, and ``function_names``.
     """
     if len(text) > LONGEST_FORMULA:
         raise ProblemError(field, f"{len(text)} characters", f"at most {LONGEST_FORMULA}")
@@ -104,7 +128,7 @@ def formula_from_text(
 
 def _expected_text() -> str:
     names = ", ".join(function_names())
-    return f"numbers, x_0, x_1, ..., u_0, ..., with + - * / ** ( ) and {names}, as in 'norm(x_0, x_1) * u_0'"
+    return f"numbers, x_0, x_1, ..., u_0, ..., t, with + - * / ** ( ) and {names}, as in 'norm(x_0, x_1) * u_0'"
 
 
 class _Reader:
@@ -173,6 +197,15 @@ class _Reader:
             if constant:
                 return max(numbers) if name == "max" else min(numbers)
             return nodes.extreme(MAXIMUM if name == "max" else MINIMUM, arguments, None)
+        if name == ANGLE and len(arguments) == 2:
+            if constant:
+                return self._number(lambda: math.atan2(*numbers))
+            like = next(one for one in arguments if isinstance(one, Formula))
+            return nodes.as_formula(like, name, arguments[0]).arctan2(arguments[1])
+        if name == LOOK_UP and len(arguments) > 1 and isinstance(arguments[0], Formula):
+            if len(numbers) < len(arguments) - 1:
+                raise self._other()
+            return arguments[0].look_up(numbers)
         if name == "norm" and not constant:
             return nodes.norm(list(arguments))
         if len(arguments) == 1 and name == "abs":
@@ -194,7 +227,7 @@ def read_definitions(field: str, table: object, dimensions: tuple[int, int]) -> 
         entry = f"{field}.{name}"
         if not isinstance(name, str) or not name.isidentifier() or not name.isascii() or keyword.iskeyword(name):
             raise ProblemError(field, brief(name), "names of letters, digits and _, which begin with no digit")
-        if name in known or name in function_names():
+        if (name in known and name != "t") or name in function_names():  # files older than the time may define t
             raise ProblemError(entry, "the name of a signal or a function", "another name")
         if isinstance(text, bool) or not isinstance(text, (str, int, float)):
             raise ProblemError(entry, brief(text), "a formula in quotes, or a number")

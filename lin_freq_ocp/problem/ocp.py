@@ -14,6 +14,7 @@ from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
+from lin_freq_ocp.problem.costs.smooth import with_cost
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, require_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -38,7 +39,7 @@ class OptimalControlProblem(ProblemData):
         The map f_t, with names, units and sampling time. Points outside the regions of all modes are infeasible.
     horizon : int
         T: number of controls u_0 .. u_{T-1}; there are T+1 states.
-    cost : QuadraticCost, L1Cost, LInfCost, or a sum of them
+    cost : QuadraticCost, L1Cost, LInfCost, SmoothCost, or a sum of them
         The 1/2 of a QuadraticCost is part of its definition.
     control_set, state_set : set, sequence of sets, or None
         One set (Box, Polyhedron, Ball, ...) for all times, or one per time (T for controls, T+1 for states). A
@@ -104,17 +105,19 @@ class OptimalControlProblem(ProblemData):
             advice = "From python-control: LinearDynamics.from_statespace."
             raise ProblemError("dynamics", brief(dynamics), expected, advice)
         if not isinstance(cost, Cost):
-            raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
+            raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, SmoothCost, or a sum of them")
         printable("name", name)
         dynamics, control_set = with_levels(dynamics, control_set)
         n, m, T = dynamics.state_dim, dynamics.control_dim, positive_integer("horizon", horizon)
         dynamics.require_horizon(T)
         require_horizon(T, n, m)
+        cost = cost.at_dimensions(n, m, T)
+        dynamics = with_cost(dynamics, cost)
         assign(
             self,
             dynamics=dynamics,
             horizon=T,
-            cost=cost.at_dimensions(n, m, T),
+            cost=cost,
             control_set=control_set,
             state_set=state_set,
             initial_state=end_set("initial_state", initial_state, n),
@@ -249,8 +252,9 @@ class OptimalControlProblem(ProblemData):
         return terms_of(self)
 
     def value(self, x: Array, u: Array) -> float:
-        """Return J: the quadratic cost, the nonsmooth ones, and the penalties of soft constraints."""
-        return float(self.quadratic.value(x, u) + sum(term.cost(x, u).sum() for term in self.terms))
+        """Return J: the costs, quadratic, nonsmooth and by formulas, and the penalties of soft constraints."""
+        terms = sum(term.cost(x, u).sum() for term in self.terms)
+        return float(self.quadratic.value(x, u) + self.cost.formula_values(x, u).sum() + terms)
 
     @cached_property
     def control_band(self) -> Mask:

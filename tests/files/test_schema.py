@@ -324,9 +324,11 @@ def test_the_keys_of_tables_are_those_of_the_reader():
         ("output_spectrum", tables.OUTPUTS),
     ):
         assert keys_of(record) == (keys(part), set(PARTS[part].get("required", ()))), part
-    assert PARTS["norm_cost"]["properties"]["kind"]["enum"] == list(tables.NORM_COSTS.records)
-    for record in tables.NORM_COSTS.records.values():
-        assert (keys_of(record)[0], {"kind"}) == (keys("norm_cost") - {"kind"}, set(PARTS["norm_cost"]["required"]))
+    norms = PARTS["norm_cost"]["properties"]["kind"]["enum"]
+    assert [*norms, PARTS["formula_cost"]["properties"]["kind"]["const"]] == list(tables.NORM_COSTS.records)
+    for kind, record in tables.NORM_COSTS.records.items():
+        part = "norm_cost" if kind in norms else "formula_cost"
+        assert (keys_of(record)[0], {"kind"}) == (keys(part) - {"kind"}, set(PARTS[part]["required"]))
 
 
 def kinds(part: str) -> list[str]:

@@ -118,7 +118,7 @@ def test_texts_are_formulas(text, value):
 @pytest.mark.parametrize(
     "text",
     ["x_2", "x_0 +", "__import__('os')", "x_0.real", "x_0 if u_0 else 1", "max(x_0)", "norm()", "1 / 0", "x_0 ** u_0",
-     "", "tan(x_0)", "x_0 < 1", "[x_0]", "exp(x=1)", "'a'", "True", "x_0 + " * 3000 + "1"],
+     "", "cbrt(x_0)", "x_0 < 1", "[x_0]", "exp(x=1)", "'a'", "True", "x_0 + " * 3000 + "1"],
 )  # fmt: skip
 def test_texts_that_say_anything_else_are_refused(text):
     with pytest.raises(lfo.errors.ProblemError) as caught:

@@ -46,7 +46,7 @@ Mask, Energy, Equation, Rows = (
 )
 Ball, Box, Soft = lfo.sets.Ball, lfo.Box, lfo.sets.Soft
 BALL_3, BOX_3 = Ball(1, [0, 0, 0]), Box([0, 0, 0], 1)
-NO_COST = "QuadraticCost, L1Cost, LInfCost, or a sum of them"
+NO_COST = "QuadraticCost, L1Cost, LInfCost, SmoothCost, or a sum of them"
 
 COSTS = {
     "negative": (lambda: L1(u=-1), "L1Cost.u", "-1", "zero or above"),

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.hamiltonian import extremal_at
+from lin_freq_ocp.certificate.hamiltonian import extremal_at, require_fitting
 from lin_freq_ocp.certificate.hybrid.clarke import (
     NormKink,
     SwitchingFacts,
@@ -30,6 +30,7 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Judgement, SecondOrder
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
+from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -60,6 +61,15 @@ def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     return replace(judgement, borders=facts, second_order=test)
 
 
+def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
+    """Judge a trajectory of a problem with a cost by formulas: with the cost as a state, which has its gradient."""
+    problem.require(trajectory)
+    require_fitting(problem, multipliers)
+    inverse = cost_as_state(problem, trajectory)
+    assert inverse is not None  # there is a cost by formulas
+    return judge_smooth(inverse.problem, inverse.with_cost(trajectory), inverse.with_adjoint(multipliers))
+
+
 def _judge_norms(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
 ) -> tuple[dict[Formula, Array], tuple[NormKink, ...]]:
@@ -85,7 +95,7 @@ def _judge_norms(
             missing = (required[t] - base[t, mode]) / scale
             selection[t] = nearest_in_ball((columns[:, t, mode] / scale).T, missing)
             signals = np.append(trajectory.x[t], trajectory.u[t])
-            pull = dynamics.pull_of_norm(norm, signals, mode, multipliers.eta[t])
+            pull = dynamics.pull_of_norm(norm, signals, int(t), mode, multipliers.eta[t])
             rate = pull if pull > CONDITION_TOLERANCE * float(scale.max()) else min(pull, 0.0)
             kinks.append(NormKink(int(t), _norm_text(problem, norm), tuple(float(part) for part in selection[t]), rate))
     return selections, tuple(kinks)

@@ -31,6 +31,7 @@ from lin_freq_ocp.base.arrays import (
 )
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum
+from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.terms.term import Term
 
 # Of each field, the axes of one time: n states, m controls
@@ -59,7 +60,7 @@ class Cost(ABC):
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> Cost:
         """Return the cost with all weights and references as arrays of the right shape, checked."""
-        complete = CostSum(list(self.norms))
+        complete = CostSum([norm.with_signals(n, m, horizon, f"cost.norms[{i}]") for i, norm in enumerate(self.norms)])
         assign(complete, smooth=self.quadratic.at_dimensions(n, m, horizon))
         return complete
 
@@ -77,6 +78,27 @@ class Cost(ABC):
             name = f"{cost.label} {before + 1}" if before else cost.label
             terms += cost.own_terms(n, m, horizon, f"cost.norms[{i}]", name)
         return terms
+
+    @property
+    def formulas(self) -> tuple[Formula | None, Formula | None]:
+        """Return the formulas of the stage and of the terminal cost, None for none; in a problem."""
+        stages, ends = zip((None, None), *(norm.formulas for norm in self.norms), strict=True)
+        stage, end = ([one for one in given if one is not None] for given in (stages, ends))
+        return sum(stage[1:], stage[0]) if stage else None, sum(end[1:], end[0]) if end else None
+
+    @property
+    def has_formulas(self) -> bool:
+        """Whether a part of it is a formula."""
+        return any(one is not None for one in self.formulas)
+
+    @property
+    def without_formulas(self) -> Cost:
+        """Return the cost without its parts by formulas."""
+        return CostSum([self.quadratic, *(norm for norm in self.norms if not norm.has_formulas)])
+
+    def formula_values(self, x: Array, u: Array) -> Array:
+        """Return the costs by formulas of every time, (T+1,), for x (T+1, n) and u (T, m)."""
+        return sum((norm.formula_values(x, u) for norm in self.norms), np.zeros(len(x)))
 
     def __add__(self, other: Cost) -> CostSum:
         return CostSum([self, other])
@@ -98,6 +120,17 @@ class NonsmoothCost(Cost):
     @property
     def norms(self) -> tuple[NonsmoothCost, ...]:
         return (self,)
+
+    @property
+    def formulas(self) -> tuple[Formula | None, Formula | None]:
+        return None, None
+
+    def formula_values(self, x: Array, u: Array) -> Array:
+        return np.zeros(len(x))
+
+    def with_signals(self, n: int, m: int, horizon: int, field: str) -> NonsmoothCost:
+        """Return the cost with its formulas, if it has any, as those of n states and m controls."""
+        return self
 
     @abstractmethod
     def own_terms(self, n: int, m: int, horizon: int, field: str, name: str) -> list[Term]:
@@ -391,7 +424,7 @@ class CostSum(Cost):
             raise ProblemError("cost", brief(costs), "a list of costs")
         for cost in costs:
             if not isinstance(cost, Cost):
-                raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, or a sum of them")
+                raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, SmoothCost, or a sum of them")
         quadratic = [cost.quadratic for cost in costs if not cost.quadratic.zero]
         if len(quadratic) > 1:
             raise ProblemError("cost", "a sum of two quadratic costs", "at most one", "Add their matrices.")

@@ -80,6 +80,11 @@ class Dynamics(ABC):
         return self, None
 
     @property
+    def without_cost(self) -> Dynamics:
+        """Return the dynamics as stated, if a cost by formulas has become a part of them."""
+        return self
+
+    @property
     def level_sizes(self) -> Array:
         """Return the largest absolute level of each control, (m,); 0 for a control without levels."""
         return np.zeros(self.control_dim)

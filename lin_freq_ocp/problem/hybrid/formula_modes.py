@@ -25,11 +25,12 @@ from lin_freq_ocp.base.polyhedra import (
 )
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, evaluate, kinks, rebuild, text_of
-from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS
+from lin_freq_ocp.formulas.operations import EXTERNAL, MAXIMUM, MINIMUM, OPERATIONS, TABLE, TIME
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import unique_names
 from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 
+VARYING = (EXTERNAL, TIME, TABLE)  # operations that are no constants where their arguments are
 MOST_MODES = 64  # choices of the arguments of maxima and minima
 
 
@@ -82,15 +83,19 @@ class FormulaPiece:
                 )
 
 
-def formula_pieces(formulas: Sequence[Formula], most: int = MOST_MODES) -> list[FormulaPiece]:
-    """Return a piece for each choice of arguments that can hold, at most ``most``.
+def formula_pieces(
+    formulas: Sequence[Formula], most: int = MOST_MODES, region: Sequence[Formula] = ()
+) -> list[FormulaPiece]:
+    """Return a piece for each choice of arguments that can hold in a region, at most ``most``.
 
     There is no piece for a choice whose affine switching functions leave no interior, or with another switching
     function above zero everywhere by interval bounds. Pieces are closed, so that the others cover everything. Of
     arguments that are the same function, the first is chosen.
     """
     whole = tuple(formulas)
-    pieces = [FormulaPiece(whole, np.zeros((0, sum(whole[0].dimensions) + 1)))] if whole else []
+    rows = np.array([row for row in map(affine_row, region) if row is not None])
+    rows = rows.reshape(-1, sum(whole[0].dimensions) + 1 if whole else 1)
+    pieces = [FormulaPiece(whole, rows, tuple(region))] if whole else []
     for branching in kinks(whole, MAXIMUM, MINIMUM):
         pieces = [part for piece in pieces for part in piece.split(branching)]
         if len(pieces) > most:
@@ -115,7 +120,7 @@ def affine_row(formula: Formula) -> Array | None:
         if len(rows) < len(parts):
             return None
         row = OPERATIONS[formula.kind].affine(formula, rows)
-        if row is None and formula.kind != EXTERNAL and not any(part[:-1].any() for part in rows):
+        if row is None and formula.kind not in VARYING and not any(part[:-1].any() for part in rows):
             value = float(values_of([formula], np.zeros((1, k)))[0, 0])
             row = value * np.eye(k + 1)[k] if np.isfinite(value) else None
         return row

@@ -10,11 +10,21 @@ from typing import Any
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, positive_integer
-from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError, ProblemError
 from lin_freq_ocp.base.phrases import first_few, split_unit
 from lin_freq_ocp.formulas.jets import Jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, evaluate, kinks, text_of, translate_formulas
-from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, VARIABLE
+from lin_freq_ocp.formulas.nodes import (
+    Formula,
+    evaluate,
+    kinks,
+    require_times,
+    signals,
+    text_of,
+    time_of,
+    translate_formulas,
+    with_states,
+)
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, TABLE, TIME, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, listed_formulas
 from lin_freq_ocp.problem.dynamics.base import StandardDynamics, Step, mode_facts, mode_labels, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -35,7 +45,8 @@ class SmoothMode:
     Parameters
     ----------
     f : sequence of Formula, or function
-        x_{t+1}: a formula for each state, or a function of (x, u) that returns them when it is called with signals.
+        x_{t+1}: a formula for each state, or a function of (x, u) or (t, x, u) that returns them when it is called with
+        signals; t is the time 0 .. T-1, and ``t.look_up(values)`` a number for each.
         Wrap a function that needs numbers in a ``DifferentiableFunction``, or use ``from_casadi``.
     region : sequence of Formula, or function
         Switching functions: the piece holds where all of them are <= 0. Empty: everywhere.
@@ -44,6 +55,8 @@ class SmoothMode:
         but not be zero.
     name : str
         The name in reports; default "mode i".
+    cost : tuple of Formula
+        The stage cost by formulas in this mode, one formula or none; from the cost of a problem.
 
     Examples
     --------
@@ -57,18 +70,43 @@ class SmoothMode:
     region: Any = ()
     domain: Any = ()
     name: str = ""
+    cost: tuple[Formula, ...] = ()
 
-    def with_signals(self, field: str, dimensions: tuple[int, int]) -> SmoothMode:
-        """Return the mode with tuples of formulas, checked: n formulas of f, and no maxima or minima."""
+    def pieces(self, field: str, dimensions: tuple[int, int]) -> list[SmoothMode]:
+        """Return the mode with tuples of formulas, checked: a mode for each choice of maxima and minima of f."""
         f = listed_formulas(f"{field}.f", self.f, dimensions)
         region = listed_formulas(f"{field}.region", self.region, dimensions)
         domain = listed_formulas(f"{field}.domain", self.domain, dimensions)
         if len(f) != dimensions[0]:
             raise ProblemError(f"{field}.f", f"{len(f)} formulas", f"{dimensions[0]}, one for each state")
-        if next(kinks([*f, *region, *domain], MAXIMUM, MINIMUM), None) is not None:
-            advice = "PiecewiseSmoothDynamics.from_formulas makes the pieces."
-            raise ProblemError(field, "a maximum or minimum", "smooth pieces", advice)
-        return SmoothMode(f, region, domain, self.name)
+        if next(kinks([*region, *domain, *self.cost], MAXIMUM, MINIMUM), None) is not None:
+            advice = "Those of f make modes of their own."
+            raise ProblemError(field, "a maximum or minimum in a region or domain", "smooth functions", advice)
+        if next(kinks(f, MAXIMUM, MINIMUM), None) is None:
+            return [SmoothMode(f, region, domain, self.name, self.cost)]
+        return [
+            SmoothMode(
+                piece.formulas, piece.region, domain, ", ".join(filter(None, (self.name, piece.name))), self.cost
+            )
+            for piece in formula_pieces(f, region=region)
+        ]
+
+
+def affine_formulas(rows: Array, offset: Array, dimensions: tuple[int, int]) -> list[Formula]:
+    """Return rows (x, u) + offset as formulas, rows (k, n + m) and offset (k,), or (T, ...) each, one per time."""
+    y, zero = np.concatenate(signals(*dimensions)), 0.0 * signals(*dimensions)[0][0]
+
+    def coefficient(values: Array) -> Formula | float:
+        varies = values.ndim and (values != values[0]).any()
+        return time_of(dimensions).look_up(values) if varies else float(values.flat[0])
+
+    return [
+        sum(
+            (coefficient(rows[..., i, j]) * y[j] for j in range(len(y)) if rows[..., i, j].any()),
+            zero + coefficient(offset[..., i]),
+        )
+        for i in range(rows.shape[-2])
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +188,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         n, m = positive_integer("dynamics.state_dim", state_dim), positive_integer("dynamics.control_dim", control_dim)
         if not isinstance(modes, Sequence) or not modes or not all(isinstance(mode, SmoothMode) for mode in modes):
             raise ProblemError("dynamics.modes", brief(modes), "a list of at least one SmoothMode")
-        checked = tuple(mode.with_signals(f"dynamics.modes[{i}]", (n, m)) for i, mode in enumerate(modes))
+        checked = tuple(one for i, mode in enumerate(modes) for one in mode.pieces(f"dynamics.modes[{i}]", (n, m)))
         assign(self, modes=checked, **signal_labels(n, m, sampling_time, state_names, control_names))
         _ = self.mode_names  # all different
 
@@ -172,7 +210,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         Parameters
         ----------
         f : sequence of Formula, or function
-            One formula for each state, or a function of (x, u) that returns them.
+            One formula for each state, or a function of (x, u) or (t, x, u) that returns them.
         state_dim, control_dim, sampling_time, state_names, control_names
             As for the class.
         domain : sequence of Formula, or function
@@ -233,8 +271,8 @@ class PiecewiseSmoothDynamics(StandardDynamics):
 
     @cached_property
     def norms(self) -> tuple[Formula, ...]:
-        """The norms in the maps and switching functions, inner ones first."""
-        formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region)]
+        """The norms in the maps, switching functions and costs, inner ones first."""
+        formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.cost)]
         return tuple(kinks(formulas, NORM))
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
@@ -244,26 +282,36 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         norms = list(dict.fromkeys(text_of(norm, names) for norm in self.norms))
         return [*facts, *([("kinks", f"{first_few(norms, 4)}, not differentiable at zero")] if norms else [])]
 
+    @cached_property
+    def formulas(self) -> tuple[Formula, ...]:
+        """All formulas of all modes: maps, switching functions, domains and costs."""
+        return tuple(one for mode in self.modes for one in (*mode.f, *mode.region, *mode.domain, *mode.cost))
+
+    @cached_property
+    def depends_on_time(self) -> bool:
+        """Whether a formula has the time t."""
+        return next(kinks(self.formulas, TIME, TABLE), None) is not None
+
     def require_horizon(self, horizon: int) -> None:
-        """Accept every horizon: no data depend on time."""
+        """Raise ProblemError unless tables over time have ``horizon`` numbers."""
+        require_times("dynamics", self.formulas, horizon)
 
     def gains(self) -> tuple[Array, Array, Array]:
         """Return rough sizes of the derivatives, (n, n) and (n, m), and of the constant, (n,)."""
         n, m = self.state_dim, self.control_dim
-        maps = self.jets_at(np.stack([np.zeros(n + m), np.ones(n + m)])).f
+        maps = self.jets_at(np.stack([np.zeros(n + m), np.ones(n + m)]), times=np.zeros(2, dtype=np.intp)).f
         slopes = np.nan_to_num(np.abs([jet.slopes for jet in maps]), nan=1.0, posinf=1.0).max(axis=(0, 1))
         constant = np.nan_to_num(np.abs([jet.values[0] for jet in maps]), nan=0.0, posinf=0.0).max(axis=0)
         return slopes[:, :n], slopes[:, n:], constant
 
     def translated(self, origin: Array) -> PiecewiseSmoothDynamics:
         """Return the dynamics of x - origin, with the same modes."""
-        formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.domain)]
-        moved = iter(translate_formulas(formulas, origin))
+        moved = iter(translate_formulas(self.formulas, origin))
         modes = list[SmoothMode]()
         for mode in self.modes:
             images = [next(moved) - float(value) for value in origin]
-            region, domain = ([next(moved) for _ in part] for part in (mode.region, mode.domain))
-            modes.append(SmoothMode(images, region, domain, mode.name))
+            region, domain, cost = ([next(moved) for _ in part] for part in (mode.region, mode.domain, mode.cost))
+            modes.append(SmoothMode(images, region, domain, mode.name, tuple(cost)))
         return replace(self, modes=modes)
 
     def gains_along(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -271,10 +319,13 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         A, B, d = (np.nan_to_num(part, posinf=0.0) for part in self.affine_at(x, u).gains())
         return A, B, d
 
-    def jets_at(self, y: Array, selections: Mapping[Formula, Array] | None = None) -> ModeJets:
-        """Return all modes with derivatives at points y = (x, u), (points, n + m)."""
+    def jets_at(
+        self, y: Array, selections: Mapping[Formula, Array] | None = None, times: Indices | None = None
+    ) -> ModeJets:
+        """Return all modes with derivatives at points y = (x, u), (points, n + m), and times as for ``jets``."""
         parts = [
-            tuple(jets(getattr(mode, part), y, selections) for mode in self.modes) for part in ("f", "region", "domain")
+            tuple(jets(getattr(mode, part), y, selections, times) for mode in self.modes)
+            for part in ("f", "region", "domain")
         ]
         return ModeJets(parts[0], parts[1], parts[2])
 
@@ -317,9 +368,9 @@ class PiecewiseSmoothDynamics(StandardDynamics):
             active[norm] = size <= ZERO_NORM * max(1.0, float(np.nanmax(size, initial=0.0)))
         return active
 
-    def pull_of_norm(self, norm: Formula, y: Array, mode: int, eta: Array) -> float:
+    def pull_of_norm(self, norm: Formula, y: Array, time: int, mode: int, eta: Array) -> float:
         """Return the derivative of <eta, f_mode> by a norm at y = (x, u), with the norm as an additional variable."""
-        k, (n, m) = len(y), norm.dimensions
+        (k, (n, m)), times = (len(y), norm.dimensions), np.array([time])
 
         def with_variable(node: Formula, arguments: list[Formula]) -> Formula:  # of (x, u, w), w the norm
             if node is norm:
@@ -327,7 +378,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
             return replace(node, dimensions=(n, m + 1), arguments=tuple(arguments))
 
         f = evaluate(self.modes[mode].f, with_variable)
-        slopes = jets(f, np.append(y, values_of([norm], y[None])[0])[None]).slopes
+        slopes = jets(f, np.append(y, values_of([norm], y[None], times)[0])[None], times=times).slopes
         return float(eta @ slopes[0, :, k])
 
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:
@@ -335,11 +386,14 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         return self.affine_at(x, u).linear_at(x, u)
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> PiecewiseSmoothDynamics:
-        """Raise UnsupportedError."""
-        raise UnsupportedError(
-            "dynamics: got PiecewiseSmoothDynamics; only linear and piecewise-affine dynamics take added states. Add "
-            "the previous control as a state of the formulas."
-        )
+        """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
+        n, m, k = self.state_dim, self.control_dim, len(A)
+        added, modes = affine_formulas(np.hstack([np.zeros((k, n)), A, B]), np.zeros(k), (n + k, m)), list[SmoothMode]()
+        for mode in self.modes:
+            f, region, domain = (with_states(part, k) for part in (mode.f, mode.region, mode.domain))
+            modes.append(SmoothMode([*f, *added], region, domain, mode.name))
+        labels = self.sampling_time, [*self.state_names, *names], self.control_names
+        return PiecewiseSmoothDynamics(modes, n + k, m, *labels)
 
     def sequence_of(self, x: Array, u: Array) -> Indices:
         """Return the mode at every time, (T,): of the modes that hold, the one with the image nearest to x_{t+1}."""
@@ -354,18 +408,18 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         def step(t: int, x: Array, u: Array) -> Array:
             if not np.isfinite(x).all():
                 return np.full_like(x, np.nan)
-            y = np.append(x, u)[None]
+            y, at = np.append(x, u)[None], np.array([t])
             if len(self.modes) == 1 and not self.modes[0].region:
-                after, domain = values_of(self.modes[0].f, y)[0], values_of(self.modes[0].domain, y)
+                after, domain = (values_of(part, y, at)[0] for part in (self.modes[0].f, self.modes[0].domain))
                 if np.isfinite(after).all() and (domain > 0).all():
                     return after
-            modes, sizes = self.jets_at(y), np.abs(np.append(x, u))
+            modes, sizes = self.jets_at(y, times=at), np.abs(np.append(x, u))
             for i in np.flatnonzero(modes.defined()[0]):
                 region = modes.regions[i]
                 rounding = SIMULATION_ROUNDING * (np.abs(region.slopes[0]) @ sizes + np.abs(region.values[0]))
                 if (region.values[0] <= rounding).all():
                     return modes.f[i].values[0]
-            at = f"t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}"
-            raise NumericalError(f"No mode of the dynamics is defined and holds at {at}.")
+            where = f"t = {t}, x = {brief(x.tolist())}, u = {brief(u.tolist())}"
+            raise NumericalError(f"No mode of the dynamics is defined and holds at {where}.")
 
         return step

@@ -9,9 +9,11 @@ from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet, modes_along
 from lin_freq_ocp.certificate.rays import Direction, descent_direction
+from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.fitted_multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import candidates
+from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
@@ -24,6 +26,12 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
 
     Every flip that they suggest is tried: the judge checks a direction of descent in the mode sequence with the flip.
     """
+    priced = cost_as_state(problem, trajectory)
+    if priced is not None:
+        certificate, n = certify_modes(priced.problem, priced.with_cost(trajectory)), problem.state_dim
+        descent = certificate.descent and replace(certificate.descent, x=certificate.descent.x[:, :n])
+        cost, scale = problem.value(trajectory.x, trajectory.u), cost_scale(problem, trajectory)
+        return replace(certificate, cost=cost, cost_scale=scale, descent=descent)
     best, _ = best_multipliers(problem, trajectory)
     problem = problem.affine_at(trajectory)
     if not best.failed and _facts(best).flip_stationary:
@@ -47,6 +55,11 @@ def best_multipliers(
 
     NumericalError if no fit could be solved and ``first`` is None.
     """
+    priced = cost_as_state(problem, trajectory)
+    if priced is not None:
+        given = first and priced.with_adjoint(first)
+        multipliers = priced.multipliers(best_multipliers(priced.problem, priced.with_cost(trajectory), given)[1])
+        return judge(problem, trajectory, multipliers), multipliers
     best: tuple[Certificate, Multipliers] | None = None
     fits = candidates(problem.affine_at(trajectory), trajectory)  # in every mode sequence of the trajectory
     try:

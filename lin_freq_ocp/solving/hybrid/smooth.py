@@ -23,6 +23,7 @@ from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothP
 from lin_freq_ocp.methods.hybrid.smooth.newton import newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -143,6 +144,12 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
 
     Newton's method ends at ``end``, by ``clock.now``.
     """
+    priced = cost_as_state(problem, local.trajectory)
+    if priced is not None:  # the same with the cost by formulas as a state
+        given = priced.with_cost(local.trajectory), priced.with_adjoint(local.multipliers)
+        refined = refine_optimum(priced.problem, replace(local, trajectory=given[0], multipliers=given[1]), end)
+        trajectory, multipliers = priced.trajectory(refined[0]), priced.multipliers(refined[1])
+        return trajectory, multipliers, judge(problem, trajectory, multipliers)
     affine = problem.affine_at(local.trajectory)
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)

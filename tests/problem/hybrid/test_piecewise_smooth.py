@@ -113,7 +113,7 @@ def test_outside_its_domain_a_mode_does_not_hold():
         (lambda: lfo.PiecewiseSmoothDynamics([], 1, 1), "a list of at least one SmoothMode"),
         (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(3)], 1, 1), r"dynamics.modes\[0\].f"),
         (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(lambda x, u: [x[0], u[0]])], 1, 1), "one for each state"),
-        (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(lambda x, u: [abs(x[0])])], 1, 1), "smooth pieces"),
+        (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(["x_0"], ["abs(x_0)"])], 1, 1), "smooth functions"),
         (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(lambda x, u: [x[0]], name="a")] * 2, 1, 1), "second time"),
         (lambda: lfo.PiecewiseSmoothDynamics([SmoothMode(lambda x, u: [x[0]], [lfo.signals(2, 1)[0][0]])], 1, 1),
          r"region\[0\]"),

@@ -35,8 +35,9 @@ from lin_freq_ocp.certificate.hybrid.global_bound.lattice import (
     stage_costs,
 )
 from lin_freq_ocp.certificate.hybrid.global_bound.samples import costs_to_come
-from lin_freq_ocp.certificate.hybrid.global_bound.step import BackwardStep, Boxes, met_cells
+from lin_freq_ocp.certificate.hybrid.global_bound.step import BackwardStep, Boxes, met_cells, second_order_least
 from lin_freq_ocp.formulas.jets import interval_jets
+from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -174,7 +175,7 @@ def _lattices(stages: PricedProblem) -> list[Lattice]:
         box = [np.append(part, bound[t])[None] for part, bound in ((lower, stages.lower), (upper, stages.upper))]
         for j in np.flatnonzero(~np.isfinite(box[0][0, n:]) | ~np.isfinite(box[1][0, n:])):
             raise UnsupportedError(f"a global bound: {problem.control_names[j]} is not bounded.")
-        images = [interval_jets(mode.f, box[0], box[1]).values for mode in piecewise_smooth(problem).modes]
+        images = [interval_jets(mode.f, *box, time=t).values for mode in piecewise_smooth(problem).modes]
         lower = np.maximum(np.min([image[0][0] for image in images], axis=0), stages.lowest[t + 1])
         upper = np.minimum(np.max([image[1][0] for image in images], axis=0), stages.highest[t + 1])
         upper = np.maximum(lower, upper)  # where that is empty, no image will meet the cell
@@ -191,6 +192,10 @@ def _backward_pass(
     linear, everywhere = stages.costs.terminal_linear, np.full(x.shape, np.inf)
     values = 0.5 * np.einsum("ci,ij,cj->c", x, P, x) + x @ linear
     values, slopes = values - ROUNDING * np.abs(values), x @ P + linear
+    for formula in stages.problem.cost.formulas[1:]:
+        if formula is not None:
+            value, slope = terminal_minorants(formula, level[-1].lattice)
+            values, slopes = values + value - ROUNDING * np.abs(value), slopes + slope
     last = CostToGo(level[-1].lattice, values[:, None], slopes[:, None], -everywhere, everywhere)
     none = level[-1].boxes.take(np.zeros(0, dtype=np.intp))
     done = [_Done(last, none, np.zeros(0), np.zeros(len(last.values)))]
@@ -210,6 +215,18 @@ def _backward_pass(
         if progress is not None:
             progress(1 - t / stages.problem.horizon)
     return done[::-1]
+
+
+def terminal_minorants(formula: Formula, lattice: Lattice) -> tuple[Array, Array]:
+    """Return affine functions below a terminal cost on all cells: values at their centres and slopes, (cells, n)."""
+    (n, m), x = formula.dimensions, np.pad(lattice.centres, ((0, 0), (0, formula.dimensions[1])))
+    half = lattice.width * (0.5 + ROUNDING) + ROUNDING * np.abs(lattice.centres)
+    r = np.pad(half, ((0, 0), (0, m)))
+    whole, centre = interval_jets([formula], x - r, x + r), interval_jets([formula], x, x, curved=False)
+    slopes, none = 0.5 * (centre.slopes[0] + centre.slopes[1])[:, 0], np.zeros_like(r)
+    lost = (0.5 * (centre.slopes[1] - centre.slopes[0])[:, 0] * r).sum(axis=1)
+    curved = second_order_least([none, none], [part[:, 0].copy() for part in whole.curvatures], r)
+    return centre.values[0][:, 0] - lost + np.minimum(curved, 0.0), slopes[:, :n]
 
 
 def _cheapest_path(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None, None]:

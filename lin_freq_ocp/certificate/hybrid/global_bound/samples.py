@@ -38,10 +38,10 @@ def costs_to_come(stages: PricedProblem, lattices: list[Lattice]) -> list[Array]
         points = _unit_grid(ARRIVAL_SAMPLES * (1 if len(lattice.cells) > 1 else ARRIVAL_SPREAD), len(lower))
         x, u = lattice.centres, lower + (points + 1) / 2 * (upper - lower)
         pairs = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
-        total = np.repeat(to_come[t], len(u)) + stages.cost(t, pairs)
+        total = np.repeat(to_come[t], len(u)) + stages.whole_cost(t, pairs)
         for mode in piecewise_smooth(stages.problem).modes:
-            y = values_of(mode.f, pairs)
-            inside = holds(mode, pairs) & np.isfinite(y).all(axis=1)
+            y = values_of(mode.f, pairs, np.array([t]))
+            inside = holds(mode, pairs, t) & np.isfinite(y).all(axis=1)
             cells = after.numbers(after.indices(np.where(inside[:, None], y, 0.0)))
             np.minimum.at(to_come[t + 1], cells, np.where(inside, total, np.inf))
         window = ARRIVAL_SPREAD + int(after.shape.max()) // 40
@@ -50,13 +50,13 @@ def costs_to_come(stages: PricedProblem, lattices: list[Lattice]) -> list[Array]
     return to_come
 
 
-def holds(mode: SmoothMode, pairs: Array) -> Mask:
-    """Where a mode holds up to rounding; at samples, which prove nothing."""
-    inside = np.ones(len(pairs), dtype=bool)
+def holds(mode: SmoothMode, pairs: Array, time: int) -> Mask:
+    """Where a mode holds up to rounding at a time; at samples, which prove nothing."""
+    inside, at = np.ones(len(pairs), dtype=bool), np.array([time])
     if mode.region:
-        inside &= (values_of(mode.region, pairs) <= 0).all(axis=1)
+        inside &= (values_of(mode.region, pairs, at) <= 0).all(axis=1)
     if mode.domain:
-        inside &= (values_of(mode.domain, pairs) > 0).all(axis=1)
+        inside &= (values_of(mode.domain, pairs, at) > 0).all(axis=1)
     return inside
 
 
@@ -108,9 +108,11 @@ class Samples:
         for i, mode in enumerate(piecewise_smooth(problem).modes):
             in_mode = (chosen == i) & np.isfinite(best)
             if in_mode.any():
-                jets = interval_jets(mode.f, at[in_mode], at[in_mode], curved=False)
+                formulas = *mode.f, *mode.cost
+                jets = interval_jets(formulas, at[in_mode], at[in_mode], curved=False, time=self.t)
                 y, J = (0.5 * (part[0] + part[1]) for part in (jets.values, jets.slopes))
-                gradient = at[in_mode] @ costs.hessians[self.t] + costs.linear[self.t]
+                gradient = at[in_mode] @ costs.hessians[self.t] + costs.linear[self.t] + J[:, n:].sum(axis=1)
+                y, J = y[:, :n], J[:, :n]
                 sigma = after.slopes_at(after.lattice.numbers(after.lattice.indices(y)), y)
                 inside = (at[in_mode] > lowest[in_mode]) & (at[in_mode] < highest[in_mode])
                 weights = np.where(inside | pole, width, 0.0)
@@ -142,11 +144,11 @@ class Samples:
         count, lattice = u.shape[1], self.after.lattice
         pole = lattice.width == 0
         pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
-        costs = self.stages.cost(self.t, pairs)
+        costs = self.stages.whole_cost(self.t, pairs)
         best, at, chosen = np.full(len(x), np.inf), pairs[::count].copy(), np.zeros(len(x), dtype=np.intp)
         for i, mode in enumerate(piecewise_smooth(self.stages.problem).modes):
-            y = values_of(mode.f, pairs)
-            inside = holds(mode, pairs) & np.isfinite(y).all(axis=1)
+            y = values_of(mode.f, pairs, np.array([self.t]))
+            inside = holds(mode, pairs, self.t) & np.isfinite(y).all(axis=1)
             y = np.where(inside[:, None], y, 0.0)
             cell = lattice.numbers(lattice.indices(y))
             within = (y >= lattice.lower) & (y <= lattice.upper) & (cell >= 0)[:, None]
@@ -169,10 +171,13 @@ class Samples:
         low, high = np.append(lattice.lower, stages.lower[t]), np.append(lattice.upper, stages.upper[t])
         range_, corners = high - low, np.stack([low, high])
         costs = np.abs(corners @ stages.costs.hessians[t] + stages.costs.linear[t]) * range_
+        for mode in piecewise_smooth(stages.problem).modes:
+            slopes = interval_jets(mode.cost, corners, corners, curved=False, time=t).slopes[0].sum(axis=1)
+            costs = np.maximum(costs, np.nan_to_num(np.abs(slopes) * range_, posinf=0.0))
         worth = float(costs.sum(axis=1).max()) or 1.0
         effects = np.zeros(len(self.after.lattice.width))
         for mode in piecewise_smooth(stages.problem).modes:
-            slopes = interval_jets(mode.f, corners, corners, curved=False).slopes[0]
+            slopes = interval_jets(mode.f, corners, corners, curved=False, time=t).slopes[0]
             effect = (np.abs(slopes) * range_).sum(axis=2)
             effects = np.maximum(effects, np.where(np.isfinite(effect), effect, 0.0).max(axis=0))
         with np.errstate(over="ignore", divide="ignore"):

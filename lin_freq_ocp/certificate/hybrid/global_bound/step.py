@@ -60,7 +60,7 @@ def taylor_bounds(
                 for side, more in enumerate(_scale_interval(factor, low[box, j], high[box, j])):
                     total[side] = total[side] + more
         first = np.where(r > 0, -np.maximum(np.abs(slope_over_box[0]), np.abs(slope_over_box[1])) * r, 0.0).sum(axis=1)
-        best = np.fmax(_second_order(slope, bend, r), np.where(np.isnan(first), -np.inf, first))
+        best = np.fmax(second_order_least(slope, bend, r), np.where(np.isnan(first), -np.inf, first))
     infinite = np.isposinf(constant)
     terms = np.where(infinite, 0.0, terms - np.where(np.isfinite(best), best, 0.0))
     return np.where(infinite, np.inf, value + best - ROUNDING * terms)
@@ -72,7 +72,7 @@ def enclose(centre: IntervalJets, whole: IntervalJets, r: Array) -> tuple[Array,
     return np.fmax(whole.values[0], mean[0]), np.fmin(whole.values[1], mean[1])
 
 
-def _second_order(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Array:
+def second_order_least(slope: Sequence[Array], bend: Sequence[Array], r: Array) -> Array:
     """Return the least of slope z + 1/2 z' bend z over |z| <= r, both known to lie between two bounds."""
     at_most = np.maximum(np.abs(slope[0]), np.abs(slope[1]))
     largest = np.maximum(np.abs(bend[0]), np.abs(bend[1]))
@@ -240,13 +240,16 @@ class BackwardStep:
         possible, (y, r) = np.ones(len(boxes.cell), dtype=bool), (boxes.centre, boxes.radius)
         for formulas, inside in ((mode.region, 1.0), (mode.domain, -1.0)):
             if formulas:
-                jets = (interval_jets(formulas, *box, curved=False) for box in ((y, y), (y - r, y + r)))
+                jets = (interval_jets(formulas, *box, curved=False, time=self._t) for box in ((y, y), (y - r, y + r)))
                 low, high = enclose(*jets, r)
                 possible &= ~(low > 0 if inside > 0 else high <= 0).any(axis=1)
         boxes = boxes.take(possible)
         y, r = boxes.centre, boxes.radius
-        whole, centre = interval_jets(mode.f, y - r, y + r), interval_jets(mode.f, y, y, curved=False)
-        boxes.low[:], boxes.high[:] = enclose(centre, whole, r)
+        formulas = *mode.f, *mode.cost  # the cost by formulas counts as one more component of f, with the slope 1
+        whole = interval_jets(formulas, y - r, y + r, time=self._t)
+        centre = interval_jets(formulas, y, y, curved=False, time=self._t)
+        low, high = enclose(centre, whole, r)
+        boxes.low[:], boxes.high[:] = low[:, : self._n], high[:, : self._n]
         meets = _meets(boxes, after)
         first, final = after.indices(boxes.low, -1), after.indices(boxes.high, 1)
         span = (final - first + 1).max(axis=1)
@@ -258,7 +261,8 @@ class BackwardStep:
         from_centre = y[:, : self._n] - self._lattice.centres[boxes.cell]
         offset = self._stages.cost(self._t, y)[:, None] - np.einsum("psn,pn->ps", cell_slopes, from_centre)
         change = np.abs(gradient) + (r @ np.abs(self._hessian))[:, None]
-        bounds = offset - (change * r[:, None]).sum(axis=2) + self._minima.least(first, final)[:, None]
+        least = self._minima.least(first, final) + low[:, self._n :].sum(axis=1)
+        bounds = offset - (change * r[:, None]).sum(axis=2) + least[:, None]
         bounds[~meets] = np.inf
         for rows in _batches(np.flatnonzero(meets & (span <= MAX_SPAN[self._n])), first, final):
             pair, cell = _pairs(rows, first, final, boxes, self._after)
@@ -275,10 +279,13 @@ class BackwardStep:
         extent = np.where(extent > 0, extent, 1.0)
         cost = float(steep.sum(axis=1).max(initial=0.0))
         worth = self._minima.steepest + (self._minima.spread or cost or 1.0) / extent
+        worth, extent = (np.append(part, np.ones(len(mode.cost))) for part in (worth, extent))
         largest = np.maximum(np.abs(whole.slopes[0]), np.abs(whole.slopes[1])) * r[:, None]
         everywhere = np.where(r[:, None] > 0, extent[:, None], 0.0)
         steep += np.einsum("i,pij->pj", worth, np.where(np.isfinite(largest), largest, everywhere))
-        reached = np.where(holds(mode, y), self._after.at(0.5 * (centre.values[0] + centre.values[1])), np.inf)
+        reached = 0.5 * (centre.values[0] + centre.values[1])
+        cost_to_go = self._after.at(reached[:, : self._n]) + reached[:, self._n :].sum(axis=1)
+        reached = np.where(holds(mode, y, self._t), cost_to_go, np.inf)
         return boxes, bounds, offset + reached[:, None], steep
 
     def _second_order(
@@ -291,10 +298,13 @@ class BackwardStep:
         centre: IntervalJets,
         whole: IntervalJets,
     ) -> Array:
-        """Return bounds of c + V(f) - slope x over boxes, with V that of one cell."""
+        """Return bounds of c + V(f) - slope x over boxes, with V that of one cell; the last of f may be a cost."""
         after, r, width = self._after, boxes.radius[pair], self._after.lattice.width
         at = after.lattice.centres[cell]
         middle = 0.5 * (centre.slopes[0] + centre.slopes[1])[pair]
+        middle, of_cost = middle[:, : self._n], middle[:, self._n :]
+        prices, steeper = np.ones(of_cost.shape[:2]), gradient[pair] + of_cost.sum(axis=1)
+        target = np.hstack([at, np.zeros_like(prices)])
         half = width * (0.5 + ROUNDING) + ROUNDING * np.abs(at)
         low = np.fmax(np.fmax(boxes.low[pair], after.first[cell]) - at, -half)
         high = np.fmin(np.fmin(boxes.high[pair], after.last[cell]) - at, half)
@@ -302,12 +312,20 @@ class BackwardStep:
         bounds = np.full(len(pair), -np.inf)
         for piece in range(after.slopes.shape[1]):
             slopes, value = after.slopes[cell, piece], after.values[cell, piece]
-            freed = free_slopes(gradient[pair] + np.einsum("pj,pji->pi", slopes, middle), middle, r)
+            freed = free_slopes(steeper + np.einsum("pj,pji->pi", slopes, middle), middle, r)
             for change in (freed, np.where(self._pole, freed, 0.0)):
                 less = np.where(self._pole, 0.0, np.fmax(change * low, change * high)).sum(axis=1)
                 sigma, constant = slopes + change, value - less
                 more = taylor_bounds(
-                    hessian, gradient[pair], offset[pair] + constant, sigma, at, r, centre, whole, pair
+                    hessian,
+                    gradient[pair],
+                    offset[pair] + constant,
+                    np.hstack([sigma, prices]),
+                    target,
+                    r,
+                    centre,
+                    whole,
+                    pair,
                 )
                 bounds = np.fmax(bounds, more)
         return bounds

@@ -19,7 +19,7 @@ problem from a trajectory that need not be feasible.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -112,12 +112,28 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """1/2 y'H y + h'y + constant, and whether the curvature of the dynamics counts."""
+    """1/2 y'H y + h'y + constant, and whether the curvature of the dynamics counts.
+
+    Of a cost by formulas these are H and h to second order at a point, and ``exact`` is the cost at any point.
+    """
 
     H: Array
     h: Array
     constant: float
     curved: bool
+    exact: Callable[[Array], float] | None = None
+
+    def defined_at(self, y: Array) -> bool:
+        """Whether the cost and its derivatives are numbers at the point where it was expanded."""
+        return self.exact is None or bool(np.isfinite([self.exact(y), self.H.sum(), self.h.sum()]).all())
+
+    @property
+    def convex(self) -> Array:
+        """Return H, of a cost by formulas with the size of the curvature where that is negative."""
+        if self.exact is None:
+            return self.H
+        values, vectors = np.linalg.eigh(self.H)
+        return np.einsum("tij,tj,tkj->tik", vectors, np.abs(values), vectors)
 
 
 class BarrierPoint:
@@ -134,6 +150,7 @@ class BarrierPoint:
             derivatives,
         )
         self.system = System(model.linearised(point.y, derivatives), loops)
+        self.system.stages.H[:] = objective.H
         rows = zip(self.system.rows(point.y), self.system.b, strict=True)
         self.left: Values = [values - right for values, right in rows]
         for i, s in point.s.items():
@@ -155,9 +172,11 @@ class BarrierPoint:
 
     def phi(self, y: Array, s: dict[int, Array], mu: float) -> float:
         """Return the objective with the barrier."""
-        objective = self._objective
+        objective, barrier = self._objective, mu * sum(cone.log_determinant(s[i]) for i, cone in self.cones.items())
+        if objective.exact is not None:
+            return objective.exact(y) - barrier
         cost = 0.5 * float(np.vdot(y, self._loops.times(objective.H, y))) + float(np.vdot(objective.h, y))
-        return cost + objective.constant - mu * sum(cone.log_determinant(s[i]) for i, cone in self.cones.items())
+        return cost + objective.constant - barrier
 
     def measure(self, mu: float) -> Measure:
         """Return the infeasibility and the objective here."""
@@ -180,16 +199,17 @@ class BarrierPoint:
         lagrangian, self.mu, applied = self._objective.H.copy(), mu, least
         for i, cone in self.cones.items():
             cone.scale(self.point.s[i], self.point.z[i])
-        eta, curved = self.point.z[DYNAMICS][:-1], self._objective.curved
-        if curved and eta.any():
+        eta = self.point.z[DYNAMICS][:-1]
+        curved = self._objective.curved and (eta.any() or self._objective.exact is not None)
+        if curved:
             curvature = np.einsum("ti,tijk->tjk", eta, self._derivatives.curvatures)
             lagrangian[:-1, : curvature.shape[1], : curvature.shape[1]] -= curvature
-        convex = curved and eta.any() and self._is_convex(lagrangian, applied)
-        if not convex and curved and eta.any() and self.theta <= NEAR:
+        convex = curved and self._is_convex(lagrangian, applied)
+        if not convex and curved and self.theta <= NEAR:
             convex = detected = any(solver.indefinite and self._factor_system(solver) for solver in solvers)
         else:
             detected = False
-        if not convex and not self._is_convex(self._objective.H, applied) and curved:
+        if not convex and not self._is_convex(self._objective.convex, applied) and self._objective.curved:
             applied = max(least, shift / SHIFT_FALL)
             while not self._is_convex(lagrangian, applied) and applied < LARGEST_SHIFT:
                 applied = max(FIRST_SHIFT if shift == 0 else LEAST_SHIFT, SHIFT_RISE * applied)
@@ -343,11 +363,13 @@ class Barrier:
     def _at(self, point: EmbeddedPoint, objective: Objective | None = None) -> BarrierPoint | None:
         """Return the barrier problem at a point; None if the map is not defined there."""
         derivatives = self.model.derivatives(point.y)
-        return (
-            BarrierPoint(self.model, objective or self._cost, self.loops, point, derivatives)
-            if derivatives.finite
-            else None
-        )
+        if objective is None and self.model.problem.cost.has_formulas:
+            H, h = self.model.expanded_cost(point.y)
+            objective = Objective(H, h, 0.0, curved=True, exact=self.model.cost)
+        objective = objective or self._cost
+        if not derivatives.finite or not objective.defined_at(point.y):
+            return None
+        return BarrierPoint(self.model, objective, self.loops, point, derivatives)
 
     def _filter_step(self, local: BarrierPoint, entries: Filter, mu: float) -> BarrierPoint | None:
         """Return the next point by a step that the filter takes; None if it takes none."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +18,12 @@ from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.formulas.jets import values_of
+from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, is_smooth, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.sequential import PRICES, LocalOptimum, local_optimum, neighbouring_sequences
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.simulation import simulate
@@ -46,15 +48,17 @@ END_PRICES = (2.0, 10.0, 50.0)
 def grid_trajectories(
     problem: OptimalControlProblem, multipliers: Multipliers | None = None, deadline: float = np.inf
 ) -> Iterator[Trajectory]:
-    """Yield trajectories of the grid's values until ``deadline``; none with more than two states, or without bounds.
+    """Yield trajectories of the grid's values until ``deadline``.
 
-    The frequency multipliers are in the cost.
+    There are none with more than two states, without bounds, or where the map depends on time. The frequency
+    multipliers are in the cost.
     """
     from scipy.interpolate import RegularGridInterpolator  # slow to import
 
     n, m = problem.state_dim, problem.control_dim
     tube = problem.control_tube
-    if (n, m) not in POINTS or not np.isfinite([tube.lower, tube.upper]).all():
+    bounded = np.isfinite([tube.lower, tube.upper]).all()
+    if (n, m) not in POINTS or not bounded or piecewise_smooth(problem).depends_on_time:
         return
     of_states, of_controls = POINTS[n, m]
     lower, upper = _state_range(problem)
@@ -112,6 +116,7 @@ class _StageCosts:
         self._cost, self._n = problem.quadratic, n
         self._hessians = np.broadcast_to(self._cost.stage_hessians(), (T, n + m, n + m))
         x_ref, u_ref = np.broadcast_to(self._cost.x_ref, (T + 1, n)), np.broadcast_to(self._cost.u_ref, (T, m))
+        self._formulas = problem.cost.formulas
         self._references, self._last = np.hstack([x_ref[:-1], u_ref]), x_ref[-1]
         linear = np.hstack([np.broadcast_to(self._cost.q, (T, n)), np.broadcast_to(self._cost.r, (T, m))])
         self._linear, self.end = linear, np.asarray(self._cost.p)
@@ -123,12 +128,19 @@ class _StageCosts:
     def at(self, t: int, pairs: Array) -> Array:
         """Return the costs at a time, (points,)."""
         y = pairs - self._references[t]
-        return 0.5 * np.einsum("pi,ij,pj->p", y, self._hessians[t], y) + y @ self._linear[t]
+        values = 0.5 * np.einsum("pi,ij,pj->p", y, self._hessians[t], y) + y @ self._linear[t]
+        return values + _values_of_cost(self._formulas[0], pairs, t)
 
     def last(self, states: Array) -> Array:
         """Return the costs of the last state, (points,)."""
-        a = states - self._last
-        return 0.5 * np.einsum("pi,ij,pj->p", a, self._cost.P, a) + a @ self.end
+        a, pairs = states - self._last, np.pad(states, ((0, 0), (0, self._linear.shape[1] - self._n)))
+        values = 0.5 * np.einsum("pi,ij,pj->p", a, self._cost.P, a) + a @ self.end
+        return values + _values_of_cost(self._formulas[1], pairs, len(self._linear))
+
+
+def _values_of_cost(formula: Formula | None, pairs: Array, t: int) -> Array:
+    """Return a cost by a formula of pairs (points, n + m) at a time, zeros without one."""
+    return np.zeros(len(pairs)) if formula is None else values_of([formula], pairs, np.array([t]))[:, 0]
 
 
 def _successors(problem: OptimalControlProblem, pairs: Array) -> Array:
@@ -231,6 +243,7 @@ class LocalSearch:
         self._known: set[tuple[object, ...]] = set()
         self._sizes, self._units = stated_sizes(self.problem)
         self._smooth = is_smooth(self.problem)
+        self._with_cost = None if self._smooth else cost_as_state(self.problem)
 
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
@@ -301,9 +314,15 @@ class LocalSearch:
                 optimum, ended = smooth_optimum(self.problem, start, self.end, warm)
                 self.interrupted = ended is End.INTERRUPTED
             except UnsupportedError:  # too large for the structured method
-                self._smooth = False
-        if not self._smooth:
+                self._smooth, self._with_cost = False, cost_as_state(self.problem)
+        if not self._smooth and self._with_cost is None:
             optimum = local_optimum(self.problem, start, sequence, prices, self.end)
+        elif not self._smooth and self._with_cost is not None:
+            priced = self._with_cost
+            optimum = local_optimum(priced.problem, priced.with_cost(start), sequence, prices, self.end)
+            if optimum is not None:
+                trajectory, multipliers = priced.trajectory(optimum.trajectory), priced.multipliers(optimum.multipliers)
+                optimum = replace(optimum, trajectory=trajectory, multipliers=multipliers)
         best = self.best
         if optimum is not None and best is not None:
             # the cheaper one of two trajectories that have converged, or have not; else the smaller violation

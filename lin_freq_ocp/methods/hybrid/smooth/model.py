@@ -22,6 +22,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.units import cost_factor
 
 TERMINAL_WEIGHT = 1e2  # of the distance from a fixed end, relative to the largest curvature of the cost
 LEAST_CURVATURE = 1e-3  # in units of order 1
@@ -50,7 +51,10 @@ class SmoothModel:
     @classmethod
     def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
         """Return the model linearised at a trajectory, with units that follow from the problem's own data."""
-        assembly = assemble_stages(replace(problem, dynamics=problem.dynamics_along(trajectory)), stated_sizes(problem))
+        linear = replace(problem, dynamics=problem.dynamics_along(trajectory), cost=problem.cost.without_formulas)
+        assembly = assemble_stages(linear, stated_sizes(problem))
+        if problem.cost.has_formulas:
+            assembly = cls(problem, assembly).with_unit_of_cost(trajectory)
         stages = assembly.stages
         H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
         largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
@@ -91,6 +95,43 @@ class SmoothModel:
         slopes = map_jets.slopes * units[:, None, :] / after[:, :, None]
         curvatures = map_jets.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]
         return Derivatives(self._deviations(map_jets.values), slopes, curvatures)
+
+    def with_unit_of_cost(self, trajectory: Trajectory) -> Assembly:
+        """Return the stages in the unit of cost in which the cost with its formulas is as steep as usual there."""
+        assembly, y = self.assembly, self.assembly.point(trajectory)
+        H, h = self.expanded_cost(y)
+        slopes = np.abs(np.einsum("tij,tj->ti", H, y) + h) + np.abs(H).sum(axis=2)
+        factor = cost_factor(np.nan_to_num(slopes), assembly.priced)
+        stages, units = assembly.stages, assembly.units
+        scaled = {name: factor * getattr(stages, name) for name in ("H", "h", "constant")}
+        return replace(assembly, stages=replace(stages, **scaled), units=replace(units, cost=factor * units.cost))
+
+    def cost(self, y: Array) -> float:
+        """Return the cost at a point, in units of stages; not a number where a formula is not defined."""
+        stages, origin, n = self.stages, self.assembly.program.origin, self.problem.state_dim
+        units = self.assembly.units
+        quadratic = 0.5 * float(np.einsum("ti,tij,tj->", y, stages.H, y)) + float(np.vdot(stages.h, y))
+        x, u = origin.x + y[:, :n] * units.columns[:, :n], self._signals(y)[:, n:]
+        return quadratic + stages.constant + units.cost * float(self.problem.cost.formula_values(x, u).sum())
+
+    def expanded_cost(self, y: Array) -> tuple[Array, Array]:
+        """Return H and h of 1/2 y'H y + h'y + ..., the cost with its formulas to second order at a point."""
+        stages, origin = self.stages, self.assembly.program.origin
+        n, m = self.problem.state_dim, self.problem.control_dim
+        gradients, hessians = np.zeros((len(y), n + m)), np.zeros((len(y), n + m, n + m))
+        end = np.append(origin.x[-1] + y[-1, :n] * self.assembly.units.columns[-1, :n], np.zeros(m))[None]
+        terminal = [one for one in self.problem.cost.formulas[1:] if one is not None]
+        mode = piecewise_smooth(self.problem).modes[0]
+        for formulas, signals, times in ((mode.cost, self._signals(y), slice(-1)), (terminal, end, slice(-1, None))):
+            found = jets(formulas, signals)
+            gradients[times], hessians[times] = found.slopes.sum(axis=1), found.curvatures.sum(axis=1)
+        units, cost = self._units.copy(), self.assembly.units.cost
+        units[:-1, n:][self.assembly.fixed] = 0.0
+        H, h = stages.H.copy(), stages.h.copy()
+        curvature = cost * hessians * units[:, :, None] * units[:, None, :]
+        H[:, : n + m, : n + m] += curvature
+        h[:, : n + m] += cost * gradients * units - np.einsum("tij,tj->ti", curvature, y[:, : n + m])
+        return H, h
 
     def linearised(self, y: Array, derivatives: Derivatives) -> Stages:
         """Return the stages linearised at a point, with a copy of the Hessian of the cost."""

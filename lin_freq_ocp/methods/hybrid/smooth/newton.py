@@ -179,7 +179,7 @@ class NewtonSystem:
             J.add(signals, rho, rows.T)
             J.add(rho, signals, rows)
         for (norm, t), columns in zip(self.norms, self.xi, strict=True):
-            inner = jets(norm.arguments, y[t : t + 1])
+            inner = jets(norm.arguments, y[t : t + 1], times=np.array([t]))
             q, of_q, xi = inner.values[0], inner.slopes[0], v[columns]
             reached = xi + q
             length = float(np.linalg.norm(reached))
@@ -190,7 +190,7 @@ class NewtonSystem:
             F[columns] = xi - projection
             J.add(columns, columns, np.eye(len(q)) - onto)
             J.add(columns, at[t], -onto @ of_q)
-            pull = dynamics.pull_of_norm(norm, y[t], int(self.sequence[t]), eta[t])
+            pull = dynamics.pull_of_norm(norm, y[t], t, int(self.sequence[t]), eta[t])
             J.add(at[t], columns, -pull * of_q.T)
         return F, J.matrix()
 

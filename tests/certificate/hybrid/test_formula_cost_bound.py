@@ -1,0 +1,74 @@
+"""The global bound of costs by formulas: below every trajectory, and close to the best."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import lin_freq_ocp as lfo
+
+WEIGHTS = [1.0, 0.2, 2.0, 0.5, 1.5]
+
+
+def stated(stage, terminal=None, f="0.9*x_0 + u_0", **cost):
+    """Return a problem of one state over five steps."""
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas([f], 1, 1)
+    total = lfo.QuadraticCost(**cost) + lfo.costs.SmoothCost(stage=stage, terminal=terminal)
+    sets = {"control_set": lfo.Box(-1, 1), "state_set": lfo.Box(-3, 3), "initial_state": [1.2]}
+    return lfo.OptimalControlProblem(dynamics, 5, total, **sets)
+
+
+def weighted(t, x, u):
+    return t.look_up(WEIGHTS) * (x[0] - np.sin(1.0 * t)) ** 2
+
+
+PROBLEMS = {
+    "smooth": lambda: stated(lambda x, u: np.sin(2 * x[0]) ** 2, R=0.2),
+    "terminal": lambda: stated("0.1*u_0**2", lambda x: np.cos(3 * x[0]) + 0.2 * x[0] ** 2),
+    "time": lambda: stated(weighted, R=0.1),
+    "kinks": lambda: stated("abs(x_0 - 0.4) + 0.3*min(u_0, -u_0)"),
+    "concave in u": lambda: stated("x_0**2 - 0.3*u_0**2"),
+    "kinks beside kinks": lambda: stated("max(x_0, 2*u_0, 0.1)", f="abs(x_0) - 0.5 + u_0", R=0.1),
+    "below zero": lambda: stated("-exp(-x_0**2) - 0.2*x_0"),
+}
+
+
+def least_of_many(problem):
+    """Return the least cost of trajectories that local searches from random controls find."""
+    start, rng = problem.initial_box.lower, np.random.default_rng(0)
+
+    def cost(u):
+        try:
+            trajectory = lfo.simulate(problem, u[:, None], start)
+        except lfo.errors.NumericalError:
+            return 1e3
+        return problem.value(trajectory.x, trajectory.u)
+
+    starts = rng.uniform(-1, 1, (12, 5))
+    found = [minimize(cost, u, method="L-BFGS-B", bounds=[(-1, 1)] * 5) for u in starts]
+    return min(one.fun for one in found if (np.abs(lfo.simulate(problem, one.x[:, None], start).x) <= 3).all())
+
+
+@pytest.mark.parametrize("name", list(PROBLEMS))
+def test_the_bound_is_below_every_trajectory_and_close(name):
+    problem = PROBLEMS[name]()
+    result = lfo.solve(problem)
+    best = least_of_many(problem)
+    assert result.status == "optimal"
+    assert result.certificate.bound.kind == "rigorous"
+    assert result.certificate.lower_bound <= best + 1e-9
+    assert result.cost <= best + 1e-6
+
+
+def test_a_cost_that_no_formula_states_has_no_bound():
+    table = lfo.DifferentiableFunction(
+        lambda x, u: [x[0] ** 4 + u[0] ** 2], lambda x, u: [[4 * x[0] ** 3, 2 * u[0]]], name="table"
+    )
+    result = lfo.solve(stated(table))
+    assert result.certificate.pmp == "satisfied"
+    assert result.certificate.bound is None
+    assert "table is no formula" in result.message
+    formula = lfo.solve(stated("x_0**4 + u_0**2"))
+    assert formula.status == "optimal"
+    assert formula.cost == pytest.approx(result.cost, rel=1e-8)
