@@ -119,6 +119,14 @@ class GeneratedController:
         Most changes in so many disturbed steps, in double and without this cap.
     work : Work
         Multiply-adds of a sweep and of a change.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> controller = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=20, terminal_state=None))
+    >>> written = lfo.generate(controller, tempfile.mkdtemp(), real="float")
+    >>> written.real, written.unknowns
+    ('float', 5)
     """
 
     folder: Path

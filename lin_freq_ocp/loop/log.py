@@ -61,7 +61,7 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class CertifiedLog:
-    """The log of a generated controller with what is proven of its steps.
+    r"""The log of a generated controller with what is proven of its steps.
 
     Attributes
     ----------
@@ -87,8 +87,12 @@ class CertifiedLog:
 
     Examples
     --------
-    >>> lfo.results.CertifiedLog.__name__
-    'CertifiedLog'
+    >>> controller = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=20, terminal_state=None))
+    >>> log = "x1,x2,u1,status\n0,0,0,0\n"  # of a step that measured zero and returned zero
+    >>> with open("log.csv", "w") as file:
+    ...     _ = file.write(log)
+    >>> print(lfo.certify_log(controller, "log.csv").findings[0])
+    proven
     """
 
     problem: OptimalControlProblem
