@@ -438,9 +438,10 @@ def _files(
     fields = [(name, str(value)) for name, value in integers.items()]
     fields += [("tolerance", real.literal(real.tolerance)), ("dependent", real.literal(real.dependence))]
     values = {
-        "title": _plain(problem.name or "A controller"),
+        "title": _comment_text(problem.name or "A controller"),
         "version": version("lin-freq-ocp"),
-        "facts": [(_plain(term), _plain(text)) for term, text in problem_facts(problem)],
+        "heading": problem.name or "A controller",
+        "facts": problem_facts(problem),
         "real": real,
         "states": n,
         "controls": m,
@@ -500,6 +501,6 @@ def _array(name: str, array: NDArray[np.floating | np.integer], real: Real) -> t
     return name, kind, [line + "," for line in lines[:-1]] + lines[-1:]
 
 
-def _plain(text: str) -> str:
+def _comment_text(text: str) -> str:
     """Return a text in ASCII in one line that ends no comment."""
     return " ".join(text.replace("*/", "* /").replace("\\", "/").encode("ascii", "replace").decode().split())
