@@ -11,7 +11,7 @@
 #define N CONTROLLER_STATES
 #define M CONTROLLER_CONTROLS
 
-{% for name, kind, values in arrays %}
+{% for name, kind, values in recorded %}
 static const {{ kind }} {{ name }}[] = {
 {% for line in values %}
   {{ line }}
@@ -51,7 +51,7 @@ int main(int argc, char **argv) {
     if (c.memory.changes > changes) changes = c.memory.changes;
     if (c.memory.sweeps > sweeps) sweeps = c.memory.sweeps;
     for (int j = 0; j < M; j++) {
-      double apart = fabs((double)u[j] - (double)controls[k * M + j]) / sizes[j];
+      double apart = fabs((double)u[j] - (double)controls[k * M + j]) / (double)sizes[j];
       if (!(apart <= worst)) worst = apart;
     }
   }
@@ -62,9 +62,9 @@ int main(int argc, char **argv) {
   if (controller_step(&c, x, {{ "references, " if references }}u) != CONTROLLER_NO_STATE) failed++;
   if (memcmp(&before, &c, sizeof c) != 0) failed++;
   printf("%d of %d steps planned, largest difference %.1e of the largest control (allowed: %.0e), %d failed\n", planned,
-         STEPS, worst, {{ allowed }}, failed);
+         STEPS, worst, {{ real.allowed }}, failed);
   printf("memory %lu bytes, tables %d bytes, at most %d changes and %d sweeps a step\n", (unsigned long)sizeof c,
          CONTROLLER_TABLE_BYTES, changes, sweeps);
-  printf("a sweep has %d multiply-adds, a change at most %d\n", {{ work.sweep }}, {{ work.change }});
-  return failed > 0 || planned == 0 || !(worst <= {{ allowed }});
+  printf("a sweep has %d multiply-adds, a change at most %d\n", {{ summary.sweep_work }}, {{ summary.change_work }});
+  return failed > 0 || planned == 0 || !(worst <= {{ real.allowed }});
 }
