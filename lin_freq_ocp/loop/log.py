@@ -181,13 +181,12 @@ def certify_log(
     for first in range(0, len(steps), STEPS_AT_ONCE):
         groups = dict[int, dict[int, PlannedStart]]()  # by the problem whose states have the same origin
         for k in steps[first : first + STEPS_AT_ONCE]:
-            references = (
-                None if log.references is None else {"x_ref": np.tile(log.references[k], (stated.horizon + 1, 1))}
-            )
-            change, plan = (
-                Change(starts[k], references=references),
-                repeated.plan(starts[k]) if references is None else None,
-            )
+            references, plan = None, None
+            if log.references is None:
+                plan = repeated.plan(starts[k])
+            else:
+                references = {"x_ref": np.tile(log.references[k], (stated.horizon + 1, 1))}
+            change = Change(starts[k], references=references)
             if plan is not None:
                 groups.setdefault(id(plan.translation), {})[k], planned[k] = plan, plan.control
             elif repeated.excluded(change):

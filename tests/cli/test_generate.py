@@ -18,16 +18,8 @@ def test_a_controller_is_written_and_its_log_is_judged(tmp_path):
     assert (status, err) == (0, "")
     assert "in float" in out
     assert f"next: make -C {folder}" in out
-    files = {
-        "controller.h",
-        "controller.c",
-        "lfo_kernel.h",
-        "lfo_kernel.c",
-        "test_controller.c",
-        "Makefile",
-        "README.md",
-    }
-    assert {file.name for file in folder.iterdir()} == files
+    sources = {"controller.h", "controller.c", "lfo_kernel.h", "lfo_kernel.c", "lfo_settings.h", "test_controller.c"}
+    assert {file.name for file in folder.iterdir()} == sources | {"Makefile", "README.md"}
     controller = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=30, terminal_state=[0.0, 0.0]))
     states = np.array([[0.01, 0.0], [0.0, 0.02]])
     controls = np.array([controller.step(x) for x in states])
