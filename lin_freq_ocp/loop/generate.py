@@ -82,7 +82,7 @@ class Real:
 
 REALS = {
     "double": Real("double", "", np.dtype(np.float64), 17, ROW_TOLERANCE, GRADIENT_DEPENDENCE, 1e-6),
-    "float": Real("float", "f", np.dtype(np.float32), 9, 2e-5, 1e-4, 1e-2),  # some 100 units of rounding
+    "float": Real("float", "f", np.dtype(np.float32), 9, 5e-6, 3e-5, 1e-2),  # 80 and 500 units of rounding
 }
 
 

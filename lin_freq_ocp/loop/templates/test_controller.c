@@ -28,7 +28,7 @@ int main(int argc, char **argv) {
   FILE *log = argc > 1 ? fopen(argv[1], "w") : NULL;
   lfo_real x[N], u[M];
   double worst = 0;
-  int changes = 0, sweeps = 0, planned = 0, failed = 0;
+  int changes = 0, sweeps = 0, planned = 0, failed = 0{{ ", same = 1" if delay }};
   if (argc > 1 && !log) {
     fprintf(stderr, "%s: cannot be written\n", argv[1]);
     return 2;
@@ -36,7 +36,7 @@ int main(int argc, char **argv) {
   if (log) fputs("{{ header }}\n", log);
   controller_begin(&c);
   for (int k = 0; k < STEPS; k++) {
-    int status = controller_step(&c, states + k * N, {{ "references + k * N, " if references }}u);
+    int status = controller_step(&c, states + k * N, {{ "references + k * N, " if references }}u){{ ", comparable = same" if delay }};
     if (log) {
       print_log(log, states + k * N, N);
 {% if references %}
@@ -46,14 +46,19 @@ int main(int argc, char **argv) {
       fprintf(log, "%d\n", status);
     }
     if (status > CONTROLLER_CAPPED) failed++; /* all recorded states have a plan */
+    double apart = 0;
+    for (int j = 0; j < M; j++) {
+      double difference = fabs((double)u[j] - (double)controls[k * M + j]) / (double)sizes[j];
+      if (!(difference <= apart)) apart = difference;
+    }
+{% if delay %}
+    same = apart <= {{ real.allowed }} / 100; /* else the next plan begins elsewhere than the recorded one */
+{% endif %}
     if (status >= CONTROLLER_CAPPED) continue;
     planned++;
     if (c.memory.changes > changes) changes = c.memory.changes;
     if (c.memory.sweeps > sweeps) sweeps = c.memory.sweeps;
-    for (int j = 0; j < M; j++) {
-      double apart = fabs((double)u[j] - (double)controls[k * M + j]) / (double)sizes[j];
-      if (!(apart <= worst)) worst = apart;
-    }
+    if ({{ "comparable && " if delay }}!(apart <= worst)) worst = apart;
   }
   if (log) fclose(log);
   memcpy(&before, &c, sizeof c);
