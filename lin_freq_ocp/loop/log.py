@@ -15,7 +15,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
-from lin_freq_ocp.loop.generate import log_header, step_problem
+from lin_freq_ocp.loop.embedded import log_header, step_problem
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.kept import Change
 from lin_freq_ocp.solving.outcome import Outcome
@@ -207,7 +207,7 @@ def certify_log(
     return CertifiedLog(
         **vars(log),
         problem=stated,
-        findings=tuple(map(_finding, log.statuses, (one.status for one in each), differences <= tolerance)),
+        findings=tuple(map(_finding_of_step, log.statuses, (one.status for one in each), differences <= tolerance)),
         planned=planned,
         costs=np.array([one.cost for one in each]),
         gaps=np.array([one.gap for one in each]),
@@ -234,7 +234,7 @@ class _Verdict:
         return cls(Status.OPTIMAL if proven else None, certificate.cost, gap)
 
 
-def _finding(status: StepStatus, verdict: Status | None, agrees: bool) -> LogFinding:
+def _finding_of_step(status: StepStatus, verdict: Status | None, agrees: bool) -> LogFinding:
     """Return what is known of a step from its status, what is proven of its problem, and whether controls agree."""
     if status is StepStatus.NO_STATE:
         return LogFinding.NO_STATE

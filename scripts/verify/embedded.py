@@ -18,7 +18,7 @@ from rich.table import Table
 
 import lin_freq_ocp as lfo
 from helpers.generated import CompiledController, write_log
-from lin_freq_ocp.loop.generate import step_problem
+from lin_freq_ocp.loop.embedded import step_problem
 from verify.seeded import check_all
 
 STEPS = 100
