@@ -1,10 +1,8 @@
-"""The command line, lin-freq-ocp.
+"""The command line: lin-freq-ocp and its commands.
 
-Commands: list, show, solve, compare, sweep, minimum-time, explore, certify, rerun, generate, certify-log, init.
-
-Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 no solution (infeasible or
-unbounded, and why; for a sweep, where that is an answer, 0); 2 bad input, or a file that cannot be written; 3 a point
-without such a proof, or too little memory; 70 a fault of this program; 130 interrupted.
+Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 infeasible or unbounded, with the
+reason (0 for a sweep, in which both are answers); 2 bad input, or a file that cannot be written; 3 a point without such
+a proof, or too little memory; 70 a fault of this program; 130 interrupted.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from lin_freq_ocp.base.arrays import Array, brief, require_bool
-from lin_freq_ocp.base.atomic import write_each, writing
+from lin_freq_ocp.base.atomic import reason, write_each
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.loop.step_problem import free_first_state, soften
@@ -173,8 +173,8 @@ def generate(
         tables = _StepTables.of(step_problem(problem, penalties), delay, bool(references), REALS[real], changes)
         steps = [] if memory is not None and tables.ram + tables.stack > limit else tables.disturbed_steps()
     except UnsupportedError as error:
-        reason = str(error).removeprefix("method 'condensed': ")
-        raise UnsupportedError(f"generate: {reason}") from None
+        refused = str(error).removeprefix("method 'condensed': ")
+        raise UnsupportedError(f"generate: {refused}") from None
     if not steps:
         parts = f"{tables.ram} of struct controller, {tables.stack} of stack"
         advice = 'A shorter horizon, a lower cut-off, fewer bounds or real="float" need less.'
@@ -183,8 +183,10 @@ def generate(
     counts = tables.solver.kernel.tables.unknowns, tables.flash, tables.ram, tables.stack, tables.cap, most, len(steps)
     summary = GeneratedController(folder, real, *counts, *tables.work)
     texts = _files(problem, tables, steps[:RECORDED], summary)
-    with writing(folder):
+    try:
         folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ProblemError(str(folder), reason(error), "a folder that can be written") from None
     write_each({folder / name: text.encode() for name, text in texts.items()})
     return summary
 
@@ -196,7 +198,7 @@ def _condensed_problem(problem: OptimalControlProblem) -> tuple[OptimalControlPr
     """
     linear, cost = problem.linear, problem.quadratic
     controls = f"{problem.horizon} steps of {plural(problem.control_dim, 'control')}"
-    for outside, reason in (
+    for outside, refused in (
         (linear.time_varying, "dynamics: A or B depends on time; a generated controller has one A and one B."),
         (max(part.ndim for part in (cost.Q, cost.R, cost.S)) == 3, "cost: Q, R or S depends on time."),
         (any(rows.time_varying for rows in problem.stage_rows), "stage_rows: C or D depends on time."),
@@ -208,7 +210,7 @@ def _condensed_problem(problem: OptimalControlProblem) -> tuple[OptimalControlPr
         (any(link.periodic for link in problem.links), "terminal_state: it is linked to the measured initial state."),
     ):
         if outside:
-            raise UnsupportedError(reason)
+            raise UnsupportedError(refused)
     require_convex(problem)
     if not problem.ends[0].fixed.all():
         problem = problem.with_ends(np.zeros(problem.state_dim))
@@ -220,9 +222,9 @@ def _condensed_problem(problem: OptimalControlProblem) -> tuple[OptimalControlPr
         if term.kind is not TermKind.STAGE_ROWS and soft_set(reduced, term) is None:
             field = "cost" if term.kind.is_cost else str(term.kind).replace(" ", "_")
             raise UnsupportedError(f"{field}: {term.name}; {TAKEN}.")
-    reason = refusal(reduced)
-    if reason is not None:
-        raise UnsupportedError(f"problem: {reason}.")
+    refused = refusal(reduced)
+    if refused is not None:
+        raise UnsupportedError(f"problem: {refused}.")
     return reduced, translation.origin
 
 
