@@ -11,7 +11,7 @@ from lin_freq_ocp.certificate.between_samples import BetweenSamples, BoundPeak
 from lin_freq_ocp.certificate.sensitivities import Sensitivities
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.files.solution_files import SavedSolution
-from lin_freq_ocp.loop.generate import GeneratedController
+from lin_freq_ocp.loop.embedded import GeneratedController
 from lin_freq_ocp.loop.log import CertifiedLog
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.proof.enclosure import Enclosure

@@ -9,9 +9,8 @@ from typing import Literal
 from lin_freq_ocp.api.receding_horizon import RecedingHorizon
 from lin_freq_ocp.base.arrays import brief, positive_number
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.loop import generate as generation
-from lin_freq_ocp.loop import log
-from lin_freq_ocp.loop.generate import GeneratedController
+from lin_freq_ocp.loop import embedded, log
+from lin_freq_ocp.loop.embedded import GeneratedController
 from lin_freq_ocp.loop.log import CertifiedLog
 
 
@@ -71,7 +70,7 @@ def generate(
     if not isinstance(folder, (str, PathLike)):
         raise ProblemError("folder", brief(folder), "the path of a folder")
     given = _require_controller(controller)
-    return generation.generate(given.problem, given.soft, given.delay, Path(folder), real, changes, memory, references)
+    return embedded.generate(given.problem, given.soft, given.delay, Path(folder), real, changes, memory, references)
 
 
 def certify_log(controller: RecedingHorizon, path: str | PathLike[str], tolerance: float = 0.01) -> CertifiedLog:

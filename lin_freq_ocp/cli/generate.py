@@ -13,7 +13,7 @@ from lin_freq_ocp.api.receding_horizon import RecedingHorizon
 from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError
 from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.problems import build
-from lin_freq_ocp.loop.log import Finding
+from lin_freq_ocp.loop.log import LogFinding
 
 soft_option = click.option(
     "--soft", multiple=True, metavar="FIELD=PENALTY", help="Constraints of a field become soft, at this penalty."
@@ -21,7 +21,7 @@ soft_option = click.option(
 delay_option = click.option(
     "--delay", type=int, default=0, show_default=True, help="1: a control acts one step after its measurement."
 )
-PROVEN = (Finding.PROVEN, Finding.INFEASIBLE)  # of a step, for the exit status
+PROVEN = (LogFinding.PROVEN, LogFinding.INFEASIBLE)  # of a step, for the exit status
 
 
 def controller_of(problem: str, settings: Sequence[str], soft: Sequence[str], delay: int) -> RecedingHorizon:

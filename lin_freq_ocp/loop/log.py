@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from pathlib import Path
@@ -15,12 +15,12 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
-from lin_freq_ocp.loop.generate import log_header, step_problem
+from lin_freq_ocp.loop.embedded import log_header, step_problem
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import Change
 
-AT_ONCE = 1000  # steps whose plans are kept until they are judged: some kB each
+STEPS_AT_ONCE = 1000  # steps whose plans are kept until they are judged: some kB each
 
 
 class StepStatus(IntEnum):
@@ -33,7 +33,7 @@ class StepStatus(IntEnum):
     NO_STATE = 4
 
 
-class Finding(StrEnum):
+class LogFinding(StrEnum):
     """What is known of a logged step."""
 
     PROVEN = "proven"  # the control is the first one of a plan that is proven optimal
@@ -46,7 +46,7 @@ class Finding(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Log:
+class ControllerLog:
     """The lines of a log: states (N, n), references (N, n) or None, controls (N, m), and statuses.
 
     ``cut_off`` says that its last line was incomplete.
@@ -56,24 +56,26 @@ class Log:
     references: Array | None
     controls: Array
     statuses: tuple[StepStatus, ...]
-    cut_off: bool = False
+    cut_off: bool
 
 
 @dataclass(frozen=True, eq=False)
-class CertifiedLog:
-    """The log of a generated controller with what is proven of its steps.
+class CertifiedLog(ControllerLog):
+    r"""The log of a generated controller with what is proven of its steps.
 
     Attributes
     ----------
-    problem : OptimalControlProblem
-        That of a step, with its soft constraints.
     states, controls : (N, n), (N, m)
         As logged.
     references : (N, n) or None
         As logged.
     statuses : tuple of StepStatus
         As logged.
-    findings : tuple of Finding
+    cut_off : bool
+        Whether the last line of the log was incomplete, and left out.
+    problem : OptimalControlProblem
+        That of a step, with its soft constraints.
+    findings : tuple of LogFinding
         "proven", "infeasible, proven", "plan before", "deviates", "has a plan", "not proven" or "no state".
     planned : (N, m)
         First control of the optimal plan from each state; not a number where there is none.
@@ -82,26 +84,23 @@ class CertifiedLog:
     differences : (N,)
         Largest difference of a control from the planned one, relative to the largest bound of that control, or without
         one to the largest logged value.
-    cut_off : bool
-        Whether the last line of the log was incomplete, and left out.
 
     Examples
     --------
-    >>> lfo.results.CertifiedLog.__name__
-    'CertifiedLog'
+    >>> controller = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=20, terminal_state=None))
+    >>> log = "x1,x2,u1,status\n0,0,0,0\n"  # of a step that measured zero and returned zero
+    >>> with open("log.csv", "w") as file:
+    ...     _ = file.write(log)
+    >>> print(lfo.certify_log(controller, "log.csv").findings[0])
+    proven
     """
 
     problem: OptimalControlProblem
-    states: Array
-    controls: Array
-    references: Array | None
-    statuses: tuple[StepStatus, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[LogFinding, ...]
     planned: Array
     costs: Array
     gaps: Array
     differences: Array
-    cut_off: bool = False
 
     def __len__(self) -> int:
         return len(self.findings)
@@ -109,37 +108,25 @@ class CertifiedLog:
     @property
     def proven(self) -> Mask:
         """Return which controls are proven to begin an optimal plan, (N,)."""
-        return np.array([finding is Finding.PROVEN for finding in self.findings], dtype=bool)
+        return np.array([finding is LogFinding.PROVEN for finding in self.findings], dtype=bool)
 
     @property
     def table(self) -> list[dict[str, object]]:
         """Return a flat row for each step, for pandas.DataFrame."""
-        return [
-            {
-                "step": k,
-                "status": int(self.statuses[k]),
-                "finding": str(self.findings[k]),
-                "cost": float(self.costs[k]),
-                "gap": float(self.gaps[k]),
-                "difference": float(self.differences[k]),
-            }
-            for k in range(len(self))
-        ]
+        columns = map(int, self.statuses), map(str, self.findings), self.costs, self.gaps, self.differences
+        names = "step", "status", "finding", "cost", "gap", "difference"
+        return [dict(zip(names, row, strict=True)) for row in zip(range(len(self)), *columns, strict=True)]
 
     def __str__(self) -> str:
-        counts = {finding: self.findings.count(finding) for finding in Finding}
-        parts = [f"{count} {finding}" for finding, count in counts.items() if count]
-        proven = self.proven
-        lines = [f"{plural(len(self), 'step')}: {', '.join(parts)}"]
+        counts = [f"{count} {finding}" for finding in LogFinding if (count := self.findings.count(finding))]
+        lines, proven = [f"{plural(len(self), 'step')}: {', '.join(counts)}"], self.proven
         if proven.any():
             gap, apart = np.abs(self.gaps[proven]).max(), self.differences[proven].max()
             lines.append(f"largest gap {gap:.0e}; controls within {apart:.0e} of the optimal plans")
-        if self.cut_off:
-            lines.append("the last line was incomplete and is left out")
-        return "\n".join(lines)
+        return "\n".join([*lines, *(["the last line was incomplete and is left out"] if self.cut_off else [])])
 
 
-def read_log(path: Path, problem: OptimalControlProblem) -> Log:
+def read_log(path: Path, problem: OptimalControlProblem) -> ControllerLog:
     """Read a log of a controller of this problem; ProblemError with the line if it is none."""
     n, m = problem.state_dim, problem.control_dim
     try:
@@ -152,38 +139,29 @@ def read_log(path: Path, problem: OptimalControlProblem) -> Log:
         raise ProblemError(f"{path}: line 1", brief(header), f'"{headers[0]}", or with references "{headers[1]}"')
     rows, cut_off = list[list[float]](), False
     for i, line in enumerate(lines[1:], start=2):
-        if not line.strip():
-            continue
         try:
-            rows.append(_log_row(f"{path}: line {i}", line, header.count(",") + 1))
-        except ProblemError:
+            rows += [_log_row(line, header.count(","))] if line.strip() else []
+        except ValueError as error:
             if i < len(lines):
-                raise
+                raise ProblemError(f"{path}: line {i}", brief(line), str(error)) from None
             cut_off = True  # where the power was lost
     if not rows:
         raise ProblemError(str(path), "no steps", "a line for each step, after the header")
-    values, referred = np.array(rows), header == headers[1]
-    return Log(
-        values[:, :n],
-        values[:, n : 2 * n] if referred else None,
-        values[:, -1 - m : -1],
-        tuple(StepStatus(int(status)) for status in values[:, -1]),
-        cut_off,
-    )
+    values, references = np.array(rows), np.array(rows)[:, n : 2 * n] if header == headers[1] else None
+    statuses = tuple(StepStatus(int(status)) for status in values[:, -1])
+    return ControllerLog(values[:, :n], references, values[:, -1 - m : -1], statuses, cut_off)
 
 
-def _log_row(location: str, line: str, count: int) -> list[float]:
-    """Return the numbers of a line."""
+def _log_row(line: str, columns: int) -> list[float]:
+    """Return the numbers of a line; ValueError with the expectation."""
     try:
         row = [float(entry) for entry in line.split(",")]
     except ValueError:
         row = []
-    if len(row) != count:
-        raise ProblemError(location, brief(line), f"{count} numbers, with commas between them")
-    if row[-1] not in list(StepStatus):
-        raise ProblemError(location, f"status {row[-1]:g}", "a status from 0 to 4")
+    if len(row) != columns + 1 or row[-1] not in list(StepStatus):
+        raise ValueError(f"{columns} numbers and a status from 0 to 4, with commas between them")
     if not np.isfinite(row).all() and row[-1] != StepStatus.NO_STATE:
-        raise ProblemError(location, brief(line), "finite numbers, but for steps of status 4")
+        raise ValueError("finite numbers, but for steps of status 4")
     return row
 
 
@@ -198,76 +176,72 @@ def certify_log(
     if delay:  # the control before leads to the state from which a plan begins
         acting, step = np.vstack([np.zeros_like(log.controls[:1]), log.controls[:-1]]), stated.dynamics.stepper(1)
         starts = np.array([step(0, x, u) if ok else x for x, u, ok in zip(log.states, acting, valid, strict=True)])
-    repeated, count = Repeated(stated), len(starts)
-    verdicts: list[Status | None] = [None] * count
-    planned, costs, gaps = np.full(log.controls.shape, np.nan), np.full(count, np.nan), np.full(count, np.nan)
-    steps = np.flatnonzero(valid)
-    for first in range(0, len(steps), AT_ONCE):
-        pending = dict[int, PlannedStart]()
-        for k in steps[first : first + AT_ONCE].tolist():
-            x_ref = None if log.references is None else np.tile(log.references[k], (stated.horizon + 1, 1))
-            change = Change(starts[k], references=None if x_ref is None else {"x_ref": x_ref})
-            plan = repeated.plan(starts[k]) if x_ref is None else None
+    repeated, verdicts = Repeated(stated), dict[int, _Verdict]()
+    steps, planned = np.flatnonzero(valid).tolist(), np.full(log.controls.shape, np.nan)
+    for first in range(0, len(steps), STEPS_AT_ONCE):
+        groups = dict[int, dict[int, PlannedStart]]()  # by the problem whose states have the same origin
+        for k in steps[first : first + STEPS_AT_ONCE]:
+            references, plan = None, None
+            if log.references is None:
+                plan = repeated.plan(starts[k])
+            else:
+                references = {"x_ref": np.tile(log.references[k], (stated.horizon + 1, 1))}
+            change = Change(starts[k], references=references)
             if plan is not None:
-                pending[k], planned[k] = plan, plan.control
+                groups.setdefault(id(plan.translation), {})[k], planned[k] = plan, plan.control
             elif repeated.excluded(change):
-                verdicts[k] = Status.INFEASIBLE
+                verdicts[k] = _Verdict(Status.INFEASIBLE)
             else:
                 outcome = repeated.solve(change)
                 repeated.keep(outcome)
-                verdicts[k], costs[k], gaps[k] = _verdict(outcome)
+                verdicts[k] = _Verdict.of(outcome)
                 if outcome.status.solved and outcome.trajectory is not None:
                     planned[k] = outcome.trajectory.u[0]
-        groups = dict[int, dict[int, PlannedStart]]()
-        for k, plan in pending.items():
-            groups.setdefault(id(plan.translation), {})[k] = plan
         for group in groups.values():
-            for k, proof in proven_in_batch(group).items():
-                verdicts[k], (costs[k], gaps[k]) = Status.OPTIMAL, proof
-        for k, plan in pending.items():
-            if verdicts[k] is None:
-                verdicts[k], costs[k], gaps[k] = _verdict(plan.certified(None))
+            verdicts |= {k: _Verdict(Status.OPTIMAL, *proof) for k, proof in proven_in_batch(group).items()}
+            verdicts |= {k: _Verdict.of(plan.certified(None)) for k, plan in group.items() if k not in verdicts}
+    each = [verdicts.get(k, _Verdict(None)) for k in range(len(starts))]
     limits = np.abs(stated.control_tube.bounds).max(axis=(0, 1))
-    largest = np.abs(log.controls[valid]).max(axis=0, initial=0.0)
-    sizes = np.where(np.isfinite(limits), limits, largest)
+    sizes = np.where(np.isfinite(limits), limits, np.abs(log.controls[valid]).max(axis=0, initial=0.0))
     differences = (np.abs(log.controls - planned) / np.where(sizes > 0, sizes, 1.0)).max(axis=1)
-    findings = _findings(log.statuses, verdicts, differences <= tolerance)
     return CertifiedLog(
-        stated, log.states, log.controls, log.references, log.statuses, findings, planned, costs, gaps, differences,
-        log.cut_off,
-    )  # fmt: skip
+        **vars(log),
+        problem=stated,
+        findings=tuple(map(_finding_of_step, log.statuses, (one.status for one in each), differences <= tolerance)),
+        planned=planned,
+        costs=np.array([one.cost for one in each]),
+        gaps=np.array([one.gap for one in each]),
+        differences=differences,
+    )
 
 
-def _verdict(outcome: Outcome) -> tuple[Status | None, float, float]:
-    """Return a status that is proven, or None, with the cost and the gap of the point."""
-    certificate, nothing = outcome.certificate, float("nan")
-    if outcome.status is Status.INFEASIBLE:
-        return Status.INFEASIBLE, nothing, nothing
-    if certificate is None:
-        return None, nothing, nothing
-    gap = nothing if certificate.gap is None else certificate.gap
-    proven = outcome.status.solved and (certificate.pmp == "satisfied" or certificate.globally_optimal)
-    return Status.OPTIMAL if proven else None, certificate.cost, gap
+@dataclass(frozen=True)
+class _Verdict:
+    """A status that is proven, or None, with the cost and the gap of the plan."""
+
+    status: Status | None
+    cost: float = float("nan")
+    gap: float = float("nan")
+
+    @classmethod
+    def of(cls, outcome: Outcome) -> _Verdict:
+        """Return what is proven of an outcome."""
+        certificate = outcome.certificate
+        if outcome.status is Status.INFEASIBLE or certificate is None:
+            return cls(Status.INFEASIBLE if outcome.status is Status.INFEASIBLE else None)
+        proven = outcome.status.solved and (certificate.pmp == "satisfied" or certificate.globally_optimal)
+        gap = float("nan") if certificate.gap is None else certificate.gap
+        return cls(Status.OPTIMAL if proven else None, certificate.cost, gap)
 
 
-def _findings(statuses: Sequence[StepStatus], verdicts: Sequence[Status | None], agree: Mask) -> tuple[Finding, ...]:
-    """Return what is known of each step from its status, what is proven of its problem, and whether controls agree."""
-    table = {
-        (True, Status.OPTIMAL): Finding.PROVEN,
-        (True, Status.INFEASIBLE): Finding.DEVIATES,
-        (False, Status.OPTIMAL): Finding.REFUTED,
-        (False, Status.INFEASIBLE): Finding.INFEASIBLE,
-    }
-    found = list[Finding]()
-    for status, verdict, same in zip(statuses, verdicts, agree, strict=True):
-        if status is StepStatus.NO_STATE:
-            found.append(Finding.NO_STATE)
-        elif status is StepStatus.CAPPED:
-            found.append(Finding.FALLBACK)
-        elif verdict is None:
-            found.append(Finding.UNPROVEN)
-        else:
-            has_plan = status is not StepStatus.INFEASIBLE
-            finding = table[has_plan, verdict]
-            found.append(Finding.DEVIATES if finding is Finding.PROVEN and not same else finding)
-    return tuple(found)
+def _finding_of_step(status: StepStatus, verdict: Status | None, agrees: bool) -> LogFinding:
+    """Return what is known of a step from its status, what is proven of its problem, and whether controls agree."""
+    if status is StepStatus.NO_STATE:
+        return LogFinding.NO_STATE
+    if status is StepStatus.CAPPED:
+        return LogFinding.FALLBACK
+    if verdict is None:
+        return LogFinding.UNPROVEN
+    if status is StepStatus.INFEASIBLE:
+        return LogFinding.INFEASIBLE if verdict is Status.INFEASIBLE else LogFinding.REFUTED
+    return LogFinding.PROVEN if verdict is Status.OPTIMAL and agrees else LogFinding.DEVIATES

@@ -7,8 +7,8 @@ of several runs of the same loop. "active": median of steps with active rows; "w
 constraints can be satisfied, and of all steps; "changes": most of the working set in a step. "apart" is the largest
 difference from the control of a plan that is proven optimal, relative to its bound. The cap is on changes; "reached"
 says at how many steps, and "its cost" is that of the loop with soft bounds, relative to the loop without the cap.
-PIQP and OSQP solve the sparse program, DAQP the dense program of the condensed method; each is set up once, and updated
-and called from Python.
+"condensed" solvers get the dense program of the condensed method, "sparse" ones the program in states and controls;
+each is set up once, and updated and called from Python; their times are CPU times.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from lin_freq_ocp.loop.step_problem import free_first_state
 
 RUNS = 9
 CAP = 20
+LONGEST = 6.0  # seconds of another solver in a case
 FLAGS = ("gcc", "-std=c99", "-O3", "-fPIC", "-shared")
 SMALL = {  # compilers for sizes of code, where they are installed
     "x86-64": ("gcc", "size"),
@@ -106,21 +108,21 @@ def compiled_controller(case: Case, folder: Path, real: str = "double") -> Compi
 
 
 def compare_others(case: Case, states: np.ndarray, count: int) -> list[str]:
-    """Return the median microseconds of DAQP, PIQP and OSQP at so many of the states; empty where one takes none."""
+    """Return the median microseconds of other solvers at so many of the states; empty where one takes none."""
     problem = free_first_state(case.problem).with_ends(states[0])
-    makers = [lambda: sparse(problem, "PIQP"), lambda: sparse(problem, "OSQP")]
-    makers.insert(0, lambda: dense(problem))
+    makers = [partial(dense, problem), partial(dense, problem, "PIQP")] if case.hard else [None, None]
+    makers += [partial(sparse, problem, "PIQP"), partial(sparse, problem, "OSQP")]
     cells = list[str]()
-    for i, make in enumerate(makers):
-        if i == 0 and not case.hard:
-            cells.append("")
-            continue
-        step, times = make(), list[float]()
+    for make in makers:
+        times, ends = list[float](), time.perf_counter() + LONGEST
+        step = None if make is None else make()
         for x in states[:count]:
-            began = time.perf_counter()
+            began = time.process_time()  # of one thread, so that other processes do not count
+            if step is None or time.perf_counter() > ends:
+                break
             step(x)
-            times.append(1e6 * (time.perf_counter() - began))
-        cells.append(f"{np.median(times[1:]):.0f}")
+            times.append(1e6 * (time.process_time() - began))
+        cells.append(f"{np.median(times):.0f}" if times else "")
     return cells
 
 
@@ -188,7 +190,7 @@ def main(arguments: Sequence[str]) -> None:
     for column in ("tables", "RAM", "stack", *(f"code, {name}" for name in SMALL), "apart, double", "apart, float"):
         sizes.add_column(column, justify="right")
     others = Table("case", title="microseconds of a step with active rows, median")
-    for column in ("generated", "DAQP, condensed", "PIQP, sparse", "OSQP, sparse"):
+    for column in ("generated", "DAQP, condensed", "PIQP, condensed", "PIQP, sparse", "OSQP, sparse"):
         others.add_column(column, justify="right")
     with Record(options.write) as record:
         for name in options.cases:

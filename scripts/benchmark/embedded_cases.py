@@ -72,7 +72,11 @@ PLANTS: dict[str, Callable[[], Case]] = {  # with horizons for which the sparse 
     **{name: CASES[name] for name in list(CASES)[:2]},
     "soft bounds, T = 60": CASES["soft bounds, T = 60"],
     "pendulum, T = 100, lowest 20 %": lambda: slow_pendulum(100, 0.2),
-    "pendulum, T = 80, fixed end": lambda: slow_pendulum(80, 0.5, fixed=True),
+    "double integrator, T = 100, fixed end": lambda: Case(
+        replace(lfo.library.double_integrator(horizon=100), terminal_state=(0.0, 0.0)),
+        np.array([0.5, 0.25]),
+        np.array([1e-3, 1e-3]),
+    ),
     "4 masses, 2 forces, T = 30": lambda: masses(30),
     "soft bounds, T = 100": lambda: Case(soft_pendulum(100), PUSH, NOISE, hard=False),
     "quadcopter, T = 20": lambda: Case(

@@ -124,23 +124,34 @@ def sparse(problem: lfo.OptimalControlProblem, solver: str) -> Step:
     return step
 
 
-def dense(problem: lfo.OptimalControlProblem) -> Step:
-    """Return a step of DAQP on the dense program of the condensed method; of soft rows it has none."""
+def dense(problem: lfo.OptimalControlProblem, solver: str = "DAQP") -> Step:
+    """Return a step of DAQP or PIQP on the dense program of the condensed method; of soft rows it has none."""
     units = natural_units(problem)
     tables = condense(lti_problem(problem, units))
     rows = DenseKernel(tables)
     bounded = np.isfinite(rows.lower) | np.isfinite(rows.upper)
     M, of_start = np.ascontiguousarray(rows.gradients[bounded]), rows.of_start[bounded]
     lower, upper = (np.clip(side[bounded], -1e30, 1e30) for side in (rows.lower, rows.upper))
-    model, r = import_module("daqp").Model(), tables.unknowns
-    model.setup(np.eye(r), np.zeros(r), M, upper, lower, np.zeros(len(M), dtype=np.int32))
+    r = tables.unknowns
+    if solver == "PIQP":
+        model = import_module("piqp").DenseSolver()
+        model.settings.eps_abs, model.settings.eps_rel = 1e-8, 1e-9
+        model.setup(np.eye(r), np.zeros(r), None, None, M, lower, upper)
+    else:
+        model = import_module("daqp").Model()
+        model.setup(np.eye(r), np.zeros(r), M, upper, lower, np.zeros(len(M), dtype=np.int32))
     (_, n, m), K = tables.loop.shape, tables.loop.K
 
     def step(state: np.ndarray) -> np.ndarray:
         start = np.append(state / units.x, 1.0)
         shift = of_start @ start
-        model.update(bupper=upper - shift, blower=lower - shift)
-        xi = model.solve()[0]
+        if solver == "PIQP":
+            model.update(h_l=lower - shift, h_u=upper - shift)
+            model.solve()
+            xi = model.result.x
+        else:
+            model.update(bupper=upper - shift, blower=lower - shift)
+            xi = model.solve()[0]
         return (tables.W[:m] @ start + tables.V[:m] @ xi + K @ start[:n]) * units.u
 
     return step

@@ -18,7 +18,7 @@ from rich.table import Table
 
 import lin_freq_ocp as lfo
 from helpers.generated import CompiledController, write_log
-from lin_freq_ocp.loop.generate import step_problem
+from lin_freq_ocp.loop.embedded import step_problem
 from verify.seeded import check_all
 
 STEPS = 100
@@ -80,7 +80,7 @@ def check(seed: int) -> Findings:
             log = write_log(Path(folder) / "log.csv", states, np.array([u for _, u in answers]), statuses)
             certified = lfo.certify_log(case.controller, log, APART[real])
             unproven += sum(str(finding) not in ("proven", "infeasible, proven") for finding in certified.findings)
-            apart[real] = float(np.nanmax(certified.differences[np.array(statuses) <= 1]))
+            apart[real] = float(certified.differences[np.array(statuses) <= 1].max(initial=0.0))
             exact = exact or statuses
     limit, cost, convex = np.abs(problem.control_tube.bounds).max(axis=(0, 1)), 0.0, 0.0
     for x, status, plan in zip(states, exact, plans, strict=True):

@@ -18,6 +18,7 @@ SAYS = {
     "problem_files": "saved answer: satisfied",
     "long_horizons": "10000 steps by method spectral",
     "minimum_time": "114 is proven infeasible by a ray, and with it all shorter horizons",
+    "oscillating_mass_in_c": "25 unknowns in float",
     "printer_move": "optimal   40 samples, 0.16 s",
     "kinks": "maximum principle satisfied",
     "torque_map": "modes meet at t = 4; joint inclusion holds",

@@ -86,7 +86,7 @@ BAD_LOGS = {
     "x1,x2,x3,x4,u1,status\n": "no steps",
     "x1,x2,x3,x4,u1,status\n0,0,0,0,0,0\n0,0,0,0,0\n": "line 3",
     "x1,x2,x3,x4,u1,status\n0,0,0,a,0,0\n": "line 2",
-    "x1,x2,x3,x4,u1,status\n0,0,0,0,0,7\n": "line 2: got status 7",
+    "x1,x2,x3,x4,u1,status\n0,0,0,0,0,7\n": "line 2.*a status from 0 to 4",
     "x1,x2,x3,x4,u1,status\n0,0,nan,0,0,0\n": "line 2.*finite",
 }
 

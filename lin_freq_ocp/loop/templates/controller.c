@@ -6,7 +6,7 @@
 #define M CONTROLLER_CONTROLS
 #define NONE ((lfo_real)LFO_NONE)
 
-{% for name, kind, values in arrays %}
+{% for name, kind, values in tables %}
 static const {{ kind }} {{ name }}[] = {
 {% for line in values %}
   {{ line }}
@@ -16,8 +16,14 @@ static const {{ kind }} {{ name }}[] = {
 
 /* A state is (x - origin) times a power of two, a control u times one: changing units rounds nothing. */
 static const lfo_model model = {
-{% for name, value in fields %}
+{% for name, value in integers.items() %}
   .{{ name }} = {{ value }},
+{% endfor %}
+{% for name, value in numbers.items() %}
+  .{{ name }} = {{ real.literal(value) }},
+{% endfor %}
+{% for name, _, _ in tables[:-3] %}
+  .{{ name }} = {{ name }},
 {% endfor %}
 };
 
@@ -32,8 +38,8 @@ static lfo_real product(const lfo_real *a, const lfo_real *b, int count) {
 static void advance(lfo_real *x, const lfo_real *u) {
   lfo_real next[N];
   for (int i = 0; i < N; i++) {
-    next[i] = model.d[model.column[0] * N + i] + product(model.A + i * N, x, N);
-    for (int j = 0; j < M; j++) next[i] += model.B[i * M + j] * (u[j] - product(model.K + j * N, x, N));
+    next[i] = d[column[0] * N + i] + product(A + i * N, x, N);
+    for (int j = 0; j < M; j++) next[i] += B[i * M + j] * (u[j] - product(K + j * N, x, N));
   }
   memcpy(x, next, sizeof next);
 }
@@ -42,19 +48,19 @@ static void advance(lfo_real *x, const lfo_real *u) {
 /* Clip a control to the hard rows at time 0 that act on one control each; boxes come last, and hold. */
 static void clip(const lfo_real *x, lfo_real *u) {
   for (int f = model.families - 1; f >= 0; f--) {
-    int acting = 0, count = 0, bound = f * model.columns + model.column[0];
+    int acting = 0, count = 0, bound = f * model.columns + column[0];
     lfo_real y, above, below;
     for (int j = 0; j < M; j++)
-      if (model.D[f * M + j] < 0 || model.D[f * M + j] > 0) {
+      if (D[f * M + j] < 0 || D[f * M + j] > 0) {
         acting = j;
         count++;
       }
     if (count != 1) continue;
-    y = product(model.C + f * N, x, N) + model.D[f * M + acting] * (u[acting] - product(model.K + acting * N, x, N));
-    above = model.limit_up[bound] < NONE ? 0 : y - model.upper[bound];
-    below = model.limit_low[bound] < NONE ? 0 : model.lower[bound] - y;
-    if (above > 0) u[acting] -= above / model.D[f * M + acting];
-    if (below > 0) u[acting] += below / model.D[f * M + acting];
+    y = product(C + f * N, x, N) + D[f * M + acting] * (u[acting] - product(K + acting * N, x, N));
+    above = limit_up[bound] < NONE ? 0 : y - upper[bound];
+    below = limit_low[bound] < NONE ? 0 : lower[bound] - y;
+    if (above > 0) u[acting] -= above / D[f * M + acting];
+    if (below > 0) u[acting] += below / D[f * M + acting];
   }
 }
 
@@ -102,9 +108,9 @@ void controller_plan(const controller *c, lfo_real *x, lfo_real *u) {
   for (int t = 0; t <= CONTROLLER_HORIZON; t++) {
     for (int i = 0; i < N; i++) x[t * N + i] = state[i] * state_unit[i] + origin[i];
     if (t == CONTROLLER_HORIZON) break;
-    for (int j = 0; j < M; j++) u[t * M + j] = (v[t * M + j] + product(model.K + j * N, state, N)) * control_unit[j];
+    for (int j = 0; j < M; j++) u[t * M + j] = (v[t * M + j] + product(K + j * N, state, N)) * control_unit[j];
     for (int i = 0; i < N; i++)
-      next[i] = model.d[model.column[t] * N + i] + product(model.A + i * N, state, N) + product(model.B + i * M, v + t * M, M);
+      next[i] = d[column[t] * N + i] + product(A + i * N, state, N) + product(B + i * M, v + t * M, M);
     memcpy(state, next, sizeof state);
   }
 }

@@ -1,6 +1,6 @@
 /* {{ title }}
 
-   {{ states }} states, {{ controls }} controls, horizon {{ horizon }}, {{ unknowns }} unknowns, {{ real.name }}.
+   {{ integers.n }} states, {{ integers.m }} controls, horizon {{ integers["T"] }}, {{ integers.r }} unknowns, {{ real.name }}.
    Written by lin_freq_ocp {{ version }}; README.md says what it computes and needs. */
 #ifndef CONTROLLER_H
 #define CONTROLLER_H
@@ -9,17 +9,17 @@
 extern "C" {
 #endif
 
-#include "lfo_kernel.h"
+#include "lfo_settings.h"
 
-#define CONTROLLER_STATES {{ states }}
-#define CONTROLLER_CONTROLS {{ controls }}
-#define CONTROLLER_HORIZON {{ horizon }}
+#define CONTROLLER_STATES {{ integers.n }}
+#define CONTROLLER_CONTROLS {{ integers.m }}
+#define CONTROLLER_HORIZON {{ integers["T"] }}
 #define CONTROLLER_REALS {{ reals }}
-#define CONTROLLER_MEMBERS {{ members }}
-#define CONTROLLER_ROWS {{ rows }}
-#define CONTROLLER_PARAMETERS {{ parameters }} /* the state{{ " and its reference" if references }} */
+#define CONTROLLER_MEMBERS {{ [integers.most_active, 1] | max }}
+#define CONTROLLER_ROWS {{ [rows, 1] | max }}
+#define CONTROLLER_PARAMETERS {{ integers.p - 1 }} /* the state{{ " and its reference" if references }} */
 #define CONTROLLER_LARGEST {{ real.literal(largest) }} /* of a state{{ " or reference" if references }}, in its unit */
-#define CONTROLLER_TABLE_BYTES {{ flash }}
+#define CONTROLLER_TABLE_BYTES {{ summary.flash }}
 
 /* What a step returns. */
 enum {

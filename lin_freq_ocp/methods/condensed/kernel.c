@@ -21,12 +21,23 @@ typedef struct { /* the worst row of a run of violated rows of one family */
 static lfo_real absolute(lfo_real a) { return a < 0 ? -a : a; }
 
 static lfo_real dot(const lfo_real *a, const lfo_real *b, int count) {
-  lfo_real sum = 0;
 #ifdef LFO_SIMD
+  lfo_real sum = 0;
 #pragma omp simd reduction(+ : sum)
-#endif
   for (int i = 0; i < count; i++) sum += a[i] * b[i];
   return sum;
+#else /* four sums, of which none waits for another */
+  lfo_real s0 = 0, s1 = 0, s2 = 0, s3 = 0;
+  int i = 0;
+  for (; i + 3 < count; i += 4) {
+    s0 += a[i] * b[i];
+    s1 += a[i + 1] * b[i + 1];
+    s2 += a[i + 2] * b[i + 2];
+    s3 += a[i + 3] * b[i + 3];
+  }
+  for (; i < count; i++) s0 += a[i] * b[i];
+  return (s0 + s1) + (s2 + s3);
+#endif
 }
 
 static void add(lfo_real *restrict a, lfo_real factor, const lfo_real *restrict b, int count) {

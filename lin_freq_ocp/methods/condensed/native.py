@@ -102,7 +102,7 @@ def data_arrays(tables: CondensedTables) -> dict[str, Array]:
 
 
 def model_arrays(tables: CondensedTables) -> dict[str, Array]:
-    """Return the arrays of lfo_model by their names."""
+    """Return the arrays of lfo_model by their names, but for ``column``."""
     loop, (T, _, m), C = tables.loop, tables.loop.shape, tables.C + tables.D @ tables.loop.K
     E, back = np.empty((len(C), T + 1, m)), C
     E[:, T] = tables.D
@@ -111,7 +111,7 @@ def model_arrays(tables: CondensedTables) -> dict[str, Array]:
         back = back @ loop.A
     return {
         "A": loop.A, "B": loop.lti.B, "K": loop.K, "W": np.vstack([tables.W.T, tables.V.T]), "E": E, "C": C,
-        "D": tables.D, **data_arrays(tables), "column": np.arange(T + 1, dtype=np.int16),
+        "D": tables.D, **data_arrays(tables),
     }  # fmt: skip
 
 
@@ -126,7 +126,8 @@ class NativeKernel:
         most = min(r, rows)
         integers = dict(zip(INTEGERS, (T, n, m, n + 1, r, count, T + 1, most, tables.most_changes), strict=True))
         self._model = Model(**integers, tolerance=ROW_TOLERANCE, dependent=GRADIENT_DEPENDENCE)
-        for name, array in self._arrays.items():
+        self._column = np.arange(T + 1, dtype=np.int16)
+        for name, array in (*self._arrays.items(), ("column", self._column)):
             setattr(self._model, name, array.ctypes.data)
         self._memory, model = Memory(), ctypes.byref(self._model)
         self._work = np.zeros(compiled.lfo_reals(model)), np.zeros(most, np.int32), np.zeros(rows, np.int8)

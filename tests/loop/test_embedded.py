@@ -214,6 +214,7 @@ def test_problems_of_another_class_are_refused_by_field(tmp_path, field):
         ({"memory": "1k"}, "memory: got 1024 bytes; expected at least"),
         ({"references": 1}, "references"),
         ({"folder": 3}, "folder"),
+        ({"folder": "/dev/null/folder"}, "/dev/null/folder: got .*a folder that can be written"),
     ],
 )
 def test_bad_options_are_named(tmp_path, options, field):
