@@ -13,6 +13,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.many import Extremals, judged_together, verdicts
 from lin_freq_ocp.certificate.rays import Exclusion, exclusion
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, Plan, batch_of
+from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
@@ -113,6 +114,7 @@ class Repeated:
         self.problem, self.name = problem, method
         self.method = chosen(problem, method, {"tolerance": tolerance})
         self._located: Located | None = None
+        self._programs = ProgramCache()
         self._moves = np.zeros(problem.state_dim)  # of each state, the largest in a solve until now
 
     @property
@@ -128,6 +130,10 @@ class Repeated:
             return False
         return isinstance(method, Spectral) or method.backend == "auto"
 
+    def take_programs(self, other: Repeated) -> None:
+        """Share the programs of another problem, for those with the same matrices."""
+        self._programs = other._programs
+
     def located(self, changed: OptimalControlProblem) -> Located:
         """Return the problem with its states counted from near those of a changed problem.
 
@@ -139,6 +145,8 @@ class Repeated:
         origin = far_origin(changed)
         if located is None or (origin != located.origin).any():
             self._located = located = Located(self.problem, changed, origin, self.linear)
+            if located.kept is not None:
+                located.kept.programs = self._programs
         else:  # it stays the best one: states this far from it are not far
             self._moves = np.maximum(self._moves, np.where(start.fixed, np.abs(start.lower - origin), 0.0) / TRAVEL)
         return located

@@ -14,6 +14,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSolver, Plan, PlanBatch
+from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import Prepared
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -76,6 +77,7 @@ class Kept:
         self._condensed: CondensedSolver | None = None
         self._solves, self._refused_condensed = 0, ""
         self.prepared = Prepared()
+        self.programs = ProgramCache()
 
     def spectral(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch."""

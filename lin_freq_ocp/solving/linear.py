@@ -177,7 +177,8 @@ class Convex(_Linear):
     def _solve(self, trial: _Trial, request: Request) -> Outcome:
         backend = PROVER if self.backend == "auto" else self.backend
         trial = replace(trial, backend=backend)
-        candidates = convex_candidates(trial.problem, backend, trial.options)
+        programs = None if request.again is None else request.again[0].programs
+        candidates = convex_candidates(trial.problem, backend, trial.options, programs)
         first = next(candidates)
         if first.status not in ("optimal", "limit") and backend != PROVER:
             first = trial.diagnose(trial.problem) or first
