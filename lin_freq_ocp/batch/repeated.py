@@ -174,9 +174,9 @@ class Repeated:
     def no_plans(self) -> str:
         """Return why the condensed method, which has been set up if that is possible, has no plans for the problem."""
         kept = self._located and self._located.kept
-        return (
-            kept.no_plans if kept and self.spectral else "method 'auto' or 'spectral', and linear dynamics, have plans."
-        )
+        if kept is None or not self.spectral:
+            return "only methods 'auto' and 'spectral' plan in this way, for linear dynamics."
+        return kept.no_plans
 
     def plan(self, start: Array, budget: Budget = UNLIMITED) -> PlannedStart | None:
         """Return a plan from another initial state, (n,), without a certificate; None where only ``solve`` helps."""
