@@ -13,6 +13,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.many import Extremals, batch_judge_takes, judge_batch
 from lin_freq_ocp.certificate.rays import InfeasibilityCertificate, infeasibility_certificate
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, Plan, batch_of
+from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
@@ -113,6 +114,7 @@ class Repeated:
         self.problem, self.name = problem, method
         self.method = choose_method(problem, method, {"tolerance": tolerance})
         self._located: Located | None = None
+        self._programs = ProgramCache()
         self._moves = np.zeros(problem.state_dim)  # of each state, the largest in a solve until now
 
     @property
@@ -128,6 +130,10 @@ class Repeated:
             return False
         return isinstance(method, Spectral) or method.backend == "auto"
 
+    def take_programs(self, other: Repeated) -> None:
+        """Share the programs of another problem, for those with the same matrices."""
+        self._programs = other._programs
+
     def located(self, changed: OptimalControlProblem) -> Located:
         """Return the problem with its states counted from near those of a changed problem.
 
@@ -139,6 +145,8 @@ class Repeated:
         origin = far_origin(changed)
         if located is None or (origin != located.origin).any():
             self._located = located = Located(self.problem, changed, origin, self.linear)
+            if located.kept is not None:
+                located.kept.programs = self._programs
         else:  # it stays the best one: states this far from it are not far
             self._moves = np.maximum(self._moves, np.where(start.fixed, np.abs(start.lower - origin), 0.0) / TRAVEL)
         return located
@@ -166,9 +174,9 @@ class Repeated:
     def no_plans(self) -> str:
         """Return why the condensed method, which has been set up if that is possible, has no plans for the problem."""
         kept = self._located and self._located.kept
-        return (
-            kept.no_plans if kept and self.spectral else "method 'auto' or 'spectral', and linear dynamics, have plans."
-        )
+        if kept is None or not self.spectral:
+            return "only methods 'auto' and 'spectral' plan in this way, for linear dynamics."
+        return kept.no_plans
 
     def plan(self, start: Array, budget: Budget = UNLIMITED) -> PlannedStart | None:
         """Return a plan from another initial state, (n,), without a certificate; None where only ``solve`` helps."""

@@ -247,7 +247,8 @@ class Controller:
         if preview.disturbance is not None:
             problem = add_disturbance(problem, preview.disturbance)
         if problem is not repeated.problem:
-            repeated = Repeated(problem, self._method)
+            known, repeated = repeated, Repeated(problem, self._method)
+            repeated.take_programs(known)
         return repeated.solve(change, self._limit, self._later_plan(), tree)
 
     def _later_plan(self) -> Trajectory | None:

@@ -170,26 +170,24 @@ class LoopRecord:
         ProblemError
             If another constraint is given, or one that does not fit the signal.
         """
-        given = {
-            "state_spectrum": state_spectrum,
-            "control_spectrum": control_spectrum,
-            "output_spectrum": output_spectrum,
-        }
-        own = all(content is None for content in given.values())
         problem, x, u = self.problem, self.states, self.controls if self.acted is None else self.acted
-        n, m, step, found = problem.state_dim, problem.control_dim, problem.sampling_time, list[WindowSpectra]()
-        signals = {
-            "state_spectrum": Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, len(x), step),
-            "control_spectrum": Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, len(u), step),
-        }
-        for of, content in given.items():
-            for where, entry in named_entries(of, getattr(problem, of) if own else content):
-                for one in entry.constraints:
-                    if not (own or one.remembers):
-                        raise ProblemError(where, brief(one), "a Spectrogram", "Such as lfo.spectrum.closed_loop(...).")
-                signal = signals[of] if of in signals else entry.signal(n, m, (len(x), len(u)), step, where)
-                plan = problem.horizon + (signal.D is None)
-                found += [part for one in entry.constraints for part in one.measure(signal, where, x, u, plan)]
+        own = control_spectrum is None and state_spectrum is None and output_spectrum is None
+        if own:
+            control_spectrum, state_spectrum = problem.control_spectrum, problem.state_spectrum
+            output_spectrum = problem.output_spectrum
+        n, m, step, samples = problem.state_dim, problem.control_dim, problem.sampling_time, (len(x), len(u))
+        states = Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, len(x), step)
+        controls = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, len(u), step)
+        entries = [(where, one, states) for where, one in named_entries("state_spectrum", state_spectrum)]
+        entries += [(where, one, controls) for where, one in named_entries("control_spectrum", control_spectrum)]
+        for where, outputs in named_entries("output_spectrum", output_spectrum):
+            signal = outputs.signal(n, m, samples, step, where)
+            entries += [(where, one, signal) for one in outputs.constraints]
+        found = list[WindowSpectra]()
+        for where, one, signal in entries:
+            if not (own or one.remembers):
+                raise ProblemError(where, brief(one), "a Spectrogram", "Such as lfo.spectrum.closed_loop(...).")
+            found += one.measure(signal, where, x, u, problem.horizon + (signal.D is None))
         return tuple(found)
 
     @property

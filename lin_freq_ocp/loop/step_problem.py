@@ -114,8 +114,14 @@ def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> Op
             changes[field] = [rows.softened(penalty) for rows in given]
         else:
             per_time = isinstance(given, ConvexSet) and given.bounds[0].ndim > 1
-            changes[field] = map_sets(_sets_at(given) if per_time else given, partial(softened_set, penalty))
+            sets, known = _sets_at(given) if per_time else given, dict[int, ConvexSet]()
+            changes[field] = map_sets(sets, partial(_softened_once, known, penalty))
     return replace(problem, **changes)
+
+
+def _softened_once(known: dict[int, ConvexSet], penalty: float, given: ConvexSet) -> ConvexSet:
+    """Return a soft set, the same object each time for the same set: its terms are then made once."""
+    return known.setdefault(id(given), softened_set(penalty, given))
 
 
 def _sets_at(given: ConvexSet) -> list[ConvexSet]:

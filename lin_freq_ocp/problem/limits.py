@@ -495,11 +495,8 @@ def cutoff_band(name: str, value: float | None, component: int | str | None = No
 
 
 def map_sets(given: SetOrSets, change: Callable[[ConvexSet], ConvexSet]) -> SetOrSets:
-    """Return a changed set, or one for each time, the same object where the given ones are the same; None stays."""
-    if not isinstance(given, Sequence):
-        return given and change(given)
-    changed = {id(one): one and change(one) for one in given}
-    return [changed[id(one)] for one in given]
+    """Return a changed set, or one for each time; None stays."""
+    return [one and change(one) for one in given] if isinstance(given, Sequence) else given and change(given)
 
 
 def map_constraints(

@@ -21,7 +21,7 @@ makes stages of the same rows (methods/structured/assembly.py). Either maps its 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -172,6 +172,26 @@ class LinearProgram:
             blocks,
             tuple(cones),
         )
+
+    def share_matrices(self, other: LinearProgram) -> bool:
+        """Take over the matrices of a program that differs in right-hand sides and slopes alone; whether it does."""
+        new, old = self.problem, other.problem
+        pairs = [(getattr(new.quadratic, name), getattr(old.quadratic, name)) for name in ("Q", "R", "S", "P")]
+        same = new.dynamics is old.dynamics and self.layout.shape == other.layout.shape
+        same &= all(one is another or np.array_equal(one, another) for one, another in pairs)
+        if not same or len(self.rows) != len(other.rows):
+            return False
+        if not all(map(ProgramRows.same_matrix, self.rows, other.rows)):
+            return False
+        drift, origin = self.drift.ravel(), self.origin
+        self.__dict__["sparse"] = replace(
+            other.sparse,
+            q=self.gradient,
+            constant=new.quadratic.value(origin.x, origin.u),
+            lower=np.concatenate([drift, *(part.lower for part in self.rows)]),
+            upper=np.concatenate([drift, *(part.upper for part in self.rows)]),
+        )
+        return True
 
     @property
     def drift(self) -> Array:

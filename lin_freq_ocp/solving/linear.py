@@ -180,7 +180,8 @@ class Convex(_Linear):
     def _run(self, trial: _Trial, request: Request) -> Outcome:
         backend = PROVER if self.backend == "auto" else self.backend
         trial = replace(trial, backend=backend)
-        candidates = convex_candidates(trial.problem, backend, trial.options)
+        programs = None if request.cached is None else request.cached[0].programs
+        candidates = convex_candidates(trial.problem, backend, trial.options, programs)
         first = next(candidates)
         if first.status not in (Status.OPTIMAL, Status.LIMIT) and backend != PROVER:
             first = trial.diagnose(trial.problem) or first

@@ -14,6 +14,7 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSolver, Plan, PlanBatch
+from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -70,6 +71,7 @@ class SolverCache:
         self._last: SpectralSolution | None = None
         self._condensed: CondensedSolver | None = None
         self._solves, self._refused_condensed = 0, ""
+        self.programs = ProgramCache()
 
     def solve(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch.

@@ -17,6 +17,11 @@ A cart-pole between soft walls instead: each step from the tree of the step befo
 The pendulum with a low pass and its bounds on the states soft, pushed every 40 steps so that no plan keeps them, with
 and without a limit on the changes of a step; CPU times of steps after the first. "not settled" are steps that ended at
 the limit; "cost" and "excess" are those of the loop: its stage costs, and the sum of the excess over the bounds.
+
+    python scripts/benchmark.py loop --previews
+
+CPU times of steps whose data change by more than the initial state, each judged at once: windows of 16 samples over
+applied and planned controls, and previewed references, bounds and disturbances of the pendulum with a low pass.
 """
 
 from __future__ import annotations
@@ -34,7 +39,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
-from benchmark.loop_cases import cart_pole, pendulum, soft_pendulum
+from benchmark.loop_cases import cart_pole, pendulum, soft_pendulum, windowed
 from benchmark.record import Record, build_parser
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.tables import condense
@@ -268,6 +273,50 @@ def with_pushes(horizons: Sequence[int], steps: int, seed: int) -> Table:
     return table
 
 
+def previews_of(problem: lfo.OptimalControlProblem) -> dict[str, Callable[[int], dict[str, object]]]:
+    """Return what a step is told beyond the state, by what changes."""
+    bound, n, times = problem.state_boxes.upper[1], problem.state_dim, np.arange(problem.horizon + 1)
+
+    def wave(k: int) -> np.ndarray:
+        return np.sin(0.1 * (k + times))[:, None]
+
+    def box(k: int) -> lfo.Box:
+        sides = (1 + 0.1 * wave(k)) * bound
+        return lfo.Box(-sides, sides)
+
+    return {
+        "the initial state": lambda k: {},
+        "references": lambda k: {"references": {"x_ref": 0.01 * wave(k) * np.eye(1, n)}},
+        "bounds": lambda k: {"bounds": {"state_set": box(k)}},
+        "disturbances": lambda k: {"disturbance": 1e-4 * wave(k)[:-1] * np.ones(n)},
+    }
+
+
+def with_previews(horizons: Sequence[int], steps: int, seed: int) -> Table:
+    """Return a table of the times of steps with windows and with previews."""
+    table = Table("horizon", "what changes", "method", title="a step whose data change, judged at once")
+    for column in ("ms, median", "worst"):
+        table.add_column(column, justify="right")
+    for horizon in horizons:
+        plain = pendulum(horizon, low_pass=True)
+        previews = previews_of(plain)
+        cases = [(name, plain, preview) for name, preview in previews.items()]
+        cases.append(("windows", windowed(horizon), previews["the initial state"]))
+        for name, problem, preview in cases:
+            rng, x, step = np.random.default_rng(seed), 0.3 * problem.initial_box.lower, problem.dynamics.stepper(1)
+            controller, spent = lfo.RecedingHorizon(problem), list[float]()
+            for k in range(steps):
+                began = time.process_time()
+                u = controller.step(x, **preview(k))
+                spent.append(1e3 * (time.process_time() - began))
+                x = step(0, x, u) + NOISE * rng.standard_normal(len(x))
+            own = np.array(spent[SET_UP:])
+            method = controller.log.steps[-1].method
+            what = f"T = {horizon}" if name == "the initial state" else ""
+            table.add_row(what, name, method, f"{np.median(own):.1f}", f"{own.max():.1f}")
+    return table
+
+
 def linear(horizons: Sequence[int], problems: Sequence[str], steps: int, seed: int) -> Table:
     """Return a table of the times of all contenders."""
     table = Table("problem", "contender", title="a step of a control loop, warm")
@@ -291,10 +340,13 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--modes", action="store_true")
     parser.add_argument("--pushes", action="store_true")
+    parser.add_argument("--previews", action="store_true")
     options = parser.parse_args(arguments)
     with Record(options.write) as record, threadpool_limits(1):
         if options.modes:
             record.show(with_modes(options.steps, options.seed))
+        elif options.previews:
+            record.show(with_previews(options.horizons, options.steps, options.seed))
         elif options.pushes:
             record.show(with_pushes(options.horizons, options.steps, options.seed))
         else:

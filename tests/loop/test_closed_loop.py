@@ -195,5 +195,6 @@ def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(tmp_path):
     assert "Windows of the applied signals" in page
     assert f"{int(found.exceeded.any(axis=1).sum())} of {len(found.begins)}" in page
     assert "5.62 to 10.3 Hz" in page
+    assert f"7.81 Hz and {int(found.exceeded.any(axis=0).sum()) - 8} more" in page
     assert len(log.plot().axes) == 8  # with a panel for the windows
     assert "Windows of the applied signals" not in noisy(oscillating_mass(), 12).save(tmp_path).read_text()

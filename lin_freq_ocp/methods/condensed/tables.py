@@ -235,7 +235,8 @@ class CondensedTables:
         cost = sum(float((y * (a - 0.5 * b)).sum()) for y, a, b in zip((x, u), slopes, squares, strict=True))
         y = np.moveaxis(x @ self.C.T, 2, 0)[..., 0]
         y[:, :T] += (u @ self.D.T)[:, 0].T
-        violation = np.linalg.norm(loop.equations(x, u, data)) / max(float(np.linalg.norm(u)), np.finfo(float).tiny)
+        size = max(float(np.linalg.norm(u)), float(np.finfo(np.float64).tiny))
+        violation = float(np.linalg.norm(loop.equations(x, u, data))) / size
         for beyond, limit in zip((self.bounds[0] - y, y - self.bounds[1]), self.limits, strict=True):
             over, hard = np.maximum(beyond, 0.0), np.isinf(limit)
             violation = max(violation, float((np.where(hard, over, 0.0) / self.sizes[:, None]).max(initial=0.0)))

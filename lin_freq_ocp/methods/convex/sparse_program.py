@@ -8,6 +8,7 @@ bounds. Trajectories without cost or slope are computed directly: solvers approa
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
@@ -54,6 +55,7 @@ LARGEST_ERROR = 1e-3  # relative residuals up to which a point is polished and r
 FLAT_SLOPE = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
 GRACE = 0.25  # seconds after a time limit in which a solver may still return a point
 REVISIONS = 2  # of the units by the size of the answer, at most
+MOST_PROGRAMS = 32  # in a cache
 # The sparse program has a dense row for every frequency constraint, and its time grows with the entries of these rows;
 # the structured method has none, but needs more time for a small problem. Measured by scripts/benchmark.py choice.
 DENSE_ENTRIES = 3e4  # of dense rows, above which the structured method is faster; both take 0.2 s there
@@ -71,17 +73,45 @@ def solve_convex(problem: OptimalControlProblem, backend_name: str, options: Sol
     return next(convex_candidates(problem, backend_name, options))
 
 
+class ProgramCache:
+    """Programs of like problems, with their units: one with the same matrices lends these to the next.
+
+    In a control loop with windows over applied samples, as many programs take turns as there are steps in a hop.
+    """
+
+    def __init__(self):
+        self._known = deque[tuple[LinearProgram, Scaling]](maxlen=MOST_PROGRAMS)
+
+    def program(self, problem: OptimalControlProblem) -> tuple[LinearProgram, Scaling]:
+        """Return the program of a problem, and the units in which it should be of order 1."""
+        linear = LinearProgram(problem)
+        known = next((entry for entry in self._known if linear.share_matrices(entry[0])), None)
+        if known is not None:
+            self._known.remove(known)  # and is the last again
+        scaling = natural_scaling(linear) if known is None else known[1]
+        self._known.append((linear, scaling))
+        return linear, scaling
+
+    def revise_units(self, scaling: Scaling) -> None:
+        """Replace the units of the last program: those were not of order 1."""
+        self._known.append((self._known.pop()[0], scaling))
+
+
 def convex_candidates(
-    problem: OptimalControlProblem, backend_name: str, options: SolveOptions = DEFAULTS
+    problem: OptimalControlProblem,
+    backend_name: str,
+    options: SolveOptions = DEFAULTS,
+    programs: ProgramCache | None = None,
 ) -> Iterator[Candidate]:
     """Yield the answer of ``solve_convex``, then others until the time limit, in case the first is not proven.
 
-    After Ctrl-C the last one is the first again, interrupted. Raises the errors of ``solve_convex``.
+    After Ctrl-C the last one is the first again, interrupted. ``programs`` are those of like problems. Raises the
+    errors of ``solve_convex``.
     """
     require_convex(problem)
     reduced = reduce_problem(problem, REDUCTIONS)
     if reduced.inverses:
-        yield from map(reduced.recover, convex_candidates(reduced.problem, backend_name, options))
+        yield from map(reduced.recover, convex_candidates(reduced.problem, backend_name, options, programs))
         return
     tolerance, time_limit = options.tolerance, options.time_limit
     solver = backend(backend_name)
@@ -92,8 +122,8 @@ def convex_candidates(
         message = f"time limit of {time_limit:.3g} s; {program} needs about {rows.seconds:.2g} s"
         yield Candidate(Status.LIMIT, message=message, seconds={"setup": 0.0, "solve": 0.0})
         return
-    linear = LinearProgram(problem)
-    scaling = natural_scaling(linear)
+    programs = programs or ProgramCache()
+    linear, scaling = programs.program(problem)
     ready = now()
     end = np.inf if time_limit is None else started + time_limit - rows.factorisation_seconds
     if ready >= end + GRACE:
@@ -119,6 +149,8 @@ def convex_candidates(
         if best.ended or best.error <= max(SOLVED_TOLERANCE, tolerance or 0.0) or solves.over:
             break
         best = better_of(best, _revise_units(solves, attempt(best)))
+    if best.z is not None and best.scaling is not scaling:
+        programs.revise_units(best.scaling)
     seconds = {"setup": ready - started, "solve": now() - ready}
     yield replace(best.candidate, seconds=seconds)
     for candidate in other_candidates(solves, scaling, best):

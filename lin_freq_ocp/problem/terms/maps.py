@@ -8,7 +8,8 @@ else in the package tells maps apart. ``AffineMap`` and ``MatrixMap`` document t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -42,6 +43,17 @@ class AffineMap(ABC):
     The adjoint satisfies <lambda, values(x, u) - values(0, 0)> = <pull_back(lambda), (x, u)>. Rounding errors of
     ``values`` are relative to ``sizes``, those of ``pull_back`` to ``pulled_sizes``.
     """
+
+    constants: ClassVar[tuple[str, ...]] = ()  # the fields that only the values at x = 0, u = 0 depend on
+
+    def same_rows(self, other: AffineMap) -> bool:
+        """Whether another map differs from this one in ``constants`` at most, so that L is the same."""
+        if self is other:
+            return True
+        if type(self) is not type(other) or not is_dataclass(self):
+            return False
+        names = [field.name for field in fields(self) if field.name not in self.constants]
+        return all(_equal(getattr(self, name), getattr(other, name)) for name in names)
 
     @property
     @abstractmethod
@@ -131,6 +143,13 @@ class AffineMap(ABC):
     def dense_size(self) -> tuple[int, int]:
         """Return the number of dense rows and the number of their entries."""
         return 0, 0
+
+
+def _equal(one: object, other: object) -> bool:
+    """Whether the fields of two maps are the same: arrays, numbers, or maps."""
+    if isinstance(one, AffineMap) and isinstance(other, AffineMap):
+        return one.same_rows(other)
+    return one is other or np.array_equal(np.asarray(one), np.asarray(other))
 
 
 class MatrixMap(AffineMap):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -274,6 +274,7 @@ class SpectrogramMap(AffineMap):
     The phase refers to time 0. The groups are those of ``spectrum``, window by window.
     """
 
+    constants: ClassVar[tuple[str, ...]] = ("past",)
     spectrum: SpectrumMap  # of the first window's length
     starts: Indices  # s, (windows,), not before the past begins
     past: Array  # (P,): y at times -P .. -1
