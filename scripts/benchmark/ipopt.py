@@ -35,8 +35,7 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
         warnings.simplefilter("ignore", DeprecationWarning)  # of the types that CasADi's binding makes
         casadi = import_module("casadi")
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    one, X, U = casadi.SX.sym("y", n + m), casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T)
-    step = casadi.Function("f", [one], [_expression(casadi, piecewise_smooth(problem).modes[0].f, one)])
+    X, U, step = casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T), map_of(casadi, problem)
     parts = [np.kron(real_rows(T, problem.control_stop[:, j]), np.eye(1, m, j)) for j in range(m)]
     rows = np.concatenate(parts)
     constraints = [casadi.vec(X[:, 1:] - step.map(T)(casadi.vertcat(X[:, :T], U)))]
@@ -46,7 +45,7 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     tubes = problem.state_tube, problem.control_tube
     bounds = {f"{side}bx": np.concatenate([getattr(tube, name).ravel() for tube in tubes])
               for side, name in (("l", "lower"), ("u", "upper"))}  # fmt: skip
-    program = {"x": unknowns, "f": _cost(casadi, problem, X, U), "g": casadi.vertcat(*constraints)}
+    program = {"x": unknowns, "f": cost_of_signals(casadi, problem, X, U), "g": casadi.vertcat(*constraints)}
     quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes"}
     solver = casadi.nlpsol("s", "ipopt", program, {**quiet, "ipopt.tol": TOLERANCE, "ipopt.max_iter": most_steps})
     begun = time.process_time()
@@ -58,7 +57,13 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     return Claim(trajectory, float(found["f"]), str(stats["return_status"]), int(stats["iter_count"]), seconds)
 
 
-def _cost(casadi: Any, problem: OptimalControlProblem, X: Any, U: Any) -> Any:
+def map_of(casadi: Any, problem: OptimalControlProblem) -> Any:
+    """Return the map of a problem as a function of a column (x, u)."""
+    y = casadi.SX.sym("y", problem.state_dim + problem.control_dim)
+    return casadi.Function("f", [y], [_expression(casadi, piecewise_smooth(problem).modes[0].f, y)])
+
+
+def cost_of_signals(casadi: Any, problem: OptimalControlProblem, X: Any, U: Any) -> Any:
     """Return the quadratic cost of columns X (n, T+1) and U (m, T)."""
     cost, n, T = problem.quadratic, problem.state_dim, problem.horizon
     references = np.broadcast_to(cost.x_ref, (T + 1, n)), np.broadcast_to(cost.u_ref, U.shape[::-1])

@@ -242,7 +242,7 @@ class LocalSearch:
                     if self._smooth and self.best is not None and self.best.feasible and self.best.converged:
                         return self
             self._on_grid(None)
-            for trajectory, sequence in self._starts():
+            for trajectory, sequence in self.starts():
                 feasible = self.best is not None and self.best.feasible
                 alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
                 if self._late() or (alone and feasible and self.tried >= SMOOTH_STARTS):
@@ -326,7 +326,7 @@ class LocalSearch:
         self.message = f"time limit of {self.seconds:g} s"
         return True
 
-    def _starts(self) -> Iterator[tuple[Trajectory, Indices]]:
+    def starts(self) -> Iterator[tuple[Trajectory, Indices]]:
         """Yield trajectories of constant controls with their mode sequences, then with each mode alone."""
         dynamics = piecewise_smooth(self.problem)
         for share in SHARES:
