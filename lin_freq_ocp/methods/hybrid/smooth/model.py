@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 
-TERMINAL_WEIGHT = 1e2  # of the distance from a fixed end, relative to the largest curvature of the cost
+TERMINAL_WEIGHT = 1e6  # of the distance from a fixed end, relative to the largest curvature of the cost
 LEAST_CURVATURE = 1e-3  # in units of order 1
 
 
