@@ -1,4 +1,4 @@
-"""IPOPT, by CasADi, on a problem with one smooth map: multiple shooting, boxes, stop bands and a quadratic cost."""
+"""IPOPT, by CasADi, on one smooth map: multiple shooting, its region, boxes, stop bands and a quadratic cost."""
 
 from __future__ import annotations
 
@@ -41,6 +41,13 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     constraints = [casadi.vec(X[:, 1:] - step.map(T)(casadi.vertcat(X[:, :T], U)))]
     if len(rows):
         constraints.append(casadi.DM(rows) @ casadi.vec(U))
+    equations, mode = casadi.vertcat(*constraints).numel(), piecewise_smooth(problem).modes[0]
+    if mode.region:  # switching functions, which are at most zero
+        y = casadi.SX.sym("y", n + m)
+        region = casadi.Function("region", [y], [_expression(casadi, mode.region, y)])
+        constraints.append(casadi.vec(region.map(T)(casadi.vertcat(X[:, :T], U))))
+    lower = np.full(casadi.vertcat(*constraints).numel(), -np.inf)
+    lower[:equations] = 0.0
     unknowns = casadi.vertcat(casadi.vec(X), casadi.vec(U))
     tubes = problem.state_tube, problem.control_tube
     bounds = {f"{side}bx": np.concatenate([getattr(tube, name).ravel() for tube in tubes])
@@ -49,7 +56,7 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes"}
     solver = casadi.nlpsol("s", "ipopt", program, {**quiet, "ipopt.tol": TOLERANCE, "ipopt.max_iter": most_steps})
     begun = time.process_time()
-    found = solver(x0=np.concatenate([start.x.ravel(), start.u.ravel()]), lbg=0, ubg=0, **bounds)
+    found = solver(x0=np.concatenate([start.x.ravel(), start.u.ravel()]), lbg=lower, ubg=0, **bounds)
     seconds, values = time.process_time() - begun, np.array(found["x"]).ravel()
     x, u = np.split(values, [(T + 1) * n])
     stats = solver.stats()

@@ -58,7 +58,10 @@ class Measure:
 
 @dataclass(eq=False)
 class Filter:
-    """The points with which trial points are compared; ``first`` is the infeasibility of the first point."""
+    """The points with which trial points are compared; ``first`` is the infeasibility of the first point.
+
+    Infeasibilities above ``far`` times that, or ``far``, are not accepted.
+    """
 
     first: float
     far: float = FAR
@@ -247,9 +250,10 @@ FIRST_MU, LEAST_MU = 0.1, 1e-11  # in units in which the steepest slope of the c
 MU_FACTOR, MU_POWER = 0.2, 1.5  # mu falls to the smaller of MU_FACTOR mu and mu^MU_POWER
 SOLVED = 10.0  # error of a barrier problem, in units of mu, at which mu falls
 SHORTEST = 1e-7  # part of a step
-# Without inequalities: part of a step below which a larger multiple of the identity takes its place, how often, and the
-# longest step that is tried and the largest first multipliers, in units of order 1
-LEAST_PART, MOST_SHIFTS, LONGEST, LARGEST_DUAL = 0.1, 20, 10.0, 1e3
+LONGEST = 30.0  # step that is tried, in units of order 1: longer ones get a larger multiple of the identity
+# Without inequalities: part of a step below which a larger multiple of the identity takes its place, how often that is
+# tried, the infeasibility that is never exceeded, relative to the first, and the largest multipliers to begin with
+LEAST_PART, MOST_SHIFTS, FARTHEST, LARGEST_DUAL = 0.1, 20, 10.0, 1e3
 CORRECTIONS = 4  # of a step at most
 CORRECTED = 0.99  # infeasibility after a correction, relative to that before, from which no further one is made
 RESTORED = 0.1  # infeasibility to reach where steps fail, relative to that there
@@ -322,7 +326,7 @@ class Barrier:
             mu, fitted = 0.0, local.fitted_multipliers(self._solvers[0])
             local.point = replace(local.point, z=fitted) if largest(fitted) <= LARGEST_DUAL else local.point
             local = self._at(local.point) or local
-        entries = Filter(local.theta, FAR if self.unequal else LONGEST)
+        entries = Filter(local.theta, FAR if self.unequal else FARTHEST)
         if not self.unequal and local.theta <= ACCEPTABLE:
             entries.add(local.measure(mu))  # no answer is worse than a first point that is a trajectory
         while self._steps < self.most_steps:
@@ -331,7 +335,7 @@ class Barrier:
                 return End.OPTIMAL
             while mu > LEAST_MU and local.error(mu) <= SOLVED * mu:
                 mu = max(LEAST_MU, min(MU_FACTOR * mu, mu**MU_POWER))
-                entries = Filter(entries.first)
+                entries = Filter(entries.first, entries.far)
             clock = now()
             if clock + last > self.end:
                 return End.TIME

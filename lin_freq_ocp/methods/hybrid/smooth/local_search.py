@@ -327,15 +327,19 @@ class LocalSearch:
         return True
 
     def starts(self) -> Iterator[tuple[Trajectory, Indices]]:
-        """Yield trajectories of constant controls with their mode sequences, then with each mode alone."""
-        dynamics = piecewise_smooth(self.problem)
-        for share in SHARES:
+        """Yield trajectories of constant controls with their mode sequences, then with each mode alone.
+
+        Of one smooth map, a straight line between the ends comes last.
+        """
+        dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
+        bounded = np.isfinite([tube.lower, tube.upper]).any()
+        for share in SHARES if bounded else SHARES[:1]:
             trajectory = self._constant_trajectory(share)
             alone = np.zeros(self.problem.horizon, dtype=np.intp)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
         if self._smooth:
             yield self._constant_trajectory(SHARES[0], replayed=False), alone
-        for mode in range(len(dynamics.modes)):
+        for mode in range(0 if self._smooth else len(dynamics.modes)):
             yield self._constant_trajectory(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
     def _constant_trajectory(self, share: float, replayed: bool = True) -> Trajectory:
