@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.certificate.verdict import SecondOrder
 from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import EXTERNAL
@@ -129,7 +129,7 @@ def _active_rows(
     return found
 
 
-def _negative_direction(AB: Array, H: Array, P: Array, free: Array) -> Array | None:
+def _negative_direction(AB: Array, H: Array, P: Array, free: Mask) -> Array | None:
     """Return d (T+1, n + m) along which the curvature is not positive, from a pivot that is not; None if all are."""
     T, n = len(H), len(P)
     gains, d = np.zeros((T, H.shape[1] - n, n)), np.zeros((T + 1, H.shape[1]))

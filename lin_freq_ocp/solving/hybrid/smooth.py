@@ -298,5 +298,5 @@ def _status(search: LocalSearch, found: Judged | None) -> tuple[Status, str]:
     if status == Status.NUMERICAL_ERROR:
         return status, f"the point found does not satisfy the maximum principle: {found[2].worst.name}"
     if status == Status.EXTREMAL:
-        return status, f"second order {found[2].second_order}"
+        return status, str(found[2].second_order)
     return status, LOCAL

@@ -333,9 +333,9 @@ class LocalSearch:
         """
         dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
         bounded = np.isfinite([tube.lower, tube.upper]).any()
+        alone = np.zeros(self.problem.horizon, dtype=np.intp)
         for share in SHARES if bounded else SHARES[:1]:
             trajectory = self._constant_trajectory(share)
-            alone = np.zeros(self.problem.horizon, dtype=np.intp)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
         if self._smooth:
             yield self._constant_trajectory(SHARES[0], replayed=False), alone

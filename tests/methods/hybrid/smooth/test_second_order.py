@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.command_line import run
 from helpers.published import clnlbeam, runge_kutta, smooth_problem
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import zero_multipliers
@@ -42,7 +43,7 @@ def test_a_saddle_is_extremal_and_its_direction_lowers_the_cost():
     test = certificate.second_order
     assert test.passed is False
     assert test.curvature < 0
-    assert "the cost falls along a direction" in str(certificate)
+    assert "the cost falls to second order along a direction" in str(certificate)
     after = lfo.simulate(problem, trajectory.u + 1e-2 * test.direction.u)
     assert problem.value(after.x, after.u) < certificate.cost
 
@@ -58,7 +59,7 @@ def test_a_saddle_that_is_not_left_is_an_answer(monkeypatch):
     monkeypatch.setattr(smooth, "MOST_SADDLES", 0)
     result = lfo.solve(double_well(), global_bound=False, start=np.zeros((4, 1)))
     assert result.status == "extremal"
-    assert "the cost falls along a direction" in result.message
+    assert "the cost falls to second order along a direction" in result.message
 
 
 def test_a_bound_that_is_active_with_a_multiplier_takes_the_direction_away():
@@ -100,3 +101,14 @@ def test_functions_without_a_hessian_leave_it_undecided():
     assert str(result.certificate.second_order) == "not decided: drag has no exact second derivatives"
     exact = smooth_problem(runge_kutta(rates, 0.1), [2.0], 1, 10, Q=1.0, R=1.0)
     assert lfo.solve(exact, global_bound=False).certificate.second_order.passed
+
+
+def test_the_command_certifies_a_saddle(tmp_path):
+    problem = double_well()
+    files = tmp_path / "wells.toml", tmp_path / "rest.csv"
+    lfo.io.write_problem(problem, files[0])
+    rows = ["time,x_0,x_1,u_0", *(f"{t},0,0,0" for t in range(4)), "4,0,0,"]
+    files[1].write_text("\n".join(rows))
+    status, out, _ = run("certify", *map(str, files))
+    assert status == 0
+    assert "no minimum: the cost falls to second order" in " ".join(out.split())
