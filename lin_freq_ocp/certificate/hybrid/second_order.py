@@ -11,8 +11,8 @@ are positive. C_t d_t = 0 is a weight on |C_t d_t|^2 that rises: a problem that 
 C_t d_t = 0. A pivot below zero leads to a direction, from its time on by the gains of the recursion, which is then
 checked itself: its curvature, and that it keeps the active constraints with one of its two signs.
 
-Everything is in the sizes of the data. Rounding and errors of multipliers are some digits of the terms of H: so much is
-added to it, which makes no direction of descent disappear that is more than that.
+Everything is in the sizes of the trajectory and the data. Rounding and errors of multipliers are some digits of the
+terms of H: so much is added to it, which hides no direction of descent that is more than that.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.verdict import SecondOrder
 from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import EXTERNAL
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 ACTIVE_BOUND = 1e-6  # distance to a bound, relative to its size, at which it is active: the tolerance of the judge
@@ -44,7 +44,7 @@ def second_order_test(problem: OptimalControlProblem, trajectory: Trajectory, mu
     rough = [node.function for node in kinks(formulas, EXTERNAL) if node.function and not node.function.exact_curvature]
     if rough:
         return SecondOrder(None, f"{rough[0].title} has no exact second derivatives")
-    x, u, units = trajectory.x, trajectory.u, np.concatenate(stated_sizes(problem))
+    x, u, units = trajectory.x, trajectory.u, np.concatenate(trajectory_sizes(problem, trajectory))
     modes, y = dynamics.sequence_of(x, u), np.hstack([x[:-1], u])
     jets = dynamics.jets_at(y).f
     slopes, curvatures = (

@@ -48,6 +48,18 @@ def test_a_saddle_is_extremal_and_its_direction_lowers_the_cost():
     assert problem.value(after.x, after.u) < certificate.cost
 
 
+@pytest.mark.parametrize("bound", [None, 10.0, 1e6, 1e15])
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+def test_neither_units_nor_far_bounds_decide(unit, bound):
+    def stage(x, u):
+        return (x[0] / unit) ** 4 / 4 - (x[0] / unit) ** 2 / 2 + (u[0] / unit) ** 2 / 20
+
+    control_set = None if bound is None else lfo.Box(-bound * unit, bound * unit)
+    problem = smooth_problem(lambda x, u: [x[0] + u[0]], [0.0], 1, 4, stage, control_set=control_set)
+    certificate = judge(problem, *at_rest(problem))
+    assert certificate.status_within(0.0) == "extremal"
+
+
 def test_a_saddle_is_left_by_the_search():
     result = lfo.solve(double_well(), global_bound=False, start=np.zeros((4, 1)))
     assert result.status == "locally_optimal"
