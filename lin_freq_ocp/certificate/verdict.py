@@ -97,8 +97,8 @@ class SecondOrder:
     def __str__(self) -> str:
         if self.direction is not None:
             t = int(np.argmax(np.abs(self.direction.u).max(1)))
-            return f"not satisfied: the cost falls along a direction that changes controls most at t = {t}"
-        return "satisfied" if self.passed else f"not decided: {self.reason}"
+            return f"no minimum: the cost falls to second order along a direction, most of u at t = {t}"
+        return "no direction lowers the cost to second order" if self.passed else f"not decided: {self.reason}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,6 +169,8 @@ def certify_command(
     console.print_certificate(description, certificate)
     if certificate.rounded is not None:
         console.say(f"rounding    {certificate.rounded}")
+    if certificate.second_order is not None:
+        console.say(f"second      {certificate.second_order}")
     if certificate.borders is not None:
         console.say(f"borders     {certificate.borders}")
     if descent is not None:  # a direction that rules out multipliers

@@ -14,6 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.clarke import modes_along
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.problem import measures
@@ -417,7 +418,7 @@ def measured_solution(label: str, problem: OptimalControlProblem, result: Outcom
 
 def solution_label(result: Outcome) -> str:
     """Return the label of a solution that is shown alone."""
-    return result.status.replace("_", " ") if result.status.solved else "best point"
+    return result.status.replace("_", " ") if Status(result.status).solved else "best point"
 
 
 def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:

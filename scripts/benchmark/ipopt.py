@@ -1,4 +1,4 @@
-"""IPOPT, by CasADi, on a problem with one smooth map: multiple shooting, boxes, stop bands and a quadratic cost."""
+"""IPOPT, by CasADi, on one smooth map: multiple shooting, its region, boxes, stop bands and a quadratic cost."""
 
 from __future__ import annotations
 
@@ -35,22 +35,28 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
         warnings.simplefilter("ignore", DeprecationWarning)  # of the types that CasADi's binding makes
         casadi = import_module("casadi")
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    one, X, U = casadi.SX.sym("y", n + m), casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T)
-    step = casadi.Function("f", [one], [_expression(casadi, piecewise_smooth(problem).modes[0].f, one)])
+    X, U, step = casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T), map_of(casadi, problem)
     parts = [np.kron(real_rows(T, problem.control_stop[:, j]), np.eye(1, m, j)) for j in range(m)]
     rows = np.concatenate(parts)
     constraints = [casadi.vec(X[:, 1:] - step.map(T)(casadi.vertcat(X[:, :T], U)))]
     if len(rows):
         constraints.append(casadi.DM(rows) @ casadi.vec(U))
+    equations, mode = casadi.vertcat(*constraints).numel(), piecewise_smooth(problem).modes[0]
+    if mode.region:  # switching functions, which are at most zero
+        y = casadi.SX.sym("y", n + m)
+        region = casadi.Function("region", [y], [_expression(casadi, mode.region, y)])
+        constraints.append(casadi.vec(region.map(T)(casadi.vertcat(X[:, :T], U))))
+    lower = np.full(casadi.vertcat(*constraints).numel(), -np.inf)
+    lower[:equations] = 0.0
     unknowns = casadi.vertcat(casadi.vec(X), casadi.vec(U))
     tubes = problem.state_tube, problem.control_tube
     bounds = {f"{side}bx": np.concatenate([getattr(tube, name).ravel() for tube in tubes])
               for side, name in (("l", "lower"), ("u", "upper"))}  # fmt: skip
-    program = {"x": unknowns, "f": _cost(casadi, problem, X, U), "g": casadi.vertcat(*constraints)}
+    program = {"x": unknowns, "f": cost_of_signals(casadi, problem, X, U), "g": casadi.vertcat(*constraints)}
     quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes"}
     solver = casadi.nlpsol("s", "ipopt", program, {**quiet, "ipopt.tol": TOLERANCE, "ipopt.max_iter": most_steps})
     begun = time.process_time()
-    found = solver(x0=np.concatenate([start.x.ravel(), start.u.ravel()]), lbg=0, ubg=0, **bounds)
+    found = solver(x0=np.concatenate([start.x.ravel(), start.u.ravel()]), lbg=lower, ubg=0, **bounds)
     seconds, values = time.process_time() - begun, np.array(found["x"]).ravel()
     x, u = np.split(values, [(T + 1) * n])
     stats = solver.stats()
@@ -58,7 +64,13 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     return Claim(trajectory, float(found["f"]), str(stats["return_status"]), int(stats["iter_count"]), seconds)
 
 
-def _cost(casadi: Any, problem: OptimalControlProblem, X: Any, U: Any) -> Any:
+def map_of(casadi: Any, problem: OptimalControlProblem) -> Any:
+    """Return the map of a problem as a function of a column (x, u)."""
+    y = casadi.SX.sym("y", problem.state_dim + problem.control_dim)
+    return casadi.Function("f", [y], [_expression(casadi, piecewise_smooth(problem).modes[0].f, y)])
+
+
+def cost_of_signals(casadi: Any, problem: OptimalControlProblem, X: Any, U: Any) -> Any:
     """Return the quadratic cost of columns X (n, T+1) and U (m, T)."""
     cost, n, T = problem.quadratic, problem.state_dim, problem.horizon
     references = np.broadcast_to(cost.x_ref, (T + 1, n)), np.broadcast_to(cost.u_ref, U.shape[::-1])

@@ -6,6 +6,9 @@ From each of two trajectories of constant controls, processor seconds of one loc
 included, and IPOPT's, its own set-up and the construction of its program left out. Each is the least of N. Beside them:
 steps, costs, and the worst condition of our certificate; and the whole ``lfo.solve(problem, global_bound=False)``, all
 starts and the judge included. IPOPT has exact derivatives by CasADi and the linear solver MUMPS.
+
+A second table has published problems (tests/helpers/published.py): the whole of ``lfo.solve`` and the whole of IPOPT,
+its set-up by CasADi included, from our first start, or from the next one where it fails there.
 """
 
 from __future__ import annotations
@@ -15,12 +18,15 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TypeVar
 
+import numpy as np
 from rich.table import Table
 
 import lin_freq_ocp as lfo
 from benchmark.ipopt import solved_by_ipopt
 from benchmark.record import Record, build_parser
+from helpers.published import PUBLISHED
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier
+from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 
@@ -92,10 +98,35 @@ def rows(name: str, repeats: int, compiled: bool | None) -> Iterator[list[str]]:
         ]
 
 
+def published_row(name: str, repeats: int) -> list[str]:
+    """Return the cells of one published problem."""
+    case = PUBLISHED[name]
+    problem = case.build(case.horizon)
+    solve = partial(lfo.solve, problem, global_bound=False, throw=False)
+    seconds, result = timed({"solve": solve}, repeats)["solve"]
+    starts = [start for start, _ in LocalSearch(problem).starts()]
+    for start in (starts[0], starts[-1]):
+        spent, claim = timed({"ipopt": partial(solved_by_ipopt, problem, start)}, repeats)["ipopt"]
+        if claim.status == "Solve_Succeeded":
+            break
+    succeeded = claim.status == "Solve_Succeeded"
+    cost = np.nan if result.certificate is None else result.certificate.cost
+    return [
+        name,
+        str(result.status),
+        f"{cost:.8g}",
+        f"{claim.cost / cost - 1:.0e}" if succeeded else claim.status,
+        f"{seconds:.3f}",
+        f"{spent:.3f}",
+        f"{seconds / spent:.1f}",
+    ]
+
+
 def main(arguments: Sequence[str]) -> None:
     """Print the table."""
     parser = build_parser(__name__, __doc__)
     parser.add_argument("--cases", nargs="*", default=list(CASES), choices=list(CASES))
+    parser.add_argument("--published", nargs="*", default=list(PUBLISHED), choices=list(PUBLISHED))
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--plain", action="store_true", help="The loops by NumPy and LAPACK.")
     options = parser.parse_args(arguments)
@@ -108,4 +139,10 @@ def main(arguments: Sequence[str]) -> None:
         for name in options.cases:
             for cells in rows(name, options.repeats, compiled):
                 table.add_row(*cells)
+        record.show(table)
+        table = Table("problem", "status", title="processor seconds of published problems")
+        for heading in ("cost", "IPOPT's, relative", "solve", "IPOPT", "ratio"):
+            table.add_column(heading, justify="right")
+        for name in options.published:
+            table.add_row(*published_row(name, options.repeats))
         record.show(table)

@@ -7,7 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from helpers.checks import convex, explain, flips, frequencies, mixed, modes, sequences, structured
+import lin_freq_ocp as lfo
+from helpers.checks import convex, explain, flips, frequencies, mixed, modes, sequences, smooth, structured
 from helpers.random.convex import random_problem
 from helpers.random.mixed import random_model
 from lin_freq_ocp.certificate.hybrid.clarke import Flip
@@ -152,3 +153,33 @@ def test_the_proven_maximum_of_a_signal_is_attained(seed):
     below, above = frequencies.peak_errors(seed)
     assert below == 0
     assert above < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_random_smooth_problem_is_answered_and_no_saddle_is_called_a_minimum(seed):
+    pytest.importorskip("casadi")
+    outcome = smooth.check(seed)
+    assert outcome.verdict == "right", outcome
+    assert not outcome.worse, outcome
+
+
+def test_wrong_words_for_smooth_answers_are_found_out():
+    claim = ("Solve_Succeeded", 1.0)
+    verdicts = {
+        ("locally_optimal", 1.0, 0.1): "right",
+        ("locally_optimal", 1.0, -0.1): "a saddle is called a minimum",
+        ("extremal", 1.0, 0.1): "a minimum is called a saddle",
+        ("extremal", 1.0, -0.1): "right",
+        ("numerical_error", np.inf, np.nan): "no answer",
+    }
+    for (status, cost, eigenvalue), verdict in verdicts.items():
+        outcome = smooth.Outcome(0, "wells", status, cost, *claim, eigenvalue)
+        assert outcome.verdict == verdict
+        assert outcome.worse == (cost == np.inf)
+
+
+def test_eigenvalues_of_the_dense_hessian_know_a_saddle():
+    pytest.importorskip("casadi")
+    problem = smooth.random_problem(9)
+    rest = lfo.simulate(problem, np.zeros((problem.horizon, problem.control_dim)))
+    assert smooth.least_eigenvalue(problem, rest) < -0.1

@@ -11,30 +11,30 @@ are positive. C_t d_t = 0 is a weight on |C_t d_t|^2 that rises: a problem that 
 C_t d_t = 0. A pivot below zero leads to a direction, from its time on by the gains of the recursion, which is then
 checked itself: its curvature, and that it keeps the active constraints with one of its two signs.
 
-Everything is in the sizes of the data. Rounding and errors of multipliers are some digits of the terms of H: so much is
-added to it, which makes no direction of descent disappear that is more than that.
+Everything is in the sizes of the trajectory and the data. Rounding and errors of multipliers are some digits of the
+terms of H: so much is added to it, which hides no direction of descent that is more than that.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.verdict import SecondOrder
 from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import EXTERNAL
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
-NEAR = 1e-6  # distance to a bound, relative to its size, at which it is active: the tolerance of the judge
+ACTIVE_BOUND = 1e-6  # distance to a bound, relative to its size, at which it is active: the tolerance of the judge
 # Part of the largest multiplier above which one counts as not zero. Interior points leave less of inactive bounds.
-STRONG = 1e-6
+LEAST_MULTIPLIER = 1e-6
 CURVATURE = 1e-7  # part of the terms of the Hessian that errors of multipliers make: these are right to 1e-6 at most
-LEAST_CURVATURE = 1e-12  # the same, relative to the largest component
-WEIGHTS = (1e2, 1e5, 1e8)  # of active constraints, relative to the largest curvature
-KEPT = 1e-3  # violation of active constraints, relative to a direction, that the largest weight leaves
+CURVATURE_FLOOR = 1e-12  # the same, relative to the largest component
+CONSTRAINT_WEIGHTS = (1e2, 1e5, 1e8)  # of active constraints, relative to the largest curvature
+ALLOWED_VIOLATION = 1e-3  # violation of active constraints, relative to a direction, that the largest weight leaves
 
 
 def second_order_test(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> SecondOrder:
@@ -44,7 +44,7 @@ def second_order_test(problem: OptimalControlProblem, trajectory: Trajectory, mu
     rough = [node.function for node in kinks(formulas, EXTERNAL) if node.function and not node.function.exact_curvature]
     if rough:
         return SecondOrder(None, f"{rough[0].title} has no exact second derivatives")
-    x, u, units = trajectory.x, trajectory.u, np.concatenate(stated_sizes(problem))
+    x, u, units = trajectory.x, trajectory.u, np.concatenate(trajectory_sizes(problem, trajectory))
     modes, y = dynamics.sequence_of(x, u), np.hstack([x[:-1], u])
     jets = dynamics.jets_at(y).f
     slopes, curvatures = (
@@ -62,13 +62,13 @@ def second_order_test(problem: OptimalControlProblem, trajectory: Trajectory, mu
     largest = float(sizes.max())
     if largest == 0:
         return SecondOrder(True, "")
-    error = np.diag(CURVATURE * sizes + LEAST_CURVATURE * largest)
+    error = np.diag(CURVATURE * sizes + CURVATURE_FLOOR * largest)
     AB, rows = slopes * units / units[:n, None], _active_rows(problem, trajectory, multipliers, units)
     strong = np.zeros((T + 1, len(units), len(units)))
     for t, row, sign, is_strong in rows:
         strong[t] += np.outer(row, row) if is_strong or sign == 0 else 0.0
     d, first = np.zeros((T + 1, len(units))), problem.initial_box.fixed
-    for weight in WEIGHTS if strong.any() else (0.0,):
+    for weight in CONSTRAINT_WEIGHTS if strong.any() else (0.0,):
         held = weight * largest * strong
         found = _negative_direction(AB, H + error + held[:-1], P + error[:n, :n] + held[-1, :n, :n], ~first)
         if found is None:
@@ -76,16 +76,16 @@ def second_order_test(problem: OptimalControlProblem, trajectory: Trajectory, mu
         d = found / np.abs(found).max()
     curvature = float(np.einsum("ti,tij,tj->", d[:-1], H, d[:-1]) + d[-1, :n] @ P @ d[-1, :n])
     moved = [(float(row @ d[t]), sign, is_strong) for t, row, sign, is_strong in rows]
-    keeps = all(abs(change) <= KEPT for change, sign, is_strong in moved if is_strong or sign == 0)
+    keeps = all(abs(change) <= ALLOWED_VIOLATION for change, sign, is_strong in moved if is_strong or sign == 0)
     weak = [change * sign for change, sign, is_strong in moved if sign and not is_strong]
     others = [term.name for term in problem.terms if term.polyhedron(n, problem.control_dim) is None]
     reason = "constraints couple all times" if problem.control_stop.any() or problem.state_stop.any() else ""
     reason = reason or (f"{others[0]} is curved or couples times" if others else "")
     if reason or curvature >= 0 or not keeps:
         return SecondOrder(None, reason or "active constraints leave it open")
-    if max(weak, default=0.0) > KEPT:
+    if max(weak, default=0.0) > ALLOWED_VIOLATION:
         d, weak = -d, [-change for change in weak]
-    if max(weak, default=0.0) > KEPT:
+    if max(weak, default=0.0) > ALLOWED_VIOLATION:
         return SecondOrder(None, "bounds that are active without a multiplier leave it open")
     return SecondOrder(False, "", curvature, Trajectory(d[:, :n] * units[:n], d[:-1, n:] * units[n:]))
 
@@ -98,15 +98,15 @@ def _active_rows(
     A direction d keeps a row if sign times row'd <= 0, of fixed components (sign 0) if row'd = 0.
     """
     n, found = problem.state_dim, list[tuple[int, Array, float, bool]]()
-    slopes = np.concatenate([multipliers.eta * units[:n], multipliers.nu * units[n:]], axis=1)
-    threshold = STRONG * max(float(np.abs(slopes).max(initial=0.0)), float(np.abs(multipliers.mu * units[:n]).max()))
+    slopes = multipliers.eta * units[:n], multipliers.mu * units[:n], multipliers.nu * units[n:]
+    threshold = LEAST_MULTIPLIER * max(float(np.abs(part).max()) for part in slopes)
     identity = np.eye(len(units))
     for first, signal, normals, tube in (
         (0, trajectory.x, multipliers.mu, problem.state_tube),
         (n, trajectory.u, multipliers.nu, problem.control_tube),
     ):
         unit = units[first : first + signal.shape[1]]
-        upper, lower = tube.upper - signal <= NEAR * unit, signal - tube.lower <= NEAR * unit
+        upper, lower = tube.upper - signal <= ACTIVE_BOUND * unit, signal - tube.lower <= ACTIVE_BOUND * unit
         strong, fixed = np.abs(normals * unit) > threshold, tube.lower == tube.upper
         for t, k in np.argwhere(upper | lower):
             sign = 0.0 if fixed[t, k] else 1.0 if upper[t, k] else -1.0
@@ -119,7 +119,7 @@ def _active_rows(
             term.map.values(trajectory.x, trajectory.u),
             multipliers.stage.get(term.name, np.zeros(term.shape)),
         )
-        near = NEAR * np.maximum(term.map.sizes(trajectory.x, trajectory.u).max(0), 0.0)
+        near = ACTIVE_BOUND * np.maximum(term.map.sizes(trajectory.x, trajectory.u).max(0), 0.0)
         for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
             normal = rows.matrix(int(group))[row] * units
             length = float(np.linalg.norm(normal))
@@ -129,7 +129,7 @@ def _active_rows(
     return found
 
 
-def _negative_direction(AB: Array, H: Array, P: Array, free: Array) -> Array | None:
+def _negative_direction(AB: Array, H: Array, P: Array, free: Mask) -> Array | None:
     """Return d (T+1, n + m) along which the curvature is not positive, from a pivot that is not; None if all are."""
     T, n = len(H), len(P)
     gains, d = np.zeros((T, H.shape[1] - n, n)), np.zeros((T + 1, H.shape[1]))

@@ -170,7 +170,7 @@ def _proof_in_words(result: Outcome) -> str:
         gap = f"not proven optimal (gap {number(certificate.gap, 2)}{kind})"
     if result.status == "extremal":
         return f"a saddle that satisfies the maximum principle, but along a direction the cost falls, {gap}"
-    if not result.status.solved:
+    if not Status(result.status).solved:
         return f"{gap}; the solve ended with: {result.status.replace('_', ' ')}"
     if certificate is not None and certificate.pmp == "satisfied":
         return f"locally optimal as far as the maximum principle says, {gap}"

@@ -302,5 +302,5 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
     if status == Status.NUMERICAL_ERROR:
         return status, f"the best point does not satisfy the maximum principle: {judged[2].worst.name}"
     if status == Status.EXTREMAL:
-        return status, f"second order {judged[2].second_order}"
+        return status, str(judged[2].second_order)
     return status, LOCAL

@@ -58,14 +58,18 @@ class Measure:
 
 @dataclass(eq=False)
 class Filter:
-    """The points with which trial points are compared; ``first`` is the infeasibility of the first point."""
+    """The points with which trial points are compared; ``first`` is the infeasibility of the first point.
+
+    Infeasibilities above ``far`` times that, or ``far``, are not accepted.
+    """
 
     first: float
+    far: float = FAR
     entries: list[Measure] = field(default_factory=list[Measure])
 
     def accepts(self, trial: Measure) -> bool:
         """Whether a point improves on every point of the filter."""
-        near = trial.theta <= FAR * max(1.0, self.first) and bool(np.isfinite(trial.phi))
+        near = trial.theta <= self.far * max(1.0, self.first) and bool(np.isfinite(trial.phi))
         return near and all(trial.theta < entry.theta or trial.phi < entry.phi for entry in self.entries)
 
     def takes(self, current: Measure, trial: Measure, slope: float, length: float) -> bool:
@@ -266,9 +270,10 @@ FIRST_MU, LEAST_MU = 0.1, 1e-11  # in units in which the steepest slope of the c
 MU_FACTOR, MU_POWER = 0.2, 1.5  # mu falls to the smaller of MU_FACTOR mu and mu^MU_POWER
 SOLVED = 10.0  # error of a barrier problem, in units of mu, at which mu falls
 SHORTEST = 1e-7  # part of a step
-# Without inequalities: part of a step below which a larger multiple of the identity takes its place, how often, and the
-# longest step that is tried and the largest first multipliers, in units of order 1
-LEAST_PART, MOST_SHIFTS, LONGEST, LARGEST_DUAL = 0.1, 20, 100.0, 1e3
+LONGEST = 30.0  # step that is tried, in units of order 1: longer ones get a larger multiple of the identity
+# Without inequalities: part of a step below which a larger multiple of the identity takes its place, how often that is
+# tried, the infeasibility that is never exceeded, relative to the first, and the largest multipliers to begin with
+LEAST_PART, MOST_SHIFTS, FARTHEST, LARGEST_DUAL = 0.1, 20, 10.0, 1e3
 CORRECTIONS = 4  # of a step at most
 CORRECTED = 0.99  # infeasibility after a correction, relative to that before, from which no further one is made
 RESTORED = 0.1  # infeasibility to reach where steps fail, relative to that there
@@ -341,14 +346,16 @@ class Barrier:
             mu, fitted = 0.0, local.fitted_multipliers(self._solvers[0])
             local.point = replace(local.point, z=fitted) if largest(fitted) <= LARGEST_DUAL else local.point
             local = self._at(local.point) or local
-        entries = Filter(local.theta)
+        entries = Filter(local.theta, FAR if self.unequal else FARTHEST)
+        if not self.unequal and local.theta <= ACCEPTABLE:
+            entries.add(local.measure(mu))  # no answer is worse than a first point that is a trajectory
         while self._steps < self.most_steps:
             self._last = local
             if local.error(0.0) <= ACCURATE or (mu <= LEAST_MU and local.error(mu) <= ACCURATE):
                 return End.OPTIMAL
             while mu > LEAST_MU and local.error(mu) <= SOLVED * mu:
                 mu = max(LEAST_MU, min(MU_FACTOR * mu, mu**MU_POWER))
-                entries = Filter(entries.first)
+                entries = Filter(entries.first, entries.far)
             clock = now()
             if clock + last > self.end:
                 return End.TIME
@@ -466,7 +473,7 @@ def _point_after(point: EmbeddedPoint, trial: Trial, z: list[Array], length: flo
 
 
 WARM_MU = 1e-3  # first weight of the barrier at a start that is taken to be near
-REVISIONS = 3  # of the units, each in those of a point at which the iteration stalled
+UNIT_REVISIONS = 3  # of the units, each in those of a point at which the iteration stalled
 FEW_STEPS = 60  # from others: 15 to 50 are common, and another start is better than many more
 
 
@@ -491,7 +498,7 @@ def smooth_optimum(
     if answer.end is End.UNDEFINED:
         return None, answer.end
     trajectory = model.trajectory(answer.point.y)
-    for _ in range(REVISIONS):
+    for _ in range(UNIT_REVISIONS):
         stalled = answer.end is End.STALLED and not barrier.unequal
         revised = model.assembly.revised(answer.point.y) if stalled else None
         if revised is None:

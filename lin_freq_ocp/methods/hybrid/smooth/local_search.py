@@ -255,7 +255,7 @@ class LocalSearch:
                     if self._smooth and self.best is not None and self.best.feasible and self.best.converged:
                         return self
             self._on_grid(None)
-            for trajectory, sequence in self._starts():
+            for trajectory, sequence in self.starts():
                 feasible = self.best is not None and self.best.feasible
                 alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
                 if self._late() or (alone and feasible and self.tried >= SMOOTH_STARTS):
@@ -345,16 +345,20 @@ class LocalSearch:
         self.message = f"time limit of {self.seconds:g} s"
         return True
 
-    def _starts(self) -> Iterator[tuple[Trajectory, Indices]]:
-        """Yield trajectories of constant controls with their mode sequences, then with each mode alone."""
-        dynamics = piecewise_smooth(self.problem)
-        for share in SHARES:
+    def starts(self) -> Iterator[tuple[Trajectory, Indices]]:
+        """Yield trajectories of constant controls with their mode sequences, then with each mode alone.
+
+        Of one smooth map, a straight line between the ends comes last.
+        """
+        dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
+        bounded = np.isfinite([tube.lower, tube.upper]).any()
+        alone = np.zeros(self.problem.horizon, dtype=np.intp)
+        for share in SHARES if bounded else SHARES[:1]:
             trajectory = self._constant_trajectory(share)
-            alone = np.zeros(self.problem.horizon, dtype=np.intp)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
         if self._smooth:
             yield self._constant_trajectory(SHARES[0], replayed=False), alone
-        for mode in range(len(dynamics.modes)):
+        for mode in range(0 if self._smooth else len(dynamics.modes)):
             yield self._constant_trajectory(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
     def _constant_trajectory(self, share: float, replayed: bool = True) -> Trajectory:

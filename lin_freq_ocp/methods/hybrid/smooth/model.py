@@ -24,7 +24,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.units import cost_factor
 
-TERMINAL_WEIGHT = 1e2  # of the distance from a fixed end, relative to the largest curvature of the cost
+END_WEIGHT = 1e6  # of the distance from a fixed end, relative to the largest curvature of the cost
 LEAST_CURVATURE = 1e-3  # in units of order 1
 
 
@@ -58,7 +58,7 @@ class SmoothModel:
         stages = assembly.stages
         H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
         largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
-        weight = TERMINAL_WEIGHT * max(LEAST_CURVATURE, largest)  # of the distance of x_T from its fixed components
+        weight = END_WEIGHT * max(LEAST_CURVATURE, largest)  # of the distance of x_T from its fixed components
         H[-1, terminal, terminal] += weight
         h[-1, terminal] -= weight * end
         constant = stages.constant + 0.5 * weight * float(end @ end)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.command_line import run
 from helpers.published import clnlbeam, runge_kutta, smooth_problem
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import zero_multipliers
@@ -42,9 +43,21 @@ def test_a_saddle_is_extremal_and_its_direction_lowers_the_cost():
     test = certificate.second_order
     assert test.passed is False
     assert test.curvature < 0
-    assert "the cost falls along a direction" in str(certificate)
+    assert "the cost falls to second order along a direction" in str(certificate)
     after = lfo.simulate(problem, trajectory.u + 1e-2 * test.direction.u)
     assert problem.value(after.x, after.u) < certificate.cost
+
+
+@pytest.mark.parametrize("bound", [None, 10.0, 1e6, 1e15])
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+def test_neither_units_nor_far_bounds_decide(unit, bound):
+    def stage(x, u):
+        return (x[0] / unit) ** 4 / 4 - (x[0] / unit) ** 2 / 2 + (u[0] / unit) ** 2 / 20
+
+    control_set = None if bound is None else lfo.Box(-bound * unit, bound * unit)
+    problem = smooth_problem(lambda x, u: [x[0] + u[0]], [0.0], 1, 4, stage, control_set=control_set)
+    certificate = judge(problem, *at_rest(problem))
+    assert certificate.status_within(0.0) == "extremal"
 
 
 def test_a_saddle_is_left_by_the_search():
@@ -58,7 +71,7 @@ def test_a_saddle_that_is_not_left_is_an_answer(monkeypatch):
     monkeypatch.setattr(smooth, "MOST_SADDLES", 0)
     result = lfo.solve(double_well(), global_bound=False, start=np.zeros((4, 1)))
     assert result.status == "extremal"
-    assert "the cost falls along a direction" in result.message
+    assert "the cost falls to second order along a direction" in result.message
 
 
 def test_a_bound_that_is_active_with_a_multiplier_takes_the_direction_away():
@@ -100,3 +113,14 @@ def test_functions_without_a_hessian_leave_it_undecided():
     assert str(result.certificate.second_order) == "not decided: drag has no exact second derivatives"
     exact = smooth_problem(runge_kutta(rates, 0.1), [2.0], 1, 10, Q=1.0, R=1.0)
     assert lfo.solve(exact, global_bound=False).certificate.second_order.passed
+
+
+def test_the_command_certifies_a_saddle(tmp_path):
+    problem = double_well()
+    files = tmp_path / "wells.toml", tmp_path / "rest.csv"
+    lfo.io.write_problem(problem, files[0])
+    rows = ["time,x_0,x_1,u_0", *(f"{t},0,0,0" for t in range(4)), "4,0,0,"]
+    files[1].write_text("\n".join(rows))
+    status, out, _ = run("certify", *map(str, files))
+    assert status == 0
+    assert "no minimum: the cost falls to second order" in " ".join(out.split())
