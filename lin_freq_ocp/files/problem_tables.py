@@ -371,8 +371,10 @@ def _row_values(rows: StageRows) -> FileTable:
 STAGE_ROWS = TableRecord(StageRows, own="stage_rows", required=["e"], values=_row_values)
 
 
-def _rate_limit(limit: FileValue, previous: FileValue = None, following: FileValue = None) -> FileTable:
-    return {"limit": limit, "previous": previous, "following": following}
+def _rate_limit(
+    limit: FileValue = None, previous: FileValue = None, following: FileValue = None, price: FileValue = 0.0
+) -> FileTable:
+    return {"limit": limit, "previous": previous, "following": following, "price": price}
 
 
 def _problem(schema: int, rate_limit: FileTable | None = None, **fields: FileValue) -> OptimalControlProblem:

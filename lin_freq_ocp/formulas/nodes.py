@@ -225,7 +225,7 @@ def time_of(dimensions: tuple[int, int]) -> Formula:
     Examples
     --------
     >>> x, u = lfo.signals(1, 1)
-    >>> print(lfo.dynamics.time_of((1, 1)) * x[0])
+    >>> print(lfo.formulas.time_of((1, 1)) * x[0])
     Formula(t * (x_0))
     """
     return Formula(dimensions, operations.TIME)
