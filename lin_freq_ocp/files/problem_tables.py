@@ -18,9 +18,9 @@ from lin_freq_ocp.files.codec import Kinds, TableRecord, Tables, Value, checked_
 from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
 from lin_freq_ocp.formulas.nodes import Formula, in_order
 from lin_freq_ocp.formulas.text import defined, formula_from_text, require_formula, with_definitions
+from lin_freq_ocp.problem.costs.formula_cost import SmoothCost
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
-from lin_freq_ocp.problem.costs.smooth import SmoothCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

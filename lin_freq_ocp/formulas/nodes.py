@@ -398,12 +398,12 @@ def with_states(formulas: Sequence[Formula], added: int) -> list[Formula]:
         return []
     n, m = formulas[0].dimensions
 
-    def moved(node: Formula, arguments: list[Formula]) -> Formula:
+    def renumber(node: Formula, arguments: list[Formula]) -> Formula:
         i = node.data[0] if node.kind == operations.VARIABLE else -1.0
         data = (i + added,) if i >= n else node.data
         return replace(node, dimensions=(n + added, m), arguments=tuple(arguments), data=data)
 
-    return evaluated(formulas, moved)
+    return evaluated(formulas, renumber)
 
 
 def require_times(field: str, formulas: Sequence[Formula], horizon: int) -> None:

@@ -17,8 +17,8 @@ from lin_freq_ocp.base.arrays import Array, assign, brief, with_columns
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula, signals, translated, with_states
+from lin_freq_ocp.problem.costs.formula_cost import PRICED
 from lin_freq_ocp.problem.costs.quadratic import CostSum
-from lin_freq_ocp.problem.costs.smooth import PRICED
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for, require_form, signal_labels, unique_names
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
@@ -123,7 +123,7 @@ class CostState(OwnStates):
 
     def with_adjoint(self, multipliers: Multipliers) -> Multipliers:
         """Return multipliers of the given problem with those of z: -eta_C."""
-        eta, mu, rho_x = multipliers.eta, with_columns(multipliers.mu, 1), with_columns(multipliers.rho_x, 1)
+        eta, mu, rho_x = multipliers.eta, with_columns(multipliers.mu, 1), np.pad(multipliers.rho_x, ((0, 0), (0, 1)))
         mu[0, -1] = -multipliers.eta_C
         price = np.full((len(eta), 1), -multipliers.eta_C)
         return replace(multipliers, eta=np.hstack([eta, price]), mu=mu, rho_x=rho_x)
