@@ -25,6 +25,7 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode, affine_formulas
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import changed
 from lin_freq_ocp.problem.reformulations import OwnStates, augment_states
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -148,7 +149,7 @@ def cost_as_state(problem: OptimalControlProblem, at: Trajectory | None = None) 
         f, region, domain, cost = (with_states(part, 1) for part in (mode.f, mode.region, mode.domain, mode.cost))
         modes.append(SmoothMode([*f, sum(cost, cost_so_far)], region, domain, mode.name))
     labels = dynamics.sampling_time, [*dynamics.state_names, "cost so far"], dynamics.control_names
-    stripped = replace(problem, cost=problem.cost.without_formulas)
+    stripped = changed(problem, cost=problem.cost.without_formulas)
     with_state = PiecewiseSmoothDynamics(modes, n + 1, m, *labels)
     zero, free = np.zeros(1), np.full(1, -np.inf)
     augmented = augment_states(stripped, with_state, Box(zero, zero), free, problem.quadratic)
@@ -156,4 +157,4 @@ def cost_as_state(problem: OptimalControlProblem, at: Trajectory | None = None) 
     if terminal is not None and at is not None:
         slope[:n] += jets([terminal], np.append(at.x[-1], np.zeros(m))[None]).slopes[0, 0, :n]
     cost = CostSum([replace(augmented.quadratic, p=slope), *augmented.cost.norms])
-    return CostState(problem, replace(augmented, cost=cost))
+    return CostState(problem, changed(augmented, cost=cost.at_dimensions(n + 1, m, problem.horizon)))

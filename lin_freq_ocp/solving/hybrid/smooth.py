@@ -14,6 +14,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
+from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
@@ -140,7 +141,10 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum) -> Judge
         given = priced.with_cost(local.trajectory), priced.with_adjoint(local.multipliers)
         refined = refine_optimum(priced.problem, replace(local, trajectory=given[0], multipliers=given[1]))
         trajectory, multipliers = priced.trajectory(refined[0]), priced.multipliers(refined[1])
-        return trajectory, multipliers, judge(problem, trajectory, multipliers)
+        if refined[0] is not given[0]:
+            return trajectory, multipliers, judge(problem, trajectory, multipliers)
+        cost, scale = problem.value(trajectory.x, trajectory.u), cost_scale(problem, trajectory)
+        return local.trajectory, multipliers, replace(refined[2], cost=cost, cost_scale=scale)
     affine = problem.affine_at(local.trajectory)
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
