@@ -18,6 +18,7 @@ translation  the same with states counted from 1e2 to 1e9 times their range away
 modes        ten piecewise-affine problems by enumeration, branch and bound, SCIP and DAQP, and random ones of up to
              seven steps against all mode sequences, solved one by one by plain Clarabel
 nonsmooth    Examples 2 and 3 of the paper from cold starts, a minute for every global bound, and SCIP on short ones
+formulas     random problems with costs and time by formulas, against IPOPT and by differences of the cost
 answers      linear problems by the sparse program and by the structured method, compared with each other, or with the
              answers of another state of the code (--save, --against)
 limits       time limits of 1 and 3 s on problems that take far longer
@@ -53,6 +54,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "translation": 1000,
     "modes": 300,
     "nonsmooth": None,
+    "formulas": 300,
     "loop": 10_000,
     "frequencies": 200,
     "proofs": 100,
