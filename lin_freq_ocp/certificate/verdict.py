@@ -73,7 +73,7 @@ class Facts(ABC):
 class Judgement:
     """What a judge returns, for any dynamics; ``extremal`` if a global bound follows from the multipliers.
 
-    ``cost_scale`` is S of the trajectory, if it was computed.
+    ``cost_scale`` is S of the trajectory, if it was computed, ``bound`` a bound of another kind than the extremal's.
     """
 
     conditions: tuple[Condition, ...]
@@ -81,6 +81,7 @@ class Judgement:
     cost_of_residuals: float
     extremal: Extremal | None = None
     cost_scale: float | None = None
+    bound: Bound | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +268,7 @@ def judge(
     with np.errstate(over="ignore", invalid="ignore"):  # a condition that overflows does not pass
         found = entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers)
         scale = cost_scale(problem, trajectory) if found.cost_scale is None else found.cost_scale
-        bound = None
+        bound = found.bound
         if found.extremal is not None and multipliers.eta_C == 1:
             bound = best_bound(found.extremal, max(GAP_TOLERANCE, tolerance) * scale)
         applicable = found.borders is None or found.borders.applicable

@@ -260,6 +260,24 @@ def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
 class OwnStates(Inverse):
     """The way back from a problem in the states (x, w) to the one in x, where w has no cost at a trajectory."""
 
+    @property
+    def own_values(self) -> dict[str, Mask]:
+        """Return which values of terms are of x and u, (dim,), by the names of terms that have further values of w."""
+        n, sizes, found = (
+            self.given.state_dim,
+            {term.name: term.shape[1] for term in self.given.terms},
+            dict[str, Mask](),
+        )
+        for term in self.problem.terms:
+            count = term.shape[1]
+            if count > sizes.get(term.name, np.inf):
+                form = term.map.stage_form(self.problem.state_dim, self.given.control_dim)
+                found[term.name] = np.arange(count) < sizes[term.name]
+                if form is not None:
+                    matrix = form[0][0]
+                    found[term.name] = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
+        return found
+
     def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return the trajectory without w."""
         return Trajectory(reduced.x[:, : self.given.state_dim], reduced.u)
@@ -271,15 +289,9 @@ class OwnStates(Inverse):
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers without those of w; what limits x and w together keeps them under its name."""
         n, stage = self.given.state_dim, dict(reduced.stage)
-        sizes = {term.name: term.shape[1] for term in self.given.terms}
-        for term in self.problem.terms:
-            if term.name in stage and stage[term.name].shape[1] > sizes.get(term.name, np.inf):
-                # the values of x and u: w has bounds of its own
-                form, own = term.map.stage_form(self.problem.state_dim, self.given.control_dim), slice(sizes[term.name])
-                if form is not None:
-                    matrix = form[0][0]
-                    own = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
-                stage[term.name] = stage[term.name][:, own]
+        for name, own in self.own_values.items():
+            if name in stage:
+                stage[name] = stage[name][:, own]
         return replace(reduced, eta=reduced.eta[:, :n], mu=reduced.mu[:, :n], rho_x=reduced.rho_x[:, :n], stage=stage)
 
 

@@ -127,7 +127,12 @@ class CostState(OwnStates):
         eta, mu, rho_x = multipliers.eta, with_columns(multipliers.mu, 1), np.pad(multipliers.rho_x, ((0, 0), (0, 1)))
         mu[0, -1] = -multipliers.eta_C
         price = np.full((len(eta), 1), -multipliers.eta_C)
-        return replace(multipliers, eta=np.hstack([eta, price]), mu=mu, rho_x=rho_x)
+        stage = dict(multipliers.stage)
+        for name, own in self.own_values.items():
+            if name in stage:
+                stage[name] = np.zeros((len(stage[name]), len(own)))
+                stage[name][:, own] = multipliers.stage[name]
+        return replace(multipliers, eta=np.hstack([eta, price]), mu=mu, rho_x=rho_x, stage=stage)
 
 
 def cost_as_state(problem: OptimalControlProblem, at: Trajectory | None = None) -> CostState | None:
