@@ -1,11 +1,4 @@
-"""Every reduction of the package, with problems that it accepts: a new reduction is a new entry of ``def with_formula(stage: str) -> lfo.OptimalControlProblem:
-    """Return a problem of one state with a cost by a formula."""
-    cost = lfo.costs.SmoothCost(stage=stage)
-    sets = {"control_set": lfo.Box(-1, 1), "state_set": lfo.Box(-2, 2), "initial_state": [1.0]}
-    return lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 4, cost, **sets)
-
-
-REDUCTIONS``.
+"""Every reduction of the package, with problems that it accepts: a new reduction is a new entry of ``REDUCTIONS``.
 
 Problems are feasible, infeasible and unbounded; the names of the last two say so.
 """
@@ -21,9 +14,9 @@ import numpy as np
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.methods.spectral.reductions import row_form, soft_bins, soft_bounds
+from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.reductions import Reduction
-from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.reformulations import RATE_LIMIT, rate_limit, sampled_masks, translated_by, translation_of
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
 from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
@@ -143,6 +136,13 @@ def with_levels(**changes) -> Problem:
     return Problem(dynamics, 6, cost, **given)
 
 
+def with_formula(stage: str) -> lfo.OptimalControlProblem:
+    """Return a problem of one state with a cost by a formula."""
+    cost = lfo.costs.SmoothCost(stage=stage)
+    sets = {"control_set": lfo.Box(-1, 1), "state_set": lfo.Box(-2, 2), "initial_state": [1.0]}
+    return lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 4, cost, **sets)
+
+
 REDUCTIONS = {
     "soft bins": Entry(
         Reduction(soft_bins),
@@ -209,7 +209,7 @@ REDUCTIONS = {
     ),
     "cost by formulas as a state": Entry(
         Reduction(cost_as_state),
-        {"smooth": partial(with_formula, "sin(x_0)**2 + 0.1*u_0**2"), "kinks": partial(with_formula, "abs(x_0) + u_0**2")},
+        {stage: partial(with_formula, stage) for stage in ("sin(x_0)**2 + 0.1*u_0**2", "abs(x_0) + u_0**2")},
     ),
     "fixed modes": Entry(
         Reduction(lambda problem: fixed_modes(problem, lfo.solve(problem).sequence)),
